@@ -1,0 +1,35 @@
+"""A hydraulic log crane on the Exudyn multibody engine: description, recordings, effects, engine.
+
+    from crane_exudyn import Crane, Recording, simulate
+
+Names are imported when they are first asked for, so that `import crane_exudyn` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .crane import Crane as Crane
+    from .engine import ExudynEngine as ExudynEngine
+    from .errors import CraneError as CraneError
+    from .recording import Recording as Recording
+    from .simulation import simulate as simulate
+
+__version__ = "0.1.0"
+
+_WHERE = {
+    "Crane": ".crane",
+    "CraneError": ".errors",
+    "ExudynEngine": ".engine",
+    "Recording": ".recording",
+    "simulate": ".simulation",
+}
+__all__ = ["Crane", "CraneError", "ExudynEngine", "Recording", "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'crane_exudyn' has no attribute {name!r}")
+    return getattr(importlib.import_module(_WHERE[name], __name__), name)

@@ -1,0 +1,282 @@
+"""Crane files: TOML in, TOML out. Only the form is known here; what the numbers mean stands in crane.py."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from . import parameters
+from .effects import registry
+from .effects.base import CYLINDERS, Acting
+from .errors import CraneError, nearest
+from .units import to_si
+
+if TYPE_CHECKING:
+    from .crane import Crane, Initial, Uncertainty, Voltage
+
+_SECTIONS = (
+    "name", "description", "gravity", "bodies", "payload", "joints", "cylinders", "valves", "fluid", "supply",
+    "initial", "sensors", "uncertainty", "sources", "effect", "history",
+)  # fmt: skip
+
+
+def from_document(document: Mapping[str, Any], where: str) -> Crane:
+    """Return the crane that a parsed TOML document describes; `where` names the file in errors."""
+    from .crane import Crane
+
+    for key in document:
+        if key not in _SECTIONS:
+            raise CraneError(f"{where}: unknown section {key!r}.{nearest(key, list(_SECTIONS))}")
+    values = _values(document, where)
+    return Crane(
+        name=str(document.get("name", where)),
+        description=str(document.get("description", "")),
+        values=values,
+        initial=_initial(_table(document, "initial", where), where),
+        voltage=_voltages(_table(document, "valves", where), where),
+        sensors=_sensors(_table(document, "sensors", where), where),
+        uncertainty=_uncertainties(_table(document, "uncertainty", where), values, where),
+        sources={str(k): str(v) for k, v in _table(document, "sources", where).items()},
+        effects=tuple(_effect(table, where) for table in document.get("effect", [])),
+        history=tuple(MappingProxyType(dict(entry)) for entry in document.get("history", [])),
+    )
+
+
+def _table(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    table = document.get(key, {})
+    if not isinstance(table, Mapping):
+        raise CraneError(f"{where}: {key} = {table!r} should be a table [{key}].")
+    return table
+
+
+def _values(document: Mapping[str, Any], where: str) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for section in ("gravity", "bodies", "payload", "joints", "cylinders", "valves", "fluid", "supply"):
+        if section in document:
+            _flatten(section, document[section], where, values)
+    return values
+
+
+def _flatten(name: str, value: Any, where: str, values: dict[str, float]) -> None:
+    if name.startswith("valves.") and name.endswith(".voltage"):
+        return
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _flatten(f"{name}.{key}", inner, where, values)
+    elif isinstance(value, list):
+        if len(value) != 2:
+            raise CraneError(f"{where}: {name} = {value!r} should be a point [x, y].")
+        _flatten(f"{name}.x", value[0], where, values)
+        _flatten(f"{name}.y", value[1], where, values)
+    elif name not in parameters.INDEX:
+        raise CraneError(f"{where}: unknown key {name!r}.{nearest(name, list(parameters.NAMES))}")
+    else:
+        values[name] = to_si(value, parameters.unit_of(name), f"{where}: {name}")
+
+
+def _read(table: Mapping[str, Any], units: Mapping[str, str], where: str) -> dict[str, float]:
+    for key in table:
+        if key not in units:
+            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, list(units))}")
+    return {key: to_si(value, units[key], f"{where}.{key}") for key, value in table.items()}
+
+
+def _initial(table: Mapping[str, Any], where: str) -> Initial:
+    from .crane import Initial
+
+    table = dict(table)
+    pressure = table.pop("less_loaded_pressure", 20e5)
+    pair = pressure if isinstance(pressure, list) else [pressure, pressure]
+    if len(pair) != 2:
+        raise CraneError(
+            f"{where}: initial.less_loaded_pressure = {pressure!r} should be one pressure, or two (lift, tilt)."
+        )
+    numbers = _read(table, {"z1": "rad", "z4": "rad"}, f"{where}: initial")
+    for key in ("z1", "z4"):
+        if key not in numbers:
+            raise CraneError(f'{where}: initial.{key} is missing. Give the angle at the start, such as "10 deg".')
+    lift, tilt = (to_si(p, "Pa", f"{where}: initial.less_loaded_pressure") for p in pair)
+    return Initial(numbers["z1"], numbers["z4"], (lift, tilt))
+
+
+def _voltages(valves: Mapping[str, Any], where: str) -> dict[str, Voltage]:
+    from .crane import Voltage
+
+    found = {}
+    for valve in CYLINDERS:
+        table = valves.get(valve, {}).get("voltage") if isinstance(valves.get(valve, {}), Mapping) else None
+        if table is None:
+            continue
+        place = f"{where}: valves.{valve}.voltage"
+        numbers = _read(table, dict.fromkeys(("neutral", "extend", "retract"), "V"), place)
+        for key in ("neutral", "extend", "retract"):
+            if key not in numbers:
+                raise CraneError(f"{place}.{key} is missing: the voltage of that spool position.")
+        if (numbers["extend"] - numbers["neutral"]) * (numbers["retract"] - numbers["neutral"]) >= 0:
+            raise CraneError(f"{place}: neutral = {numbers['neutral']:g} V must lie between extend and retract.")
+        found[valve] = Voltage(**numbers)
+    return found
+
+
+def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:
+    from .crane import SENSOR_UNITS
+
+    numbers = _read(table, SENSOR_UNITS, f"{where}: sensors")
+    for name, value in numbers.items():
+        if value <= 0:
+            raise CraneError(
+                f"{where}: sensors.{name} = {value:g} is impossible: a noise standard deviation must be > 0."
+            )
+    return numbers
+
+
+def _uncertainties(table: Mapping[str, Any], values: Mapping[str, float], where: str) -> dict[str, Uncertainty]:
+    from .crane import names_matching
+
+    found: dict[str, Uncertainty] = {}
+    for pattern, entry in table.items():
+        names = list(names_matching(pattern))
+        if not names:
+            raise CraneError(
+                f"{where}: uncertainty {pattern!r} fits no parameter.{nearest(pattern, list(parameters.NAMES))}"
+            )
+        for name in names:
+            if name in values:
+                found[name] = _uncertainty(name, entry, values[name], f"{where}: uncertainty {name!r}")
+    return found
+
+
+def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty:
+    from .crane import Uncertainty
+
+    entry = entry if isinstance(entry, Mapping) else {"std": entry}
+    for key in entry:
+        if key not in ("std", "lower", "upper"):
+            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, ['std', 'lower', 'upper'])}")
+    unit = parameters.unit_of(name)
+    std = entry.get("std", math.inf)
+    if isinstance(std, str) and std.strip().endswith("%"):
+        std = to_si(std, "", where) * abs(value)
+    std = to_si(std, unit, where)
+    if not std > 0:
+        raise CraneError(
+            f"{where}: std = {std:g} is impossible: it must be > 0. Leave the line out if the value is exact."
+        )
+    lower = to_si(entry.get("lower", -math.inf), unit, where)
+    upper = to_si(entry.get("upper", math.inf), unit, where)
+    if not lower <= value <= upper:
+        raise CraneError(f"{where}: the value {value:g} {unit} itself is outside {lower:g} … {upper:g}.")
+    return Uncertainty(std, lower, upper)
+
+
+def _effect(table: Any, where: str) -> Acting:
+    from .crane import complete
+
+    if not isinstance(table, Mapping) or "name" not in table:
+        raise CraneError(f"{where}: an [[effect]] needs a name. `patu effects` lists them.")
+    for key in table:
+        if key not in ("name", "place", "parameters"):
+            raise CraneError(
+                f"{where}: effect {table['name']!r}: unknown key {key!r}.{nearest(key, ['name', 'place', 'parameters'])}"
+            )
+    place = str(table.get("place", ""))
+    effect, _ = registry.split_key(f"{table['name']}@{place}" if place else str(table["name"]))
+    units = {p.name: unit_at(p.unit, place) for p in effect.parameters}
+    numbers = _read(table.get("parameters", {}), units, f"{where}: effect {effect.name!r}")
+    return Acting(effect.name, place, MappingProxyType(complete(effect, numbers)))
+
+
+def unit_at(unit: str, place: str) -> str:
+    """Return the SI unit of an effect's parameter at a place ("channel" becomes the sensor's unit)."""
+    from .crane import SENSOR_UNITS
+
+    return SENSOR_UNITS[place] if unit == "channel" else unit
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def to_text(crane: Crane) -> str:
+    """Return a crane as TOML text: SI numbers at full precision, one section after the other."""
+    lines = [f"name = {_text(crane.name)}"]
+    if crane.description:
+        lines.append(f"description = {_text(crane.description)}")
+    lines += [f"gravity = {_number(crane['gravity'])}", ""]
+    lines += _value_lines(crane)
+    lines += ["[initial]", f"z1 = {_number(crane.initial.z1)}", f"z4 = {_number(crane.initial.z4)}"]
+    lines += [f"less_loaded_pressure = [{', '.join(_number(p) for p in crane.initial.less_loaded_pressure)}]", ""]
+    if crane.sensors:
+        lines += ["[sensors]", *(f"{k} = {_number(v)}" for k, v in crane.sensors.items()), ""]
+    lines += ["[uncertainty]", *(f"{_text(n)} = {_uncertainty_text(u)}" for n, u in crane.uncertainty.items()), ""]
+    if crane.sources:
+        lines += ["[sources]", *(f"{_text(k)} = {_text(v)}" for k, v in crane.sources.items()), ""]
+    for acting in crane.effects:
+        lines += _effect_lines(acting)
+    for entry in crane.history:
+        lines += ["[[history]]", *(f"{_key(k)} = {_any(v)}" for k, v in entry.items()), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _value_lines(crane: Crane) -> list[str]:
+    sections: dict[str, list[str]] = {}
+    for name in parameters.NAMES:
+        if name == "gravity" or name.endswith(".y"):
+            continue
+        if name.endswith(".x"):
+            name = name.removesuffix(".x")
+            value = f"[{_number(crane[name + '.x'])}, {_number(crane[name + '.y'])}]"
+        else:
+            value = _number(crane[name])
+        section, _, key = name.rpartition(".")
+        sections.setdefault(section, []).append(f"{key} = {value}")
+    for valve, v in crane.voltage.items():
+        numbers = ", ".join(f"{k} = {_number(getattr(v, k))}" for k in ("neutral", "extend", "retract"))
+        sections[f"valves.{valve}"].append(f"voltage = {{ {numbers} }}")
+    return [line for name, content in sections.items() for line in (f"[{name}]", *content, "")]
+
+
+def _effect_lines(acting: Acting) -> list[str]:
+    lines = ["[[effect]]", f"name = {_text(acting.name)}"]
+    if acting.place:
+        lines.append(f"place = {_text(acting.place)}")
+    inner = ", ".join(f"{k} = {_number(v)}" for k, v in acting.parameters.items())
+    return [*lines, f"parameters = {{ {inner} }}", ""]
+
+
+def _uncertainty_text(u: Uncertainty) -> str:
+    parts = [
+        f"{k} = {_number(v)}" for k, v in (("std", u.std), ("lower", u.lower), ("upper", u.upper)) if math.isfinite(v)
+    ]
+    return f"{{ {', '.join(parts)} }}"
+
+
+def _number(value: float) -> str:
+    if math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return repr(float(value))
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").isalnum() else _text(key)
+
+
+def _any(value: Any) -> str:
+    """Return any plain value (text, number, truth, list, table) as inline TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return _number(value) if not math.isnan(value) else "nan"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_any(v)}" for k, v in value.items()) + " }" if value else "{}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_any(v) for v in value) + "]"
+    return _text(str(value))

@@ -1,0 +1,41 @@
+"""A load-holding valve in the line of the loaded chamber."""
+
+from .base import CYLINDERS, Effect, Parameter
+
+#: rise of the pilot sum, above the setting, over which the valve opens fully; typical of cartridge valves (no source)
+OPENING_RANGE = 20e5
+
+
+class CounterbalanceValve(Effect):
+    """The loaded chamber drains only as far as the valve is opened by p_load + ratio * p_pilot over its setting.
+
+    Opening = (p_load + ratio * p_pilot - setting) / 20 bar, within 0 and 1, on the flow of that chamber's edge to tank; flow into the
+    chamber is free. The loaded chamber is p1 of the lift and p4 of the tilt cylinder; the pilot is the opposite chamber.
+
+    Signature: lowering a load needs pressure on the opposite side, which builds up before anything moves; both
+    pressures are high while lowering, and lifting is as before.
+    """
+
+    name = "counterbalance_valve"
+    places = CYLINDERS
+    parameters = (
+        Parameter(
+            "setting", "Pa", 0.0, 0.0, 400e5, 120e5, "pilot sum at which the valve begins to open; 0 means absent"
+        ),
+        Parameter("ratio", "", 3.0, 0.0, 12.0, 3.0, "pilot ratio", shape=True),
+    )
+    probes = (
+        {"setting": 60e5, "ratio": 1.0},
+        {"setting": 100e5, "ratio": 1.0},
+        {"setting": 150e5, "ratio": 2.0},
+        {"setting": 150e5, "ratio": 4.0},
+        {"setting": 250e5, "ratio": 4.0},
+        {"setting": 250e5, "ratio": 8.0},
+    )
+
+    @staticmethod
+    def return_gain(setting, ratio, p_own, p_other, load_side):
+        if setting <= 0.0 or load_side == 0.0:
+            return 1.0
+        opening = (p_own + ratio * p_other - setting) / OPENING_RANGE
+        return min(max(opening, 0.0), 1.0)

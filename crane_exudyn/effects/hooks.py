@@ -1,0 +1,111 @@
+"""The hooks of all effects at all places, composed into one compiled function a hook.
+
+Engines call these at fixed places of their equations (docs/architecture.md lists them). Every effect always takes part,
+switched off by its neutral parameters, so that adding one to a crane compiles nothing. The text of each composed function is
+written from the registry; `source()` shows it.
+"""
+
+from __future__ import annotations
+
+import linecache
+from typing import Any
+
+from ..compiled import njit
+from .base import CHAMBERS, CYLINDERS, JOINTS, SENSORS, Effect
+from .registry import known, slot
+
+_SWITCH = {
+    "command": CYLINDERS, "delay": CYLINDERS, "backlash": CYLINDERS, "opening": CYLINDERS, "supply_drop": CYLINDERS,
+    "return_gain": CYLINDERS, "leakage": CYLINDERS, "cylinder_force": CYLINDERS, "series_compliance": CYLINDERS,
+    "joint_torque": JOINTS, "measurement": SENSORS, "lag": SENSORS,
+}  # fmt: skip
+# hook: (arguments after E, what it starts from, how a term `call` enters, what is returned)
+_FORM = {
+    "command": ("c, u", "", "u = {call}", "u"),
+    "delay": ("c", "T = 0.0", "T += {call}", "T"),
+    "backlash": ("c", "b = 0.0", "b += {call}", "b"),
+    "opening": ("c, U", "", "U = {call}", "U"),
+    "supply_drop": ("c, dp", "", "dp = {call}", "dp"),
+    "return_gain": ("c, p_own, p_other, load_side", "g = 1.0", "g *= {call}", "g"),
+    "supply_pressure": ("pp, q", "", "pp = {call}", "pp"),
+    "tank_pressure": ("pt, q", "", "pt = {call}", "pt"),
+    "oil_compliance": ("inv_bulk, p", "", "inv_bulk = {call}", "inv_bulk"),
+    "cylinder_force": ("c, v, pa, pb, la, lb", "F = 0.0", "F += {call}", "F"),
+    "series_compliance": ("c", "k = 0.0", "k += {call}", "k"),
+    "joint_torque": ("c, omega", "T = 0.0", "T += {call}", "T"),
+    "payload_mass": ("t, m", "", "m = {call}", "m"),
+    "tip_force": ("t", "F = 0.0", "F += {call}", "F"),
+    "gravity": ("gx, gy", "", "gx, gy = {call}", "gx, gy"),
+    "pendulum": ("", "L, d = 0.0, 0.0", "x, y = {call}; L += x; d += y", "L, d"),
+    "measurement": ("c, y", "", "y = {call}", "y"),
+    "lag": ("c", "tau = 0.0", "tau += {call}", "tau"),
+    "leakage": ("c, pa, pb", "qa, qb = 0.0, 0.0", "x, y = {call}; qa += x; qb += y", "qa, qb"),
+}
+
+
+def _call(effect: type[Effect], place: str, hook: str, arguments: str) -> str:
+    start = slot(effect.name, place)
+    parameters = [f"E[{start + i}]" for i in range(len(effect.parameters))]
+    return f"{effect.name}_{hook}({', '.join([*parameters, *filter(None, [arguments])])})"
+
+
+def _chamber_lines(effect: type[Effect], place: str) -> list[str]:
+    cylinder, side = divmod(CHAMBERS.index(place), 2)
+    pressure, flow = ("pa", "qa") if side == 0 else ("pb", "qb")
+    return [f"    if c == {cylinder}:", f"        {flow} += {_call(effect, place, 'leakage', pressure)}"]
+
+
+def _term_lines(effect: type[Effect], place: str, hook: str) -> list[str]:
+    if hook == "leakage" and place in CHAMBERS:
+        return _chamber_lines(effect, place)
+    arguments, _, enter, _ = _FORM[hook]
+    places = _SWITCH.get(hook)
+    if places is None or place == "":
+        passed = arguments.removeprefix("c").removeprefix(", ") if places else arguments
+        return [f"    {enter.format(call=_call(effect, place, hook, passed))}"]
+    passed = arguments.removeprefix("c").removeprefix(", ")
+    return [f"    if c == {places.index(place)}:", f"        {enter.format(call=_call(effect, place, hook, passed))}"]
+
+
+def source(hook: str) -> str:
+    """Return the text of one composed hook as it is compiled."""
+    arguments, start, _, result = _FORM[hook]
+    lines = [f"def {hook}({', '.join(filter(None, ['E', arguments]))}):"]
+    if start:
+        lines.append(f"    {start}")
+    for effect in known():
+        if hook in effect.hooks():
+            for place in effect.places:
+                lines += _term_lines(effect, place, hook)
+    return "\n".join([*lines, f"    return {result}", ""])
+
+
+def _compose(hook: str) -> Any:
+    names: dict[str, Any] = {
+        f"{e.name}_{hook}": njit(e.hooks()[hook], cache=False) for e in known() if hook in e.hooks()
+    }
+    text, file = source(hook), f"<composed hook {hook}>"
+    linecache.cache[file] = (len(text), None, text.splitlines(True), file)  # so that tracebacks show it
+    exec(compile(text, file, "exec"), names)
+    return njit(names[hook], cache=False)
+
+
+command = _compose("command")
+delay = _compose("delay")
+backlash = _compose("backlash")
+opening = _compose("opening")
+supply_drop = _compose("supply_drop")
+return_gain = _compose("return_gain")
+leakage = _compose("leakage")
+supply_pressure = _compose("supply_pressure")
+tank_pressure = _compose("tank_pressure")
+oil_compliance = _compose("oil_compliance")
+cylinder_force = _compose("cylinder_force")
+series_compliance = _compose("series_compliance")
+joint_torque = _compose("joint_torque")
+payload_mass = _compose("payload_mass")
+tip_force = _compose("tip_force")
+gravity = _compose("gravity")
+pendulum = _compose("pendulum")
+measurement = _compose("measurement")
+lag = _compose("lag")

@@ -1,0 +1,177 @@
+"""Which effects there are, in which order, and where their parameters stand in the flat vector E."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from ..errors import CraneError, nearest
+from .base import CHAMBERS, CYLINDERS, EVERYWHERE, HOOKS, JOINTS, SENSORS, Effect
+
+#: modules of the built-in effects; the order is that of the vector E
+BUILT_IN = (
+    "internal_leakage", "external_leakage", "dead_band", "meter_out_restriction", "pressure_compensation",
+    "command_delay", "spool_hysteresis", "counterbalance_valve", "entrained_air", "pump_droop", "return_back_pressure",
+    "seal_friction", "pressure_dependent_friction", "joint_coulomb_friction", "joint_viscous_friction",
+    "structural_compliance", "payload_change", "payload_swing", "tip_contact_force", "base_tilt", "end_stop",
+    "sensor_bias", "sensor_scale", "sensor_lag",
+)  # fmt: skip
+#: packages may offer effects of their own under this entry point group
+ENTRY_POINTS = "crane_exudyn.effects"
+
+_PLACES = {*CYLINDERS, *CHAMBERS, *JOINTS, *SENSORS, *EVERYWHERE}
+_user_effects: list[type[Effect]] = []
+_frozen = False
+
+
+@cache
+def _built_in() -> tuple[type[Effect], ...]:
+    return tuple(_effects_of(importlib.import_module(f".{name}", __package__))[0] for name in BUILT_IN)
+
+
+@cache
+def _installed() -> tuple[type[Effect], ...]:
+    return tuple(_checked(point.load(), point.value) for point in entry_points(group=ENTRY_POINTS))
+
+
+def known() -> tuple[type[Effect], ...]:
+    """Return all effects: built in, installed through entry points, and the user's own."""
+    return (*_built_in(), *_installed(), *_user_effects)
+
+
+def find(name: str) -> type[Effect]:
+    """Return the effect of that name; the error names the nearest known one."""
+    for effect in known():
+        if effect.name == name:
+            return effect
+    raise CraneError(
+        f"There is no effect {name!r}.{nearest(name, [e.name for e in known()])} `patu effects` lists all."
+    )
+
+
+def split_key(key: str) -> tuple[type[Effect], str]:
+    """Return effect and place of "name@place" (or "name" for an effect of the whole machine).
+
+    Raises:
+        CraneError: unknown effect, a place it cannot act at, or no place where one is needed.
+    """
+    name, _, place = key.partition("@")
+    effect = find(name)
+    if place not in effect.places:
+        places = ", ".join(p or "(none)" for p in effect.places)
+        raise CraneError(f"Effect {name!r} cannot act at {place or '(no place)'!r}. Places: {places}.")
+    return effect, place
+
+
+def all_keys() -> list[str]:
+    """Return "name@place" of every effect at every place."""
+    return [key for effect in known() for key in effect.keys()]  # noqa: SIM118
+
+
+@cache
+def _slots() -> dict[tuple[str, str], int]:
+    slots, start = {}, 0
+    for effect in known():
+        for place in effect.places:
+            slots[effect.name, place] = start
+            start += len(effect.parameters)
+    return slots
+
+
+def slot(name: str, place: str) -> int:
+    """Return where in E the first parameter of an effect at a place stands."""
+    return _slots()[name, place]
+
+
+@cache
+def _neutral() -> tuple[float, ...]:
+    return tuple(p.neutral for effect in known() for _ in effect.places for p in effect.parameters)
+
+
+def neutral_vector() -> list[float]:
+    """Return E with every effect switched off."""
+    return list(_neutral())
+
+
+def register(effect: type[Effect]) -> type[Effect]:
+    """Make a user's own effect known; may be used as a class decorator.
+
+    Compiled code contains every effect, so this must come before the first engine is imported.
+    """
+    _checked(effect, effect.__module__)
+    if any(e.name == effect.name for e in known()):
+        raise CraneError(f"There is an effect {effect.name!r} already. Give yours another name.")
+    if _frozen:
+        raise CraneError(
+            f"Effect {effect.name!r} comes too late: engines are compiled. Register it before importing one."
+        )
+    _user_effects.append(effect)
+    _slots.cache_clear()
+    _neutral.cache_clear()
+    return effect
+
+
+def load_file(path: str | Path) -> list[type[Effect]]:
+    """Register every effect that a Python file defines, and return them."""
+    file = Path(path)
+    if not file.is_file():
+        raise CraneError(f"{file}: there is no such file. --effects wants a Python file that defines an Effect.")
+    spec = importlib.util.spec_from_file_location(f"user_effects_{file.stem}", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as problem:
+        raise CraneError(f"{file}: cannot be imported: {problem!r}.") from problem
+    found = _effects_of(module)
+    if not found:
+        raise CraneError(
+            f"{file}: defines no effect. Write a class that derives from crane_exudyn.effects.base.Effect."
+        )
+    return [e if e in _user_effects else register(e) for e in found]
+
+
+def _effects_of(module: object) -> list[type[Effect]]:
+    classes = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, Effect) and c is not Effect]
+    return [c for c in classes if c.__module__ == module.__name__]  # type: ignore[attr-defined]
+
+
+def _checked(effect: type[Effect], where: str) -> type[Effect]:
+    """Refuse an effect that could not take part: no name, unknown places or hooks, no parameter."""
+    if not effect.name.isidentifier():
+        raise CraneError(f"{where}: effect {effect.__name__} needs a name in letters, digits and underscores.")
+    unknown = set(effect.places) - _PLACES
+    if unknown:
+        raise CraneError(
+            f"{where}: effect {effect.name!r}: unknown place {sorted(unknown)[0]!r}. Known: {sorted(_PLACES - {''})}."
+        )
+    functions = [n for n, v in vars(effect).items() if isinstance(v, staticmethod)]
+    for function in functions:
+        if function not in HOOKS and not function.startswith("_"):
+            raise CraneError(f"{where}: effect {effect.name!r}: no hook {function!r}.{nearest(function, list(HOOKS))}")
+    if not effect.hooks():
+        raise CraneError(f"{where}: effect {effect.name!r} has no hook. Known hooks: {', '.join(HOOKS)}.")
+    if not effect.parameters:
+        raise CraneError(
+            f"{where}: effect {effect.name!r} has no parameter, so it could be neither fitted nor switched off."
+        )
+    return effect
+
+
+def freeze() -> None:
+    """Say that compiled code is about to be made from the effects that are known now."""
+    global _frozen
+    _frozen = True
+
+
+def fingerprint() -> str:
+    """Return a text that differs when the set of effects or the source of a user's effect differs."""
+    texts = []
+    for effect in (*_installed(), *_user_effects):
+        texts.append(inspect.getsource(inspect.getmodule(effect)))  # type: ignore[arg-type]
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()

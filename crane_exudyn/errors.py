@@ -1,0 +1,19 @@
+"""The one exception class for input that a user can mend."""
+
+
+class CraneError(ValueError):
+    """Bad input, told in one message: what was found, where, what was expected and how to mend it.
+
+    The command line prints the message without a traceback and exits with status 2.
+    """
+
+
+def nearest(word: str, known: list[str]) -> str:
+    """Return ' Did you mean "…"?' for the known word most like `word`, or a list of what is known."""
+    import difflib
+
+    close = difflib.get_close_matches(word, known, n=3, cutoff=0.5)
+    if close:
+        return " Did you mean " + " or ".join(f'"{c}"' for c in close) + "?"
+    shown = ", ".join(known[:12]) + (", …" if len(known) > 12 else "")
+    return f" Known: {shown}."
