@@ -1,0 +1,61 @@
+"""Is a filter as good as it says? NIS, NEES, whiteness of the innovations, coverage of the intervals.
+
+Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4. A consistent filter has
+innovations that are white with the covariance it states (NIS), and errors with the covariance it states (NEES).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+
+def nis(innovations: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Return νᵀ S⁻¹ ν (N,) from innovations (N, k) and their covariances (N, k, k): χ² with k degrees of freedom."""
+    return np.einsum("ni,ni->n", innovations, np.linalg.solve(covariances, innovations[..., None])[..., 0])
+
+
+def nees(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Return eᵀ P⁻¹ e (N,) from errors (N, n) and covariances (N, n, n), scaled to unit diagonal before solving."""
+    scale = np.sqrt(np.einsum("nii->ni", covariances))
+    unit = covariances / (scale[:, :, None] * scale[:, None, :])
+    return nis(errors / scale, unit)
+
+
+def mean_bounds(degrees: float, count: float, probability: float = 0.95) -> tuple[float, float]:
+    """Return the interval that holds the mean of `count` independent χ²(degrees) values with this probability."""
+    low, high = stats.chi2.ppf([0.5 - probability / 2, 0.5 + probability / 2], degrees * count)
+    return float(low / count), float(high / count)
+
+
+def coverage(errors: np.ndarray, std: np.ndarray, probability: float = 0.95) -> np.ndarray:
+    """Return the share of samples (n,) inside the interval ±z·std; errors and std are (N, n), NaN rows left out."""
+    inside = np.abs(errors) <= stats.norm.ppf(0.5 + probability / 2) * std
+    known = np.isfinite(errors) & np.isfinite(std)
+    return (inside & known).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+
+
+def autocorrelation(series: np.ndarray, lags: int) -> np.ndarray:
+    """Return the autocorrelation (lags,) of a series (N,) at lags 1 … lags, its mean taken as known zero.
+
+    Innovations of a right filter have zero mean; subtracting the sample mean would hide a bias.
+    """
+    energy = float(series @ series)
+    if energy == 0.0:
+        return np.zeros(lags)
+    return np.array([float(series[k:] @ series[:-k]) / energy for k in range(1, lags + 1)])
+
+
+def ljung_box(series: np.ndarray, lags: int = 20) -> float:
+    """Return the p-value of whiteness of a series (N,) by Ljung and Box; NaN with fewer than 2·lags values.
+
+    Q = N (N + 2) Σ r_k²/(N - k) is χ²(lags) for white noise of zero mean.
+    """
+    values = np.asarray(series, float)
+    values = values[np.isfinite(values)]
+    n = values.size
+    if n < 2 * lags:
+        return float("nan")
+    r = autocorrelation(values, lags)
+    statistic = n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1)))
+    return float(stats.chi2.sf(statistic, lags))
