@@ -17,7 +17,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from crane_exudyn.compiled import njit
 
 from .linear_algebra import cholesky, lower_factor, solve_lower
 from .sigma_points import Weights, centre_gain, place
@@ -235,7 +236,7 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
     return 0.5 * (matrix + matrix.T)
 
 
-@njit(cache=True)
+@njit()
 def _weighted_mean(points, weights):  # type: ignore[no-untyped-def]
     """Return Σ Wi χi as χ0 + Σ Wi (χi - χ0): large values do not cancel."""
     m, n = points.shape
@@ -248,7 +249,7 @@ def _weighted_mean(points, weights):  # type: ignore[no-untyped-def]
     return mean
 
 
-@njit(cache=True)
+@njit()
 def _add_products(left, right, weights, out):  # type: ignore[no-untyped-def]
     """Add Σ Wk left_k right_kᵀ to `out`; rows of `left` (m, n) and `right` (m, p) are deviations."""
     m, n = left.shape
@@ -260,7 +261,7 @@ def _add_products(left, right, weights, out):  # type: ignore[no-untyped-def]
                 out[i, j] += factor * right[k, j]
 
 
-@njit(cache=True)
+@njit()
 def _moments(before, mean_before, after, weights_mean, weights_covariance, noise):  # type: ignore[no-untyped-def]
     mean = _weighted_mean(after, weights_mean)
     deviations = after - mean
@@ -271,7 +272,7 @@ def _moments(before, mean_before, after, weights_mean, weights_covariance, noise
     return mean, covariance, cross
 
 
-@njit(cache=True)
+@njit()
 def _correct(mean, covariance, points, seen, weights_mean, weights_covariance, measurement, noise):  # type: ignore[no-untyped-def]
     predicted = _weighted_mean(seen, weights_mean)
     deviations = seen - predicted
@@ -284,7 +285,7 @@ def _correct(mean, covariance, points, seen, weights_mean, weights_covariance, m
     return new, less, innovation, spread, nis, log_likelihood, failed
 
 
-@njit(cache=True)
+@njit()
 def _linear_correct(mean, covariance, jacobian, innovation, noise):  # type: ignore[no-untyped-def]
     cross = covariance @ jacobian.T
     spread = jacobian @ cross + noise
@@ -292,7 +293,7 @@ def _linear_correct(mean, covariance, jacobian, innovation, noise):  # type: ign
     return new, less, spread, nis, log_likelihood, failed
 
 
-@njit(cache=True)
+@njit()
 def _gain(mean, covariance, cross, spread, innovation):  # type: ignore[no-untyped-def]
     """Return mean + K ν and P - K Py Kᵀ by the Cholesky factor of Py, with NIS and log-likelihood, (31)."""
     k = innovation.size
@@ -313,7 +314,7 @@ def _gain(mean, covariance, cross, spread, innovation):  # type: ignore[no-untyp
     return new, less, nis, log_likelihood - 0.5 * nis, False
 
 
-@njit(cache=True)
+@njit()
 def _weighted_deviations(points, mean, weights_mean, weights_covariance, gain):  # type: ignore[no-untyped-def]
     """Return D (n, 2n or 2n + 1) with D Dᵀ = Σ Wic di diᵀ, also for a negative centre weight (`centre_gain`)."""
     m, n = points.shape
@@ -335,7 +336,7 @@ def _weighted_deviations(points, mean, weights_mean, weights_covariance, gain): 
     return out
 
 
-@njit(cache=True)
+@njit()
 def _root_moments(before, mean_before, after, weights_mean, weights_covariance, gain, noise_root):  # type: ignore[no-untyped-def]
     mean = _weighted_mean(after, weights_mean)
     wide = np.hstack((_weighted_deviations(after, mean, weights_mean, weights_covariance, gain), noise_root))
@@ -344,7 +345,7 @@ def _root_moments(before, mean_before, after, weights_mean, weights_covariance, 
     return mean, lower_factor(wide), cross
 
 
-@njit(cache=True)
+@njit()
 def _root_correct(mean, points, seen, weights_mean, weights_covariance, gain, measurement, noise_root):  # type: ignore[no-untyped-def]
     predicted = _weighted_mean(seen, weights_mean)
     k, n = predicted.size, mean.size

@@ -8,10 +8,11 @@ scaling of the state, so conditioning is that of the correlation matrix.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from crane_exudyn.compiled import njit
 
 
-@njit(cache=True)
+@njit()
 def cholesky(matrix: np.ndarray, root: np.ndarray) -> int:
     """Fill `root` (n, n) with the lower Cholesky factor of `matrix` (n, n); return -1, or the column that fails."""
     n = matrix.shape[0]
@@ -32,7 +33,7 @@ def cholesky(matrix: np.ndarray, root: np.ndarray) -> int:
     return -1
 
 
-@njit(cache=True)
+@njit()
 def solve_lower(root: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     """Return root⁻¹ rhs (n, m) for a lower triangular `root` (n, n)."""
     n, m = rhs.shape
@@ -46,7 +47,7 @@ def solve_lower(root: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True)
+@njit()
 def solve_lower_transposed(root: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     """Return root⁻ᵀ rhs (n, m) for a lower triangular `root` (n, n)."""
     n, m = rhs.shape
@@ -60,7 +61,7 @@ def solve_lower_transposed(root: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True)
+@njit()
 def lower_factor(wide: np.ndarray) -> np.ndarray:
     """Return the lower triangular L (n, n), diagonal not negative, with L Lᵀ = wide wideᵀ; `wide` (n, m), m >= n.
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from crane_exudyn.compiled import njit
 from crane_exudyn.errors import CraneError
 
 
@@ -83,7 +83,7 @@ def centre_gain(weights: Weights) -> float:
     return float(1.0 + weights.covariance[0] * (1.0 - w0) / w0**2)
 
 
-@njit(cache=True)
+@njit()
 def place(mean: np.ndarray, root: np.ndarray, spread: float, count: int) -> np.ndarray:
     """Return the sigma points (count, n) around `mean` (n,) with the lower root (n, n) of the covariance."""
     n = mean.size
