@@ -1,0 +1,5 @@
+"""`python -m patu` is `patu`."""
+
+from .main import run
+
+run()

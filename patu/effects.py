@@ -1,0 +1,71 @@
+"""`patu effects`: what physical effects there are, their laws and parameters."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .options import EffectsOption, JsonOption
+from .output import Printer, write_json
+
+if TYPE_CHECKING:
+    from crane_exudyn.effects.base import Effect
+
+
+def command(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect; all when left out.")] = None,
+    effects: EffectsOption = None,
+    json: JsonOption = None,
+) -> None:
+    """List the physical effects that a model may lack, or tell one of them whole: law, signature, parameters."""
+    from crane_exudyn.effects import registry
+
+    for file in effects or ():
+        registry.load_file(file)
+    chosen = [registry.find(name.partition("@")[0])] if name else list(registry.known())
+    write_json(json, [describe(effect) for effect in chosen])
+    printer = Printer(json)
+    if name:
+        tell(printer, chosen[0])
+    else:
+        rows = [(e.name, _places(e), ", ".join(p.name for p in e.parameters), title(e)) for e in chosen]
+        printer.table("", ("effect", "places", "parameters", "what it is"), rows)
+        printer.line("`patu effects NAME` tells one of them whole.")
+
+
+def title(effect: type[Effect]) -> str:
+    """Return the first line of the effect's docstring."""
+    return inspect.cleandoc(effect.__doc__ or effect.name).splitlines()[0]
+
+
+def describe(effect: type[Effect]) -> dict[str, Any]:
+    """Return one effect for the JSON result; a neutral value of null is infinite."""
+    parameters = [
+        {"name": p.name, "unit": p.unit, "neutral": p.neutral, "lower": p.lower, "upper": p.upper, "text": p.text}
+        for p in effect.parameters
+    ]
+    text = inspect.cleandoc(effect.__doc__ or "")
+    return {"name": effect.name, "places": list(effect.places), "text": text, "parameters": parameters}
+
+
+def tell(printer: Printer, effect: type[Effect]) -> None:
+    """Print one effect: its docstring, where it may act, its parameters."""
+    printer.line(f"{effect.name} - {inspect.cleandoc(effect.__doc__ or '')}")
+    printer.line(f"\nPlaces: {_places(effect)}")
+    rows = [
+        (p.name, p.unit or "-", "shape" if p.shape else _number(p.neutral), f"{p.lower:g} … {p.upper:g}", p.text)
+        for p in effect.parameters
+    ]
+    printer.table("", ("parameter", "unit", "neutral", "range", "meaning"), rows)
+    printer.line(f"patu add {next(iter(effect.keys()))} --fit REC -o new.toml   adds it to a crane file, fitted.")
+
+
+def _places(effect: type[Effect]) -> str:
+    return " ".join(p or "whole machine" for p in effect.places)
+
+
+def _number(value: float) -> str:
+    return "∞" if math.isinf(value) else f"{value:g}"

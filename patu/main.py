@@ -1,0 +1,147 @@
+"""The command `patu`: finds the command asked for, imports only that one, and turns bad input into one message."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+
+class Command(NamedTuple):
+    """One line of the table of commands: what it does, an example, and where its function stands."""
+
+    text: str
+    example: str
+    module: str = ""
+    function: str = "command"
+
+
+#: all commands, in the order of the help; nothing of them is imported before it is asked for
+COMMANDS: dict[str, Command] = {
+    "demo": Command("the paper's experiment on the Exudyn engine: table, plots, report", "patu demo -o out/demo"),
+    "simulate": Command("open-loop run of the crane", "patu simulate --inputs lift.csv -o run.csv"),
+    "estimate": Command("UKF over a recording: states, intervals, consistency", "patu estimate lift.csv -o states.csv"),
+    "crosscheck": Command("both engines against each other, quantity by quantity", "patu crosscheck"),
+    "compare": Command("model against measurement: how good, and where it fails", "patu compare lift.csv"),
+    "diagnose": Command("which physical effect is missing", "patu diagnose lift.csv --check lower.csv"),
+    "add": Command(
+        "add an effect, fitted, to a crane file",
+        "patu add internal_leakage@lift --fit lift.csv -o new.toml",
+    ),
+    "remove": Command("undo `add`", "patu remove internal_leakage@lift --crane new.toml", "add", "remove"),
+    "improve": Command(
+        "compare, diagnose, add, until nothing more is justified", "patu improve lift.csv --check lower.csv -o new.toml"
+    ),
+    "effects": Command("what effects there are, their laws and parameters", "patu effects dead_band"),
+    "paper": Command("reproduce the paper's tables and figures", "patu paper"),
+    "render": Command("pictures and films through the Exudyn renderer", "patu render run.csv -o run.png"),
+    "benchmark": Command("speed and memory, as ratios measured in one run", "patu benchmark --json -"),
+    "montecarlo": Command("the estimate over many random errors and seeds", "patu montecarlo -n 20"),
+}
+
+
+def help_text() -> str:
+    """Return what `patu --help` prints."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {command.text}" for name, command in COMMANDS.items()]
+    return "\n".join(
+        [
+            "Usage: patu COMMAND [OPTIONS] …",
+            "",
+            "A hydraulic log crane on Exudyn: simulate, estimate, find what the model lacks.",
+            "",
+            "Commands:",
+            *lines,
+            "",
+            "`patu COMMAND --help` tells its options. Example: patu demo -o out/demo",
+            "Exit status: 0 success, 1 the answer is no, 2 bad input.",
+        ]
+    )
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line and leave with its exit status; bad input gives one message and no traceback."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        status = _guarded(words)
+        sys.stdout.flush()
+    except BrokenPipeError:  # `patu effects | head`: the reader has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 0
+    sys.exit(status)
+
+
+def _guarded(words: list[str]) -> int:
+    from crane_exudyn.errors import CraneError
+
+    try:
+        return _dispatch(words)
+    except CraneError as problem:
+        return _complain(str(problem), BAD_INPUT)
+    except KeyboardInterrupt:
+        return _complain("Interrupted; no file was left half-written.", INTERRUPTED)
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        if problem.filename is None:
+            raise
+        return _complain(f"{problem.filename}: {problem.strerror}.", BAD_INPUT)
+
+
+def _complain(message: str, status: int) -> int:
+    print(message, file=sys.stderr)
+    return status
+
+
+def _dispatch(words: list[str]) -> int:
+    if not words or words[0] in ("--help", "-h", "help"):
+        print(help_text())
+        return 0 if words else BAD_INPUT
+    if words[0] in ("--version", "-V"):
+        from crane_exudyn import __version__
+
+        print(f"patu {__version__}")
+        return 0
+    if words[0] not in COMMANDS:
+        from crane_exudyn.errors import CraneError, nearest
+
+        raise CraneError(f"There is no command {words[0]!r}.{nearest(words[0], list(COMMANDS))}")
+    return _invoke(words[0], words[1:])
+
+
+def _invoke(name: str, words: list[str]) -> int:
+    import typer
+
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    app.command(
+        help=_help(name),
+        epilog=f"Example: {COMMANDS[name].example}",
+        context_settings={"help_option_names": ["--help", "-h"]},
+    )(load(name))
+    try:
+        app(words, prog_name=f"patu {name}")
+    except SystemExit as leaving:  # typer ends every run, good or bad, this way
+        return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
+    return 0
+
+
+def load(name: str) -> Callable[..., None]:
+    """Return the function behind a command; this is what imports its module."""
+    command = COMMANDS[name]
+    module = importlib.import_module(f"patu.{command.module or name}")
+    function: Callable[..., None] = getattr(module, command.function)
+    return function
+
+
+def _help(name: str) -> str:
+    """Return the docstring's first paragraphs, up to the part that is for programmers."""
+    return (load(name).__doc__ or COMMANDS[name].text).split("\n    Args:")[0]
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,97 @@
+"""Options that several commands share, and what they turn into."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from crane_exudyn.errors import CraneError
+
+if TYPE_CHECKING:
+    from crane_exudyn.recording import Recording
+
+    from crane_exudyn.crane import Crane
+
+DEFAULT_CRANE = "patu655"
+
+RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording: CSV, MAT, Parquet or MDF4.")]
+CraneOption = Annotated[
+    str, typer.Option("--crane", metavar="NAME-or-FILE", help="Built-in crane or TOML file.", show_default=True)
+]
+EffectsOption = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", metavar="FILE.py", help="Python file with effects of your own; may be repeated."),
+]
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map", metavar="NAME=COLUMN[UNIT]", help="Other column name, such as z1=BoomAngle[deg]; repeatable."
+    ),
+]
+JsonOption = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - for standard output.")
+]
+OutputOption = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Result file: .csv, .csv.gz, .parquet or .mat.")
+]
+ReportOption = Annotated[
+    Path | None, typer.Option("--report", metavar="DIR", help="Write one self-contained HTML report there.")
+]
+EngineName = Literal["exudyn", "semi-recursive"]
+EngineOption = Annotated[EngineName, typer.Option("--engine", help="Which implementation of the crane runs.")]
+CheckOption = Annotated[
+    Path | None, typer.Option("--check", metavar="REC2", help="A recording that is only predicted, never fitted.")
+]
+
+
+def load_crane(crane: str, effects: Sequence[Path] | None = None) -> Crane:
+    """Return the crane of `--crane`, after the user's own effects of `--effects` have been registered.
+
+    Raises:
+        CraneError: no such crane, a bad crane file or effects file.
+    """
+    from crane_exudyn.effects import registry
+
+    for file in effects or ():
+        registry.load_file(file)
+    from crane_exudyn.crane import Crane
+
+    return Crane.load(crane)
+
+
+def parse_map(entries: Sequence[str] | None) -> dict[str, str]:
+    """Return {channel: column} of `--map z1=BoomAngle[deg]` options.
+
+    Raises:
+        CraneError: an entry without "=", or a channel mapped twice.
+    """
+    mapping: dict[str, str] = {}
+    for entry in entries or ():
+        name, equals, column = (part.strip() for part in entry.partition("="))
+        if not (name and equals and column):
+            raise CraneError(f"--map {entry!r} is not of the form NAME=COLUMN[UNIT], such as z1=BoomAngle[deg].")
+        if name in mapping:
+            raise CraneError(f"--map gives {name!r} twice: {mapping[name]!r} and {column!r}. Keep one.")
+        mapping[name] = column
+    return mapping
+
+
+def load_recording(path: Path, entries: Sequence[str] | None = None) -> Recording:
+    """Return the recording at `path`, its columns mapped as `--map` says."""
+    from crane_exudyn.recording import Recording
+
+    return Recording.load(path, mapping=parse_map(entries))
+
+
+def make_engine(name: EngineName, crane: Crane) -> Any:
+    """Return the engine that `--engine` names, holding `crane`."""
+    if name == "exudyn":
+        from crane_exudyn.engine import ExudynEngine
+
+        return ExudynEngine(crane)
+    from validation.semi_recursive import SemiRecursiveEngine
+
+    return SemiRecursiveEngine(crane)
