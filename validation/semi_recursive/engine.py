@@ -1,0 +1,182 @@
+"""SemiRecursiveEngine: the independent engine behind the same methods as the Exudyn engine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from crane_exudyn.compiled import njit
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+
+from . import equations, kernel
+from .terms import TERM_NAMES, terms
+
+STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
+PENDULUM_NAMES = ("theta", "dtheta")
+_CHAMBERS = ("lift, piston side empty", "lift, rod side empty", "tilt, piston side empty", "tilt, rod side empty")
+
+
+@njit
+def _chamber_lengths(X, P, E):
+    out = np.empty((X.shape[0], 4))
+    for i in range(X.shape[0]):
+        equations.chamber_lengths(X[i], P, E, out[i])
+    return out
+
+
+@njit
+def _held(z1, z4, less_loaded, P, E, x):
+    F1, F2, s1, s2 = equations.static_forces(z1, z4, P, E)
+    x[4], x[5] = equations.held_pressures(0, s1, F1, less_loaded[0], P, E)
+    x[6], x[7] = equations.held_pressures(1, s2, F2, less_loaded[1], P, E)
+    gx, gy = equations.hooks.gravity(E, 0.0, -1.0)
+    return math.atan2(gx, -gy)
+
+
+class SemiRecursiveEngine:
+    """The crane by the double-step semi-recursive method; states in, states out, no hidden state.
+
+    Args:
+        crane: the crane, with its effects.
+        step: longest inner time step, s.
+    """
+
+    def __init__(self, crane: Crane, *, step: float = 1e-3):
+        self.crane, self.step = crane, float(step)
+        self._P, self._E = crane.parameter_vector(), crane.effect_vector()
+        pendulum = crane.effect("payload_swing")
+        swings = pendulum is not None and pendulum.parameters.get("length", 0.0) > 0.0
+        self.state_names = STATE_NAMES + (PENDULUM_NAMES if swings else ())
+
+    def static_start(self, z1: float, z4: float, less_loaded: float | Sequence[float] = 20e5) -> np.ndarray:
+        """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded` (Pa).
+
+        Raises:
+            CraneError: the loop cannot be closed at z1, z4 (rad), or a cylinder would be beyond its stroke.
+        """
+        x = np.zeros(len(self.state_names))
+        x[:2] = z1, z4
+        angle = _held(float(z1), float(z4), np.broadcast_to(np.float64(less_loaded), 2).copy(), self._P, self._E, x)
+        if len(x) > 8:
+            x[8] = angle
+        if not np.all(np.isfinite(x)):
+            raise CraneError(f"{self._unreachable(x)} There is no static start.")
+        self._refuse_stroke_end(x[None], np.zeros(1))
+        return x
+
+    def propagate(self, states: np.ndarray, inputs: np.ndarray, dt: float, time: float = 0.0) -> np.ndarray:
+        """Return states (n, nx) one dt (s) later.
+
+        Args:
+            states: (n, nx).
+            inputs: w = [U1 U2 pp pt] at the start and the end of the step, (2, 4) or (2, n, 4).
+            time: time at the start of the step, s.
+
+        Raises:
+            CraneError: wrong shapes, or a state whose step does not converge.
+        """
+        x = np.ascontiguousarray(states, dtype=float)
+        self._check_shape("states", x, (None, len(self.state_names)))
+        w = np.ascontiguousarray(inputs, dtype=float)
+        if w.shape not in ((2, 4), (2, len(x), 4)):
+            raise CraneError(
+                f"inputs have the shape {w.shape}; expected (2, 4) or (2, {len(x)}, 4): w at start and end."
+            )
+        w = w.reshape(2, -1, 4)
+        n = max(1, math.ceil(dt / self.step - 1e-6))
+        out, status, row = kernel.propagate_batch(x, w[0], w[1], float(time), float(dt), n, self._P, self._E)
+        if status != kernel.OK:
+            raise CraneError(self._failure(x[row], time, dt / n, f"row {row} of the batch"))
+        return out
+
+    def simulate(
+        self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float | None = None
+    ) -> np.ndarray:
+        """Return states (N, nx) at `time` (N,) s, from x0 (nx,), with inputs (N, 4) linear between.
+
+        Raises:
+            CraneError: wrong shapes, a step that does not converge, or a cylinder that reaches the end of its stroke.
+        """
+        x, t, w = (np.ascontiguousarray(a, dtype=float) for a in (x0, time, inputs))
+        self._check_run(x, t, w)
+        h = self.step if step is None else float(step)
+        X, status, k = kernel.simulate_substeps(x, w, t, h, self._P, self._E)
+        self._refuse_stroke_end(X[: k + 1] if status != kernel.OK else X, t)
+        if status != kernel.OK:
+            raise CraneError(self._failure(X[k], t[k], h, f"sample {k}"))
+        return X
+
+    def terms(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
+        """Return every term of the balances by name at a state (nx,) and inputs w (4,); SI."""
+        values = self.terms_along(np.asarray(state)[None], np.asarray(w)[None], np.array([time]))
+        return {name: float(v[0]) for name, v in values.items()}
+
+    def terms_along(self, states: np.ndarray, inputs: np.ndarray, time: np.ndarray) -> dict[str, np.ndarray]:
+        """Return every term by name along states (N, nx), inputs (N, 4) and times (N,)."""
+        x, w, t = (np.ascontiguousarray(a, dtype=float) for a in (states, inputs, time))
+        return dict(zip(TERM_NAMES, terms(x, w, t, self._P, self._E).T, strict=True))
+
+    # -- refusals --------------------------------------------------------------------------------------------------
+
+    def _check_shape(self, name: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
+        fits = array.ndim == len(shape) and all(s is None or s == n for s, n in zip(shape, array.shape, strict=False))
+        if not fits:
+            expected = "(" + ", ".join("n" if s is None else str(s) for s in shape) + ")"
+            raise CraneError(
+                f"{name} have the shape {array.shape}; expected {expected}: {', '.join(self.state_names)}."
+            )
+
+    def _check_run(self, x: np.ndarray, t: np.ndarray, w: np.ndarray) -> None:
+        self._check_shape("x0", x, (len(self.state_names),))
+        if t.ndim != 1 or w.shape != (len(t), 4):
+            raise CraneError(f"time has the shape {t.shape} and inputs {w.shape}; expected (N,) and (N, 4).")
+        if not np.all(np.diff(t) > 0.0):
+            k = int(np.argmin(np.diff(t) > 0.0))
+            raise CraneError(f"time does not increase from sample {k} ({t[k]:g} s) to {k + 1} ({t[k + 1]:g} s).")
+        if not np.all(np.isfinite(w[:, :2])):
+            k = int(np.argmin(np.all(np.isfinite(w[:, :2]), axis=1)))
+            raise CraneError(
+                f"inputs: the spool position at sample {k} ({t[k]:g} s) is {w[k, :2]}. Give finite numbers."
+            )
+
+    def _refuse_stroke_end(self, states: np.ndarray, time: np.ndarray) -> None:
+        lengths = _chamber_lengths(np.ascontiguousarray(states), self._P, self._E)
+        for c, name in enumerate(("lift", "tilt")):
+            if self.crane.effect(f"end_stop@{name}") is not None:
+                lengths[:, 2 * c : 2 * c + 2] = 1.0
+        if not (lengths < 0.0).any():
+            return
+        k, chamber = np.argwhere(lengths < 0.0)[0]
+        raise CraneError(
+            f"Semi-recursive engine: a cylinder reached the end of its stroke at t = {time[k]:.3f} s "
+            f"({_CHAMBERS[chamber]}, {-1e3 * lengths[k, chamber]:.1f} mm beyond). State: {self._told(states[k])}. "
+            "Shorten the motion, start elsewhere, or add the effect end_stop to the crane."
+        )
+
+    def _failure(self, x: np.ndarray, time: float, h: float, where: str) -> str:
+        if not np.all(np.isfinite(x)):
+            return f"Semi-recursive engine: at t = {time:.4f} s ({where}) the state is not finite: {self._told(x)}."
+        lengths = _chamber_lengths(x[None], self._P, self._E)[0]
+        if np.isnan(lengths).any():
+            return self._unreachable(x) + f" It was met at t = {time:.4f} s ({where})."
+        chamber = int(np.argmin(lengths))
+        return (
+            f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) did not converge, neither with {h:g} s nor cut into "
+            f"up to {kernel.MAX_PIECES} pieces, with new tangents. State: {self._told(x)}. Shortest chamber: "
+            f"{_CHAMBERS[chamber].replace(' empty', '')}, {1e3 * lengths[chamber]:.1f} mm. Look for a pose near the limit of the "
+            "loop A-B-C-D, a chamber near its end, or parameters out of proportion."
+        )
+
+    def _unreachable(self, x: np.ndarray) -> str:
+        return (
+            f"Semi-recursive engine: the loop A-B-C-D of {self.crane.name} cannot be closed at z1 = {math.degrees(x[0]):.2f} deg, "
+            f"z4 = {math.degrees(x[1]):.2f} deg: D is out of reach of the brackets. Mend z4 or the joints B, C, D."
+        )
+
+    def _told(self, x: np.ndarray) -> str:
+        angles = ", ".join(f"{n} = {math.degrees(v):.3f} deg" for n, v in zip(("z1", "z4"), x[:2], strict=True))
+        rates = ", ".join(f"{n} = {v:.4g} rad/s" for n, v in zip(("dz1", "dz4"), x[2:4], strict=True))
+        return f"{angles}, {rates}, " + ", ".join(f"p{i + 1} = {p / 1e5:.2f} bar" for i, p in enumerate(x[4:8]))

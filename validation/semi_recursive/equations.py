@@ -1,0 +1,699 @@
+"""The crane's equations by the double-step semi-recursive method and lumped fluids, compiled.
+
+Written from the paper, (1)-(20) and (34)-(41), for planar bodies. A point or a force in the plane is one complex number x + iy,
+so that turning a vector by an angle is a product with exp(i angle). Products needed below, for vectors a and b:
+
+    dot(a, b) = a.b        cross(a, b) = a x b (its component along the axis of rotation)
+
+Coordinates z = [z1 z2 z3 z4] of the open-loop tree, the loop A-B-C-D being cut at D:
+
+    pillar --O, z1-- lift boom (1) --B, z2-- bracket 1 (2) --C, z3-- bracket 2 (3)
+                              \\--A, z4-- outer boom with payload (4)
+
+Path matrix T (row j: the joints between the ground and body j), which `down` and `up` below apply without storing it:
+
+        | 1 0 0 0 |
+    T = | 1 1 0 0 |     times 3 x 3 identity matrices
+        | 1 1 1 0 |
+        | 1 0 0 1 |
+
+The reference point of every body is the point that at this instant coincides with the origin, so its velocity is
+Z_j = (s', Omega): two translations (one complex number) and a rotation. Signs: angles counter-clockwise positive, cylinder
+forces and rates positive in extension, flows Q1, Q3 into and Q2, Q4 out of their chamber.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from crane_exudyn import parameters as par
+from crane_exudyn import compiled
+from crane_exudyn.effects import hooks
+
+
+def njit(function=None, **options):
+    """Compile a part of `rhs`: it is cached within what calls it, not on its own."""
+    return compiled.njit(function, cache=False, **options) if function else lambda f: njit(f, **options)
+
+
+# Places in P. They stand here as plain integers because compiled code reads globals as constants.
+BODY, N_BODY = par.BODY, par.N_BODY
+PAYLOAD, POINT, CYLINDER, N_CYLINDER = par.PAYLOAD, par.POINT, par.CYLINDER, par.N_CYLINDER
+VALVE, N_VALVE, FLUID, SUPPLY, GRAVITY = par.VALVE, par.N_VALVE, par.FLUID, par.SUPPLY, par.GRAVITY
+P_O, P_F, P_G, P_H, P_B, P_A, P_C, P_D_BRACKET, P_D, P_E = range(POINT, POINT + 2 * len(par.POINT_NAMES), 2)
+BORE, ROD, EMPTY, RANGE, HOSE_A, HOSE_B, COULOMB, STATIC, STRIBECK, VISCOUS = range(N_CYLINDER)
+OIL, STEEL, HOSE, FLOOR, LAMINAR = range(FLUID, FLUID + 5)
+TANH4 = math.tanh(4.0)
+
+
+class Pose(NamedTuple):
+    """Positions of the joints and the orientations e_j = exp(i angle) of the four bodies."""
+
+    O: complex
+    F: complex
+    G: complex
+    H: complex
+    B: complex
+    A: complex
+    C: complex
+    D_bracket: complex
+    D: complex
+    E: complex
+    e1: complex
+    e2: complex
+    e3: complex
+    e4: complex
+
+
+class Motion(NamedTuple):
+    """Joint rates, loop Jacobian and velocity products of the tree."""
+
+    R2: float  # R_z: dz2/dz4
+    R3: float  # dz3/dz4
+    dz2: float
+    dz3: float
+    v1: complex  # Z_j = (v_j, w_j)
+    w1: float
+    v2: complex
+    w2: float
+    v3: complex
+    w3: float
+    v4: complex
+    w4: float
+    d1: complex  # (T R_d)' z', its translations (its rotations vanish in the plane)
+    d2: complex
+    d3: complex
+    d4: complex
+    a2: float  # R_z' z_i': accelerations of z2 and z3 while z1 and z4 have none
+    a3: float
+
+
+class Inertia(NamedTuple):
+    """M of a planar body about the origin (7): mass, first moment m g, second moment J + m |g|^2."""
+
+    m: float
+    mg: complex
+    J: float
+
+
+class Line(NamedTuple):
+    """A cylinder as a line between two pins: length, rate, direction."""
+
+    s: float
+    v: float
+    u: complex
+
+
+class Cylinder(NamedTuple):
+    """Everything hydraulic about one cylinder. a: piston side, b: rod side."""
+
+    la: float
+    lb: float
+    Va: float
+    Vb: float
+    Ba: float
+    Bb: float
+    Qa: float
+    Qb: float
+    leak_a: float
+    leak_b: float
+    Fmu: float
+    F: float
+    dpa: float
+    dpb: float
+    v: float
+
+
+@njit(inline="always")
+def dot(a, b):
+    return a.real * b.real + a.imag * b.imag
+
+
+@njit(inline="always")
+def cross(a, b):
+    return a.real * b.imag - a.imag * b.real
+
+
+@njit(inline="always")
+def square(a):
+    return a.real * a.real + a.imag * a.imag
+
+
+@njit(inline="always")
+def point(P, k):
+    return complex(P[k], P[k + 1])
+
+
+@njit(inline="always")
+def turn(angle):
+    return complex(math.cos(angle), math.sin(angle))
+
+
+# ---------------------------------------------------------------------------------------------- positions
+
+
+@njit
+def third_corner(B, D, BC, CD):
+    """Return C left of the line from B to D, at the distances BC and CD from them; NaN if the loop cannot be closed."""
+    along = D - B
+    d2 = square(along)
+    share = 0.5 * (square(BC) - square(CD) + d2) / d2
+    height2 = square(BC) / d2 - share * share
+    return B + along * complex(share, math.sqrt(height2) if height2 >= 0.0 else math.nan)
+
+
+@njit
+def positions(z1, z4, P):
+    """Return the Pose at the independent coordinates z1, z4 (rad), the loop A-B-C-D being closed."""
+    e1 = turn(z1)
+    e4 = e1 * turn(z4)
+    O = point(P, P_O)
+    A = O + e1 * point(P, P_A)
+    B = O + e1 * point(P, P_B)
+    D = A + e4 * point(P, P_D)
+    BC, CD = point(P, P_C), point(P, P_D_BRACKET)
+    C = third_corner(B, D, BC, CD)
+    e2 = (C - B) * BC.conjugate() / square(BC)
+    e3 = (D - C) * CD.conjugate() / square(CD)
+    G, H, E = O + e1 * point(P, P_G), O + e1 * point(P, P_H), A + e4 * point(P, P_E)
+    return Pose(O, point(P, P_F), G, H, B, A, C, C + e3 * CD, D, E, e1, e2, e3, e4)
+
+
+# --------------------------------------------------------------------------------------------- velocities
+
+
+@njit(inline="always")
+def b_of(r):
+    """Translation of b_j (2) of a revolute joint at r; its rotation is 1."""
+    return complex(r.imag, -r.real)
+
+
+@njit(inline="always")
+def point_velocity(v, w, r):
+    """Velocity of the point at r on a body with Z = (v, w)."""
+    return v + complex(-w * r.imag, w * r.real)
+
+
+@njit(inline="always")
+def solve_joints(first, second, r):
+    """Return x, y with x (i first) + y (i second) = i r, for the columns i first, i second of Phi_z^d."""
+    determinant = cross(first, second)
+    return cross(r, second) / determinant, cross(first, r) / determinant
+
+
+@njit
+def motion(z, dz1, dz4):
+    """Return rates, Z_j (2), velocity products (3) and the partition of Phi_z (10) at a Pose and the independent rates.
+
+    Phi(z) is D reached over the brackets minus D reached over the outer boom, so the columns of Phi_z are
+    i (D - B) for z2, i (D - C) for z3 (together Phi_z^d), and 0 for z1, -i (D - A) for z4 (together Phi_z^i).
+    """
+    R2, R3 = solve_joints(z.D - z.B, z.D - z.C, z.D - z.A)
+    dz2, dz3 = R2 * dz4, R3 * dz4
+    w1, w2, w3, w4 = dz1, dz1 + dz2, dz1 + dz2 + dz3, dz1 + dz4
+    v1 = b_of(z.O) * dz1
+    v2 = v1 + b_of(z.B) * dz2
+    v3 = v2 + b_of(z.C) * dz3
+    v4 = v1 + b_of(z.A) * dz4
+    dB, dA = point_velocity(v1, w1, z.B), point_velocity(v1, w1, z.A)
+    dC, dD = point_velocity(v2, w2, z.C), point_velocity(v4, w4, z.D)
+    # d_j of (3) for a joint at r: both bodies give r the same acceleration, d - w^2 r
+    d1 = w1 * w1 * z.O
+    d2 = d1 + (w2 * w2 - w1 * w1) * z.B
+    d3 = d2 + (w3 * w3 - w2 * w2) * z.C
+    d4 = d1 + (w4 * w4 - w1 * w1) * z.A
+    # Phi_z' z' = i [(D-B)' z2' + (D-C)' z3' - (D-A)' z4'], and Phi_z^d a = -Phi_z' z'
+    a2, a3 = solve_joints(z.D - z.B, z.D - z.C, -((dD - dB) * dz2 + (dD - dC) * dz3 - (dD - dA) * dz4))
+    return Motion(R2, R3, dz2, dz3, v1, w1, v2, w2, v3, w3, v4, w4, d1, d2, d3, d4, a2, a3)
+
+
+@njit
+def line(base, base_velocity, end, end_velocity):
+    """Return length, rate and direction of the line from base to end, (35) and (36)."""
+    along = end - base
+    s = math.sqrt(square(along))
+    u = along / s
+    return Line(s, dot(end_velocity - base_velocity, u), u)
+
+
+@njit
+def lines(z, m):
+    """Return the Lines of the lift and the tilt cylinder."""
+    lift = line(z.F, complex(0.0, 0.0), z.G, point_velocity(m.v1, m.w1, z.G))
+    tilt = line(z.H, point_velocity(m.v1, m.w1, z.H), z.C, point_velocity(m.v2, m.w2, z.C))
+    return lift, tilt
+
+
+# -------------------------------------------------------------------------------------- the tree's dynamics
+
+
+@njit(inline="always")
+def body_inertia(P, k, r, e):
+    """M of body k (0..3) whose joint is at r, oriented along e (7)."""
+    i = BODY + N_BODY * k
+    g = r + e * point(P, i + 1)
+    return Inertia(P[i], P[i] * g, P[i + 3] + P[i] * square(g))
+
+
+@njit(inline="always")
+def joined(M, N):
+    """M of two bodies that move as one."""
+    return Inertia(M.m + N.m, M.mg + N.mg, M.J + N.J)
+
+
+@njit(inline="always")
+def velocity_force(M, w, d):
+    """Q - M d of one body: the centrifugal force w^2 m g of (8) less the inertia of the velocity products (9).
+
+    The centrifugal force passes through the origin, so it has no moment there.
+    """
+    return w * w * M.mg - M.m * d, -cross(M.mg, d)
+
+
+@njit(inline="always")
+def joint_force(r, f, n):
+    """R_d^T: generalised force on a revolute joint at r of a force f with moment n about the origin."""
+    return n - cross(r, f)
+
+
+@njit(inline="always")
+def joint_inertia(r, M, q):
+    """b(r)^T M b(q): entry of the tree's mass matrix for joints at r and q that both carry the bodies in M."""
+    v = b_of(q)
+    momentum = M.m * v + complex(-M.mg.imag, M.mg.real)
+    return joint_force(r, momentum, M.J + cross(M.mg, v))
+
+
+class Tree(NamedTuple):
+    """M of the composite bodies that each joint carries (T^T M T), and the tree's mass matrix, upper triangle."""
+
+    M1: Inertia
+    M2: Inertia
+    M3: Inertia
+    M4: Inertia
+    m22: float
+    m23: float
+    m33: float
+    reduced11: float
+    reduced14: float
+    reduced44: float
+    m12: float
+    m13: float
+
+
+@njit
+def payload_inertia(P, m, E):
+    """M of a payload of mass m that is fixed at E: a block of the crane file's width and height."""
+    J = m * (P[PAYLOAD + 1] * P[PAYLOAD + 1] + P[PAYLOAD + 2] * P[PAYLOAD + 2]) / 12.0
+    return Inertia(m, m * E, J + m * square(E))
+
+
+@njit
+def tree(z, m, P, payload):
+    """Return R_d^T T^T M T R_d (9), and after it R_z^T (.) R_z (12) for [z1 z4].
+
+    First step: the bodies as Cartesian ones, then collected along the paths. Second step: z2 and z3 follow z4.
+    """
+    M4 = joined(body_inertia(P, 3, z.A, z.e4), payload)
+    M3 = body_inertia(P, 2, z.C, z.e3)
+    M2 = body_inertia(P, 1, z.B, z.e2)
+    C2 = joined(M2, M3)
+    M1 = body_inertia(P, 0, z.O, z.e1)
+    C1 = joined(joined(M1, C2), M4)
+    m11, m12, m13, m14 = (
+        joint_inertia(z.O, C1, z.O), joint_inertia(z.O, C2, z.B), joint_inertia(z.O, M3, z.C), joint_inertia(z.O, M4, z.A)
+    )  # fmt: skip
+    m22, m23, m33 = joint_inertia(z.B, C2, z.B), joint_inertia(z.B, M3, z.C), joint_inertia(z.C, M3, z.C)
+    m44 = joint_inertia(z.A, M4, z.A)
+    r14 = m14 + m12 * m.R2 + m13 * m.R3
+    r44 = m44 + m22 * m.R2 * m.R2 + 2.0 * m23 * m.R2 * m.R3 + m33 * m.R3 * m.R3
+    return Tree(M1, M2, M3, M4, m22, m23, m33, m11, r14, r44, m12, m13)
+
+
+@njit(inline="always")
+def up(z, m, f1, n1, f2, n2, f3, n3, f4, n4):
+    """R_z^T R_d^T T^T: generalised forces on [z1 z4] of one force and moment about the origin for each body."""
+    Q1 = joint_force(z.O, f1 + f2 + f3 + f4, n1 + n2 + n3 + n4)
+    Q2 = joint_force(z.B, f2 + f3, n2 + n3)
+    Q3 = joint_force(z.C, f3, n3)
+    Q4 = joint_force(z.A, f4, n4)
+    return Q1, Q4 + m.R2 * Q2 + m.R3 * Q3
+
+
+@njit
+def weight_forces(z, m, t, g):
+    """Generalised gravity Qg on [z1 z4]; g is the gravity vector."""
+    return up(
+        z, m,
+        t.M1.m * g, cross(t.M1.mg, g), t.M2.m * g, cross(t.M2.mg, g),
+        t.M3.m * g, cross(t.M3.mg, g), t.M4.m * g, cross(t.M4.mg, g),
+    )  # fmt: skip
+
+
+@njit
+def velocity_forces(z, m, t):
+    """Generalised velocity-dependent forces Qv on [z1 z4]: the last terms of (9) and (12)."""
+    f1, n1 = velocity_force(t.M1, m.w1, m.d1)
+    f2, n2 = velocity_force(t.M2, m.w2, m.d2)
+    f3, n3 = velocity_force(t.M3, m.w3, m.d3)
+    f4, n4 = velocity_force(t.M4, m.w4, m.d4)
+    Q1, Q4 = up(z, m, f1, n1, f2, n2, f3, n3, f4, n4)
+    dependent2, dependent3 = t.m22 * m.a2 + t.m23 * m.a3, t.m23 * m.a2 + t.m33 * m.a3
+    return Q1 - t.m12 * m.a2 - t.m13 * m.a3, Q4 - m.R2 * dependent2 - m.R3 * dependent3
+
+
+@njit
+def cylinder_forces(z, m, lift, tilt, F1, F2):
+    """Generalised hydraulic forces Qh on [z1 z4] of the cylinder forces (39), which push their pins apart."""
+    f, h, o = F1 * lift.u, F2 * tilt.u, complex(0.0, 0.0)
+    return up(z, m, f - h, cross(z.G, f) - cross(z.H, h), h, cross(z.C, h), o, 0.0, o, 0.0)
+
+
+@njit
+def point_forces(z, m, E_force):
+    """Generalised forces on [z1 z4] of a force on the outer boom at E."""
+    o = complex(0.0, 0.0)
+    return up(z, m, o, 0.0, o, 0.0, o, 0.0, E_force, cross(z.E, E_force))
+
+
+# --------------------------------------------------------------------------------------------- hydraulics
+
+
+@njit(inline="always")
+def root_flow(dp, laminar):
+    """q(dp) of (15): sgn(dp) sqrt|dp|, and linear below the laminar pressure."""
+    if dp > laminar:
+        return math.sqrt(dp)
+    if dp < -laminar:
+        return -math.sqrt(-dp)
+    return dp / math.sqrt(laminar)
+
+
+@njit
+def pump_edge(c, u, pa, pb, pp, P, E):
+    """Flow from the pump through valve c at the opening u: into the piston side (u > 0) or the rod side."""
+    own = pa if u > 0.0 else pb
+    return P[VALVE + N_VALVE * c] * abs(u) * root_flow(hooks.supply_drop(E, c, pp - own), P[LAMINAR])
+
+
+@njit
+def tank_edge(c, u, pa, pb, pt, P, E):
+    """Flow to the tank through valve c at the opening u: out of the rod side (u > 0) or the piston side."""
+    own, other, load = (pb, pa, 1.0 * c) if u > 0.0 else (pa, pb, 1.0 - c)
+    gain = hooks.return_gain(E, c, own, other, load)
+    return gain * P[VALVE + N_VALVE * c] * abs(u) * root_flow(own - pt, P[LAMINAR])
+
+
+@njit
+def drawn(u1, u2, x, pp, P, E):
+    return pump_edge(0, u1, x[4], x[5], pp, P, E) + pump_edge(1, u2, x[6], x[7], pp, P, E)
+
+
+@njit
+def returned(u1, u2, x, pt, P, E):
+    return tank_edge(0, u1, x[4], x[5], pt, P, E) + tank_edge(1, u2, x[6], x[7], pt, P, E)
+
+
+@njit
+def pump_gap(p, pp, u1, u2, x, P, E):
+    """How far the pressure p is above what the supply gives at the flow that p drives."""
+    return p - hooks.supply_pressure(E, pp, drawn(u1, u2, x, p, P, E))
+
+
+@njit
+def tank_gap(p, pt, u1, u2, x, P, E):
+    return p - hooks.tank_pressure(E, pt, returned(u1, u2, x, p, P, E))
+
+
+def _balanced(gap, doc):
+    """Return a solver of gap(p) = 0 by regula falsi (Illinois), begun at the pressure without any flow."""
+
+    @njit
+    def solve(nominal, u1, u2, x, P, E):
+        a, fa = nominal, gap(nominal, nominal, u1, u2, x, P, E)
+        if fa == 0.0:
+            return nominal
+        # The flow weakens with the drop it causes, so the root lies between the nominal pressure and one full drop.
+        b = a - fa
+        fb = gap(b, nominal, u1, u2, x, P, E)
+        tolerance = 4e-16 * max(abs(nominal), 1e5)
+        for _ in range(100):
+            if abs(fb) <= tolerance or abs(b - a) <= tolerance:
+                return b
+            p = b - fb * (b - a) / (fb - fa)
+            f = gap(p, nominal, u1, u2, x, P, E)
+            if f * fb < 0.0:
+                a, fa = b, fb
+            else:
+                fa *= 0.5
+            b, fb = p, f
+        return b
+
+    solve.__doc__ = doc
+    return solve
+
+
+pump_pressure = _balanced(pump_gap, "Return the pressure at the valves' pump ports, in balance with the flow drawn.")
+tank_pressure = _balanced(tank_gap, "Return the pressure at the valves' tank ports, in balance with the flow returned.")
+
+
+@njit
+def bulk_modulus(inv_oil, Al, Vh, P):
+    """Effective bulk modulus (14), (41) of a chamber of volume Al with a hose of volume Vh."""
+    V = Al + Vh
+    return 1.0 / (inv_oil + Al / (V * P[STEEL]) + Vh / (V * P[HOSE]))
+
+
+@njit
+def friction(P, i, v):
+    """Friction force (19) of the cylinder whose block begins at i, with the sign of v."""
+    x = v / P[i + STRIBECK]
+    hump = 0.25 * x * x + 0.75
+    stribeck = (P[i + STATIC] - P[i + COULOMB]) * x / (hump * hump)
+    return P[i + COULOMB] * math.tanh(4.0 * x) + stribeck + P[i + VISCOUS] * v * TANH4
+
+
+@njit
+def cylinder(c, s, v, pa, pb, u, pp, pt, P, E):
+    """Return all hydraulic quantities of cylinder c at pin-to-pin length s and rate v, (17)-(19), (34), (37), (38).
+
+    With a spring of compliance k' in series the hydraulic length is s + k' F; its rate follows from both chambers' pressure
+    rates, which depend on it linearly, so it is found without iteration.
+    """
+    i = CYLINDER + N_CYLINDER * c
+    Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
+    Ab = Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
+    compliance = hooks.series_compliance(E, c)
+    la = s + compliance * (pa * Aa - pb * Ab) - P[i + EMPTY]
+    lb = P[i + RANGE] - la
+    Va, Vb = P[i + HOSE_A] + Aa * la, P[i + HOSE_B] + Ab * lb
+    Ba = bulk_modulus(hooks.oil_compliance(E, 1.0 / P[OIL], pa), Aa * la, P[i + HOSE_A], P)
+    Bb = bulk_modulus(hooks.oil_compliance(E, 1.0 / P[OIL], pb), Ab * lb, P[i + HOSE_B], P)
+    pump, tank = pump_edge(c, u, pa, pb, pp, P, E), tank_edge(c, u, pa, pb, pt, P, E)
+    Qa, Qb = (pump, tank) if u > 0.0 else (-tank, -pump)
+    leak_a, leak_b = hooks.leakage(E, c, pa, pb)
+    ka, kb = Ba / Va, Bb / Vb
+    if compliance != 0.0:
+        v += compliance * (Aa * ka * (Qa + leak_a) + Ab * kb * (Qb - leak_b))
+        v /= 1.0 + compliance * (Aa * Aa * ka + Ab * Ab * kb)
+    Fmu = friction(P, i, v)
+    F = pa * Aa - pb * Ab - Fmu + hooks.cylinder_force(E, c, v, pa, pb, la, lb)
+    return Cylinder(
+        la, lb, Va, Vb, Ba, Bb, Qa, Qb, leak_a, leak_b, Fmu, F,
+        ka * (Qa + leak_a - Aa * v), kb * (Ab * v - Qb + leak_b), v,
+    )  # fmt: skip
+
+
+# -------------------------------------------------------------------------------------------- all together
+
+
+@njit(inline="always")
+def supply(w, k, P):
+    """Measured pump (k = 0) or tank (k = 1) pressure, or the crane's own where it is not measured."""
+    return P[SUPPLY + k] if math.isnan(w[2 + k]) else w[2 + k]
+
+
+class Swing(NamedTuple):
+    """What a payload on a pendulum adds to the balance of [z1 z4], and its own balance.
+
+    The payload is a point mass on a massless rod that hangs from E. Its angle (absolute, 0 = straight down) has the inertia
+    m L^2 and is eliminated from the 3 x 3 system: what E feels is the mass along the rod, and across it the damping.
+    """
+
+    M11: float
+    M14: float
+    M44: float
+    g1: float
+    g4: float
+    v1: float
+    v4: float
+    across1: float
+    across4: float
+    own: float
+
+
+@njit
+def swing(z, m, mass, length, damping, g, theta, dtheta):
+    """Return the Swing of a pendulum at angle theta (rad) and rate dtheta; L theta'' = own - across . [z1'' z4'']."""
+    across, down = turn(theta), complex(math.sin(theta), -math.cos(theta))
+    velocity_product = m.d4 - m.w4 * m.w4 * z.E - length * dtheta * dtheta * down  # of the mass
+    J1, J4 = (z.E - z.O) * 1j, (z.E - z.A) * 1j
+    across1, across4, down1, down4 = dot(J1, across), dot(J4, across), dot(J1, down), dot(J4, down)
+    weight, pull = mass * dot(g, down), -mass * dot(velocity_product, down)
+    brake = damping * dtheta / length
+    own = dot(g - velocity_product, across) - (brake / mass if mass > 0.0 else 0.0)
+    return Swing(
+        mass * down1 * down1, mass * down1 * down4, mass * down4 * down4, down1 * weight, down4 * weight,
+        down1 * pull + across1 * brake, down4 * pull + across4 * brake, across1, across4, own,
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def solve2(a, b, c, x, y):
+    """Solve [[a, b], [b, c]] q = [x, y]."""
+    determinant = a * c - b * b
+    return (c * x - b * y) / determinant, (a * y - b * x) / determinant
+
+
+class Balance(NamedTuple):
+    """Every term of the equations at one state."""
+
+    z: Pose
+    m: Motion
+    lift: Line
+    tilt: Line
+    c1: Cylinder
+    c2: Cylinder
+    pp: float
+    pt: float
+    M11: float
+    M14: float
+    M44: float
+    Qg1: float
+    Qg4: float
+    Qv1: float
+    Qv4: float
+    Qh1: float
+    Qh4: float
+    Qj1: float
+    Qj4: float
+    ddz1: float
+    ddz4: float
+    ddtheta: float
+
+
+@njit
+def balance(x, w, t, P, E):
+    """Return all terms of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20)."""
+    z = positions(x[0], x[1], P)
+    m = motion(z, x[2], x[3])
+    lift, tilt = lines(z, m)
+    u1, u2 = hooks.opening(E, 0, w[0]), hooks.opening(E, 1, w[1])
+    pp = pump_pressure(supply(w, 0, P), u1, u2, x, P, E)
+    pt = tank_pressure(supply(w, 1, P), u1, u2, x, P, E)
+    c1 = cylinder(0, lift.s, lift.v, x[4], x[5], u1, pp, pt, P, E)
+    c2 = cylinder(1, tilt.s, tilt.v, x[6], x[7], u2, pp, pt, P, E)
+    mass = hooks.payload_mass(E, t, P[PAYLOAD])
+    length, damping = hooks.pendulum(E)
+    swings = length > 0.0 and x.shape[0] > 8
+    tr = tree(z, m, P, payload_inertia(P, 0.0 if swings else mass, z.E))
+    gx, gy = hooks.gravity(E, 0.0, -P[GRAVITY])
+    g = complex(gx, gy)
+    g1, g4 = weight_forces(z, m, tr, g)
+    v1, v4 = velocity_forces(z, m, tr)
+    h1, h4 = cylinder_forces(z, m, lift, tilt, c1.F, c2.F)
+    j1, j4 = point_forces(z, m, complex(0.0, hooks.tip_force(E, t)))
+    j1 += hooks.joint_torque(E, 0, x[2])
+    j4 += hooks.joint_torque(E, 1, x[3])
+    M11, M14, M44, ddtheta = tr.reduced11, tr.reduced14, tr.reduced44, 0.0
+    if swings:
+        p = swing(z, m, mass, length, damping, g, x[8], x[9])
+        M11, M14, M44 = M11 + p.M11, M14 + p.M14, M44 + p.M44
+        g1, g4, v1, v4 = g1 + p.g1, g4 + p.g4, v1 + p.v1, v4 + p.v4
+    dd1, dd4 = solve2(M11, M14, M44, g1 + v1 + h1 + j1, g4 + v4 + h4 + j4)
+    if swings:
+        ddtheta = (p.own - p.across1 * dd1 - p.across4 * dd4) / length
+    return Balance(
+        z, m, lift, tilt, c1, c2, pp, pt, M11, M14, M44, g1, g4, v1, v4, h1, h4, j1, j4, dd1, dd4, ddtheta
+    )  # fmt: skip
+
+
+@njit
+def free_rhs(x, w, t, P, E, out):
+    """Write dx/dt to out as if there were no vapour."""
+    b = balance(x, w, t, P, E)
+    out[0], out[1], out[2], out[3] = x[2], x[3], b.ddz1, b.ddz4
+    out[4], out[5], out[6], out[7] = b.c1.dpa, b.c1.dpb, b.c2.dpa, b.c2.dpb
+    if x.shape[0] > 8:
+        out[8], out[9] = (x[9], b.ddtheta) if hooks.pendulum(E)[0] > 0.0 else (0.0, 0.0)
+
+
+@njit
+def rhs(x, w, t, P, E, out):
+    """Write dx/dt (nx,) to out at the state x (nx,), the inputs w = [U1 U2 pp pt] and the time t; nx is 8, or 10 with a pendulum.
+
+    A chamber at vapour pressure has no negative pressure rate. A pose that cannot be reached gives NaN.
+    """
+    free_rhs(x, w, t, P, E, out)
+    for k in range(4, 8):
+        if x[k] <= P[FLOOR] and out[k] < 0.0:
+            out[k] = 0.0
+
+
+@njit
+def static_forces(z1, z4, P, E):
+    """Return cylinder forces F1, F2 (N) that hold the crane at rest at z1, z4 at time 0, and their hydraulic lengths' s."""
+    z = positions(z1, z4, P)
+    m = motion(z, 0.0, 0.0)
+    lift, tilt = lines(z, m)
+    tr = tree(z, m, P, payload_inertia(P, hooks.payload_mass(E, 0.0, P[PAYLOAD]), z.E))
+    gx, gy = hooks.gravity(E, 0.0, -P[GRAVITY])
+    g1, g4 = weight_forces(z, m, tr, complex(gx, gy))
+    j1, j4 = point_forces(z, m, complex(0.0, hooks.tip_force(E, 0.0)))
+    # columns: generalised forces of a unit force in the lift and in the tilt cylinder
+    a11, a41 = cylinder_forces(z, m, lift, tilt, 1.0, 0.0)
+    a14, a44 = cylinder_forces(z, m, lift, tilt, 0.0, 1.0)
+    determinant = a11 * a44 - a14 * a41
+    Q1, Q4 = -(g1 + j1), -(g4 + j4)
+    return (a44 * Q1 - a14 * Q4) / determinant, (a11 * Q4 - a41 * Q1) / determinant, lift.s, tilt.s
+
+
+@njit
+def held_pressures(c, s, F, less_loaded, P, E):
+    """Return pa, pb of cylinder c that give the force F at rest, the lower of the two being `less_loaded`.
+
+    Forces that act on the piston at rest (an end stop) depend on the pressures only through a spring in series: repeated
+    until nothing changes.
+    """
+    i = CYLINDER + N_CYLINDER * c
+    Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
+    Ab = Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
+    own, pa, pb = 0.0, less_loaded, less_loaded
+    for _ in range(50):
+        rest = F - own
+        if rest >= less_loaded * (Aa - Ab):
+            pa, pb = (rest + less_loaded * Ab) / Aa, less_loaded
+        else:
+            pa, pb = less_loaded, (less_loaded * Aa - rest) / Ab
+        la = s + hooks.series_compliance(E, c) * (pa * Aa - pb * Ab) - P[i + EMPTY]
+        new = hooks.cylinder_force(E, c, 0.0, pa, pb, la, P[i + RANGE] - la)
+        if abs(new - own) <= 1e-9 * max(1.0, abs(F)):
+            break
+        own = new
+    return pa, pb
+
+
+@njit
+def chamber_lengths(x, P, E, out):
+    """Write the chamber lengths la, lb of the lift and the tilt cylinder (4,) to out; negative: beyond the stroke's end."""
+    z = positions(x[0], x[1], P)
+    lift, tilt = lines(z, motion(z, 0.0, 0.0))
+    for c in range(2):
+        i = CYLINDER + N_CYLINDER * c
+        Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
+        Ab = Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
+        force = x[4 + 2 * c] * Aa - x[5 + 2 * c] * Ab
+        s = lift.s if c == 0 else tilt.s
+        out[2 * c] = s + hooks.series_compliance(E, c) * force - P[i + EMPTY]
+        out[2 * c + 1] = P[i + RANGE] - out[2 * c]
