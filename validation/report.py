@@ -1,0 +1,246 @@
+"""Reports: one HTML file with the verdict first, then figures, tables, and what is needed to repeat it.
+
+The file needs no network and no second file: pictures stand inside as data, the style is in the page. A report is made of
+sections; a section is a title and parts; a part is a paragraph (text), a `Table`, a `Picture` or a matplotlib figure.
+
+    write_report("out/report", "Lift test", "The model explains the recording.",
+                 [("Angles", [figure, "The lift boom follows.", Table(("channel", "RMSE"), [("z1", 0.02)])])])
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import platform
+import shlex
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from crane_exudyn.errors import CraneError
+from crane_exudyn.files import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FILE_NAME = "report.html"
+#: packages whose version can change a number in a report
+PACKAGES = ("crane-exudyn", "exudyn", "numpy", "scipy", "numba", "filterpy", "matplotlib")
+
+Mood = Literal["good", "bad", "neutral"]
+_MOODS: Mapping[str, str] = {"good": "✓", "bad": "✗", "neutral": "•"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a report.
+
+    Attributes:
+        columns: headings, with units.
+        rows: cells; floats are shown with four digits, booleans as yes and no, None as a dash.
+        title, note: text above and below.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    title: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of a report.
+
+    Attributes:
+        content: matplotlib figure, bytes of a PNG, JPEG or GIF, text of an SVG, or the path of such a file.
+        caption: what is seen; also read to those who cannot see it.
+    """
+
+    content: Figure | bytes | str | Path
+    caption: str
+
+
+Part = str | Table | Picture | Any
+Section = tuple[str, Sequence[Part]]
+
+
+def write_report(
+    directory: str | Path,
+    title: str,
+    verdict: str,
+    sections: Iterable[Section],
+    *,
+    command: str | None = None,
+    seed: int | None = None,
+    parameters: Mapping[str, object] | None = None,
+    mood: Mood = "neutral",
+) -> Path:
+    """Write `directory`/report.html, whole or not at all, and return its path.
+
+    Args:
+        directory: is made if it does not exist.
+        title: what was done, with what.
+        verdict: the answer, one or two sentences; stands first.
+        sections: (title, parts) in reading order.
+        command: the command line that repeats this; by default the one that is running.
+        seed: of the random numbers, where any were drawn.
+        parameters: what the run was given, by name.
+        mood: whether the answer is good news, so that it shows at a glance.
+
+    Raises:
+        CraneError: the directory cannot be made, or a picture cannot be read.
+    """
+    text = render(title, verdict, sections, command=command, seed=seed, parameters=parameters, mood=mood)
+    path = _directory(directory) / FILE_NAME
+    write_text(path, text)
+    return path
+
+
+def render(
+    title: str,
+    verdict: str,
+    sections: Iterable[Section],
+    *,
+    command: str | None = None,
+    seed: int | None = None,
+    parameters: Mapping[str, object] | None = None,
+    mood: Mood = "neutral",
+) -> str:
+    """Return the report as HTML text; arguments as of `write_report`."""
+    return (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            title=title,
+            verdict=verdict,
+            mood=mood,
+            sign=_MOODS[mood],
+            sections=[(name, [_part(p) for p in parts]) for name, parts in sections],
+            command=command or command_line(),
+            seed=seed,
+            parameters=[(name, cell(value)) for name, value in (parameters or {}).items()],
+            versions=versions(),
+        )
+    )
+
+
+def command_line() -> str:
+    """Return the command that is running, as one would type it again."""
+    program = Path(sys.argv[0]).name if sys.argv and sys.argv[0] else "python"
+    name = "patu" if program in ("patu", "__main__.py") else program
+    return shlex.join([name, *sys.argv[1:]])
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python, of the system and of every package that can change a number."""
+    found = {"Python": platform.python_version(), "System": f"{platform.system()} {platform.machine()}"}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:  # a checkout that was never installed still reports
+            found[package] = "not installed"
+    return found
+
+
+def cell(value: object) -> str:
+    """Return a table cell's text: four digits, yes and no, a dash for what is not there."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:  # numpy numbers
+        return cell(value.item())
+    return f"{value:.4g}".replace("-", "−") if isinstance(value, float) else str(value)
+
+
+def table_html(columns: Sequence[str], rows: Sequence[Sequence[object]], *, title: str = "", note: str = "") -> str:
+    """Return a table as an HTML fragment, as results show themselves in notebooks."""
+    return _environment().get_template("table.html.j2").render(part=_table(Table(columns, rows, title, note)))
+
+
+def _directory(directory: str | Path) -> Path:
+    path = Path(directory)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise CraneError(
+            f"{path}: no folder can be made there ({problem.strerror}). Give --report another."
+        ) from problem
+    return path
+
+
+def _environment() -> Any:
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("validation", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _part(part: Part) -> dict[str, Any]:
+    """Return what the template needs of one part."""
+    if isinstance(part, str):
+        return {"kind": "text", "paragraphs": [p for p in part.split("\n\n") if p.strip()]}
+    if isinstance(part, Table):
+        return {"kind": "table", **_table(part)}
+    picture = part if isinstance(part, Picture) else Picture(part, _title_of(part))
+    return {"kind": "picture", "caption": picture.caption, "source": _source(picture.content)}
+
+
+def _table(table: Table) -> dict[str, Any]:
+    wrong = [row for row in table.rows if len(row) != len(table.columns)]
+    if wrong:
+        raise ValueError(f"table {table.title!r}: row {wrong[0]!r} has not {len(table.columns)} cells")
+    numeric = [
+        bool(table.rows) and all(row[i] is None or _is_number(row[i]) for row in table.rows)
+        for i in range(len(table.columns))
+    ]
+    rows = [[(cell(value), numeric[i]) for i, value in enumerate(row)] for row in table.rows]
+    return {"columns": list(zip(table.columns, numeric, strict=True)), "rows": rows} | {
+        "title": table.title,
+        "note": table.note,
+    }
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) or (hasattr(value, "item") and getattr(value, "ndim", 1) == 0)
+
+
+def _title_of(figure: Any) -> str:
+    """Return the title that a bare figure carries, or what its axes say, as the text for those who cannot see it."""
+    title = figure.get_suptitle() if hasattr(figure, "get_suptitle") else ""
+    labels = [a.get_ylabel().replace("\n", " ") for a in getattr(figure, "axes", ())]
+    return title or "Plot of " + ", ".join(dict.fromkeys(label for label in labels if label))
+
+
+_MAGIC = ((b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"GIF8", "image/gif"), (b"<", "image/svg+xml"))
+
+
+def _source(content: Figure | bytes | str | Path) -> str:
+    """Return a picture as a data URL."""
+    if isinstance(content, Path):
+        content = _read(content)
+    if isinstance(content, str):
+        content = content.encode()
+    if not isinstance(content, bytes):
+        from .plots import png
+
+        content = png(content)
+    kind = next((kind for magic, kind in _MAGIC if content.startswith(magic)), None)
+    if kind is None:
+        raise CraneError(f"A picture of the report starts with {content[:8]!r}: it is not PNG, JPEG, GIF or SVG.")
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        raise CraneError(f"{path}: the picture for the report cannot be read ({problem.strerror}).") from problem
