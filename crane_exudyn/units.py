@@ -49,3 +49,36 @@ def _from_text(text: str, unit: str, where: str) -> float:
         raise CraneError(
             f"{where} = {text!r} has the wrong unit: expected something like {unit or 'a plain number'}."
         ) from problem
+
+
+#: units that files usually carry, with what one of them is in SI; only other ones need pint, which takes long to load
+_USUAL: dict[tuple[str, str], float] = {
+    **{("s", u): f for u, f in {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0}.items()},
+    **{("rad", u): f for u, f in {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180}.items()},
+    **{("rad/s", u): f for u, f in {"rad/s": 1.0, "deg/s": math.pi / 180, "°/s": math.pi / 180}.items()},
+    **{("Pa", u): f for u, f in {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 1e2}.items()},
+    **{("m", u): f for u, f in {"m": 1.0, "cm": 1e-2, "mm": 1e-3}.items()},
+    **{("V", u): f for u, f in {"V": 1.0, "mV": 1e-3}.items()},
+    **{("", u): f for u, f in {"": 1.0, "-": 1.0, "1": 1.0, "%": 1e-2}.items()},
+}
+
+
+@functools.cache
+def factor_to_si(unit: str, si_unit: str) -> float:
+    """Return what one `unit` is in `si_unit`; angles are no pure numbers here, so "%" or "1" is not taken for "rad".
+
+    Raises:
+        CraneError: a unit that pint does not know, of another dimension, or with an offset such as degC.
+    """
+    usual = _USUAL.get((si_unit, unit))
+    if usual is not None:
+        return usual
+    expected = si_unit or "a pure number"
+    try:
+        quantity = registry().Quantity(1.0, unit.replace("°", "deg"))
+        base, wanted = quantity.to_base_units().units, registry().Quantity(1.0, si_unit or "dimensionless")
+    except Exception as problem:  # pint raises many kinds for text that it cannot read
+        raise CraneError(f"unit [{unit}] is not known, expected one like [{si_unit or '-'}]") from problem
+    if base != wanted.to_base_units().units:
+        raise CraneError(f"unit [{unit}] has the wrong dimension, expected {expected}")
+    return float(quantity.to(wanted.units).magnitude)

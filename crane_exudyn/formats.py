@@ -1,0 +1,292 @@
+"""File formats at the edge: which reader a file wants, and writers for what leaves.
+
+How names and units are found:
+
+- CSV: the header `name[unit]`.
+- MATLAB (v5 and v7.3): one vector a channel, named as the channel. Its unit stands in `units.NAME` (a struct) or in
+  `NAME_unit`; its times in `NAME_time`, or in `time` for all. Or one struct a channel, with `values` (or `data`), `unit`
+  (or `units`) and, if it has its own clock, `time` in s. All of it may lie in one struct of any name.
+- Parquet: columns `name[unit]`, or the unit in the field's metadata under `unit`. Time stamps count from the first.
+- MDF4: channel name and unit as stored, each with the clock of its group. Needs the optional asammdf.
+"""
+
+from __future__ import annotations
+
+import gzip
+import importlib
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import CraneError
+from .files import replacing
+from .tables import RawColumn, RawTable, read_text, split_header
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_VALUES, _UNIT = ("values", "data", "Data"), ("unit", "units", "Unit")
+
+
+def read(path: Path, wanted: Collection[str]) -> RawTable:
+    """Return the columns of a recording file; its first bytes tell the format.
+
+    Args:
+        path: the file.
+        wanted: names that matter; formats with thousands of channels read only these.
+    """
+    if path.is_dir():
+        raise CraneError(f"{path} is a folder, expected a recording file.")
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise CraneError(f"{path}: there is no such file. Check the name and the folder.") from None
+    if data.startswith(b"MATLAB 5.0"):
+        return _read_mat5(path)
+    if data.startswith((b"MATLAB 7.3", _HDF5)):
+        return _read_mat73(path)
+    if data.startswith(b"PAR1"):
+        return _read_parquet(path)
+    if data.startswith((b"MDF ", b"UnFinMF ")):
+        return _read_mdf(path, wanted)
+    if path.suffix.lower() in (".mat", ".parquet", ".mf4", ".mdf"):
+        raise CraneError(f"{path}: the content is not that of a {path.suffix} file; it is empty, cut off or misnamed.")
+    return read_text(path, data)
+
+
+# -- MATLAB ----------------------------------------------------------------------------------------------------------
+
+
+def _read_mat5(path: Path) -> RawTable:
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
+    except Exception as problem:  # scipy raises many kinds for a damaged file
+        raise CraneError(f"{path}: damaged or cut-off MATLAB file ({problem}). Save it again.") from problem
+    return _from_variables(path, {k: _plain(v) for k, v in content.items() if not k.startswith("__")})
+
+
+def _plain(value: Any) -> Any:
+    """Return a MATLAB struct as a dict, text as str, numbers as they are."""
+    if hasattr(value, "_fieldnames"):
+        return {name: _plain(getattr(value, name)) for name in value._fieldnames}
+    return str(value) if isinstance(value, np.str_) else value
+
+
+def _read_mat73(path: Path) -> RawTable:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return _from_variables(path, _hdf5_group(file))
+    except OSError as problem:
+        raise CraneError(f"{path}: damaged or cut-off MATLAB v7.3 file ({problem}). Save it again.") from problem
+
+
+def _hdf5_group(group: Any) -> dict[str, Any]:
+    import h5py
+
+    content: dict[str, Any] = {}
+    for name, item in group.items():
+        if name.startswith("#"):  # MATLAB's own bookkeeping
+            continue
+        if isinstance(item, h5py.Group):
+            content[name] = _hdf5_group(item)
+        elif item.attrs.get("MATLAB_class") == b"char":
+            content[name] = "".join(map(chr, np.ravel(item[()], order="F")))
+        elif item.dtype.kind in "fiub" and "MATLAB_empty" not in item.attrs:
+            content[name] = np.squeeze(item[()])
+    return content
+
+
+def _from_variables(path: Path, variables: Mapping[str, Any]) -> RawTable:
+    """Return the columns that MATLAB variables make."""
+    variables = _unwrap(variables)
+    columns: list[RawColumn] = []
+    notes = []
+    clocks: dict[str, RawColumn] = {}
+    for name, value in variables.items():
+        if _is_channel(value):
+            columns.append(_struct_column(name, value))
+        elif _is_vector(value):
+            own = _own_clock(name, variables, clocks)
+            columns.append(RawColumn(name, np.asarray(value, dtype=float).ravel(), _unit_of(name, variables), own))
+        elif not isinstance(value, str) and name not in _UNIT:
+            notes.append(f"variable {name!r} is neither a vector nor a struct with values and was ignored")
+    if not columns:
+        raise CraneError(
+            f"{path}: found no vector of numbers, expected one a channel, named as the channel (z1, p1, …)."
+        )
+    return RawTable(columns, notes=notes)
+
+
+def _unwrap(variables: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the content of the one struct that holds everything, or `variables` where there is no such struct."""
+    structs = [v for v in variables.values() if isinstance(v, Mapping) and not _is_channel(v)]
+    others = [v for v in variables.values() if _is_channel(v) or _is_vector(v)]
+    return structs[0] if len(structs) == 1 and not others else variables
+
+
+def _is_channel(value: Any) -> bool:
+    return isinstance(value, Mapping) and any(_is_vector(value.get(key)) for key in _VALUES)
+
+
+def _is_vector(value: Any) -> bool:
+    if isinstance(value, Mapping | str) or value is None:
+        return False
+    array = np.asarray(value)
+    return array.dtype.kind in "fiub" and array.ndim == 1
+
+
+def _struct_column(name: str, struct: Mapping[str, Any]) -> RawColumn:
+    values = next(struct[key] for key in _VALUES if key in struct)
+    unit = next((str(struct[key]) for key in _UNIT if isinstance(struct.get(key), str)), None)
+    clock = None
+    if _is_vector(struct.get("time")):
+        clock = RawColumn(f"{name}.time", np.asarray(struct["time"], dtype=float), str(struct.get("time_unit", "s")))
+    return RawColumn(name, np.asarray(values, dtype=float).ravel(), unit, clock)
+
+
+def _unit_of(name: str, variables: Mapping[str, Any]) -> str | None:
+    table: Mapping[str, Any] = next((variables[key] for key in _UNIT if isinstance(variables.get(key), Mapping)), {})
+    unit = table.get(name, variables.get(f"{name}_unit"))
+    return unit if isinstance(unit, str) else None
+
+
+def _own_clock(name: str, variables: Mapping[str, Any], clocks: dict[str, RawColumn]) -> RawColumn | None:
+    key = f"{name}_time"
+    if key in variables and key not in clocks:
+        clocks[key] = RawColumn(key, np.asarray(variables[key], dtype=float).ravel(), _unit_of(key, variables))
+    return clocks.get(key)
+
+
+# -- Parquet ---------------------------------------------------------------------------------------------------------
+
+
+def _read_parquet(path: Path) -> RawTable:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowException, OSError) as problem:
+        raise CraneError(f"{path}: damaged or cut-off Parquet file ({problem}). Write it again.") from problem
+    columns, notes = [], []
+    for entry in table.schema:
+        unit = (entry.metadata or {}).get(b"unit", (entry.metadata or {}).get(b"units"))
+        values, own_unit = _arrow_numbers(table.column(entry.name))
+        if values is None:
+            notes.append(f"column {entry.name!r} holds {entry.type}, no numbers, and was ignored")
+        else:
+            columns.append(RawColumn(entry.name, values, own_unit or (unit.decode() if unit else None)))
+    return RawTable(columns, lambda row: f"row {row + 1}", notes)
+
+
+def _arrow_numbers(column: Any) -> tuple[np.ndarray | None, str | None]:
+    """Return a column as floats with NaN for null, and its unit where the type itself is a time."""
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        stamps = np.asarray(column.to_numpy())
+        since = stamps - stamps[0] if pa.types.is_timestamp(kind) and len(stamps) else stamps
+        return since / np.timedelta64(1, "s"), "s"
+    if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind):
+        return np.asarray(column.cast(pa.float64()).to_numpy(), dtype=float), None
+    return None, None
+
+
+# -- MDF4 ------------------------------------------------------------------------------------------------------------
+
+
+def _read_mdf(path: Path, wanted: Collection[str]) -> RawTable:
+    try:
+        mdf = importlib.import_module("asammdf").MDF
+    except ImportError:
+        raise CraneError(
+            f'{path}: reading MDF files needs asammdf, which is not installed. Install it: pip install "crane-exudyn[mdf]"'
+        ) from None
+    try:
+        with mdf(path) as file:
+            signals = list(_mdf_signals(file, wanted))
+            others = sorted(n for n in file.channels_db if n not in wanted and split_header(n)[0] not in wanted)
+    except Exception as problem:  # asammdf raises many kinds for a damaged file
+        raise CraneError(f"{path}: damaged or cut-off MDF file ({problem}). Save it again.") from problem
+    clocks: dict[bytes, RawColumn] = {}
+    columns = []
+    for signal in signals:
+        stamps = np.asarray(signal.timestamps, dtype=float)
+        clock = clocks.setdefault(stamps.tobytes(), RawColumn(f"time of {signal.name}", stamps, "s"))
+        columns.append(RawColumn(signal.name, np.asarray(signal.samples, dtype=float), signal.unit or None, clock))
+    if not columns:
+        columns = [RawColumn(name, np.empty(0)) for name in others[:20]]
+    return RawTable(columns, notes=[f"{len(others)} other channels were ignored"] if others else [])
+
+
+def _mdf_signals(file: Any, wanted: Collection[str]) -> Iterator[Any]:
+    for name, places in file.channels_db.items():
+        if name in wanted or split_header(name)[0] in wanted:
+            for group, index in places:
+                signal = file.get(name, group=group, index=index)
+                if signal.samples.ndim == 1 and signal.samples.dtype.kind in "fiub":
+                    yield signal
+
+
+# -- writers ---------------------------------------------------------------------------------------------------------
+
+
+def write_table(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns of equal length to .csv, .csv.gz, .parquet or .mat, whole or not at all.
+
+    Args:
+        path: its ending chooses the format.
+        columns: "name[unit]" -> (n,) values; NaN is a missing sample.
+    """
+    target = Path(path)
+    for ending, write in _WRITERS.items():
+        if target.name.lower().endswith(ending):
+            with replacing(target) as temporary:
+                write(temporary, columns)
+            return
+    raise CraneError(
+        f"{target}: cannot write {target.suffix or 'a file without ending'!r}. Known: {', '.join(_WRITERS)}."
+    )
+
+
+def _csv_bytes(columns: Mapping[str, np.ndarray]) -> bytes:
+    """Return the columns as CSV; numbers in the shortest form that reads back the same, missing samples empty."""
+    fields = [["" if x != x else repr(x) for x in np.asarray(v, dtype=float).tolist()] for v in columns.values()]
+    lines = [",".join(columns), *map(",".join, zip(*fields, strict=True))]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    path.write_bytes(_csv_bytes(columns))
+
+
+def _write_csv_gz(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    path.write_bytes(gzip.compress(_csv_bytes(columns), compresslevel=5, mtime=0))
+
+
+def _write_parquet(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table({name: pa.array(np.asarray(v, dtype=float)) for name, v in columns.items()}), path)
+
+
+def _write_mat(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    from scipy.io import savemat
+
+    named = {split_header(header): np.asarray(values, dtype=float) for header, values in columns.items()}
+    content: dict[str, Any] = {name: values.reshape(-1, 1) for (name, _), values in named.items()}
+    savemat(path, content | {"units": {name: unit or "-" for name, unit in named}}, do_compression=True)
+
+
+_WRITERS: dict[str, Callable[[Path, Mapping[str, np.ndarray]], None]] = {
+    ".csv": _write_csv,
+    ".csv.gz": _write_csv_gz,
+    ".parquet": _write_parquet,
+    ".mat": _write_mat,
+}

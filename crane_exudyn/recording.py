@@ -1,0 +1,505 @@
+"""Recording: measured channels in SI, each with its own clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import signals
+from .errors import CraneError, nearest
+from .tables import RawColumn, RawTable, split_header
+from .units import factor_to_si
+
+if TYPE_CHECKING:
+    from .crane import Crane
+
+COMMANDS = ("u1", "u2")
+VOLTAGES = ("U1", "U2")
+SUPPLY = ("pp", "pt")
+#: measured channels and their SI units
+SENSORS: Mapping[str, str] = MappingProxyType(
+    dict.fromkeys(("z1", "z4", "z4_abs"), "rad")
+    | dict.fromkeys(("dz1", "dz4", "dz4_abs"), "rad/s")
+    | dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa")
+    | dict.fromkeys(("s1", "s2"), "m")
+)
+#: all channels that a recording may have, and their SI units ("" is a pure number)
+CHANNELS: Mapping[str, str] = MappingProxyType(
+    dict.fromkeys(COMMANDS, "") | dict.fromkeys(VOLTAGES, "V") | dict(SENSORS) | dict.fromkeys(SUPPLY, "Pa")
+)
+#: units that people write, for messages
+_EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "s": "s"}
+#: a command may read a little beyond fully open, as sensors do; more than this is another unit
+_COMMAND_LIMIT = 1.05
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured channel: `time` (n,) in s, increasing, not necessarily evenly, and `values` (n,) in SI."""
+
+    time: np.ndarray
+    values: np.ndarray
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("time", "values"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """Return values at `time`, linear between samples, NaN outside the channel's own range."""
+        return np.interp(time, self.time, self.values, left=np.nan, right=np.nan)
+
+    def held(self, time: np.ndarray) -> np.ndarray:
+        """Return values at `time`, linear between samples, the first and last value held outside."""
+        return np.interp(time, self.time, self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Measured (or simulated) channels of one run, immutable, in SI, each with its own clock.
+
+    Attributes:
+        name: of the file, without folder and ending.
+        channels: name -> Channel; names as in `CHANNELS`.
+        source: the file, for messages.
+        notes: what was left out or changed while reading, in words.
+    """
+
+    name: str
+    channels: Mapping[str, Channel]
+    source: str = ""
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+
+    # -- making one ----------------------------------------------------------------------------------------------
+
+    @classmethod
+    def load(cls, path: str | Path, mapping: Mapping[str, str] | None = None) -> Recording:
+        """Return the recording in a file: CSV (also .csv.gz), MATLAB v5 and v7.3, Parquet, MDF4.
+
+        Args:
+            path: the file; its content, not its ending, tells the format.
+            mapping: channel -> column of the file, such as {"z1": "BoomAngle[deg]"}; the unit may be left out where the
+                file gives one.
+
+        Raises:
+            CraneError: names file, line or sample, column, what was found, what was expected and how to mend it.
+        """
+        from .formats import read
+
+        mapping = dict(mapping or {})
+        _check_mapping(mapping)
+        return _assemble(Path(path), read(Path(path), wanted=_wanted(mapping)), mapping)
+
+    @classmethod
+    def from_arrays(cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray]) -> Recording:
+        """Return a recording of channels in SI that share one clock; NaN is a missing sample.
+
+        Args:
+            name: of the recording.
+            time: (n,) s, increasing.
+            values: channel -> (n,) in SI.
+        """
+        columns = [RawColumn("time", np.asarray(time, dtype=float), "s")]
+        columns += [RawColumn(n, np.asarray(v, dtype=float), CHANNELS.get(n, "")) for n, v in values.items()]
+        for channel in values:
+            if channel not in CHANNELS:
+                raise CraneError(f"{name}: there is no channel {channel!r}.{nearest(channel, list(CHANNELS))}")
+        return replace(_assemble(Path(name), RawTable(columns), {}), name=name, source=name)
+
+    # -- asking --------------------------------------------------------------------------------------------------
+
+    def has(self, *names: str) -> bool:
+        """Return whether all these channels are there."""
+        return all(name in self.channels for name in names)
+
+    def __getitem__(self, name: str) -> Channel:
+        """Return a channel by name; the error tells which there are."""
+        if name not in self.channels:
+            known = ", ".join(self.channels)
+            raise CraneError(f"{self.source or self.name}: there is no channel {name!r}, only {known}.{self._unused()}")
+        return self.channels[name]
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the measured sensor channels, in the order of `SENSORS`."""
+        return tuple(name for name in SENSORS if name in self.channels)
+
+    @property
+    def start(self) -> float:
+        """Time of the first sample of any channel, s."""
+        return float(min(c.time[0] for c in self.channels.values()))
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample of any channel, s."""
+        return float(max(c.time[-1] for c in self.channels.values()))
+
+    @property
+    def duration(self) -> float:
+        """Time between first and last sample, s."""
+        return self.end - self.start
+
+    @property
+    def sampling_rate(self) -> float:
+        """Samples per second of the fastest sensor (of the fastest channel where there is no sensor)."""
+        return max(signals.sampling_rate(self[name].time) for name in self.sensors or tuple(self.channels))
+
+    def require(self, commands: bool = True, sensors: int = 1) -> Recording:
+        """Return this recording, if it has commands and at least so many sensor channels.
+
+        Raises:
+            CraneError: names the file, what is there and what is missing.
+        """
+        where = self.source or self.name
+        if commands and not (self.has(*COMMANDS) or self.has(*VOLTAGES)):
+            missing = [c for c in (VOLTAGES if any(map(self.has, VOLTAGES)) else COMMANDS) if not self.has(c)]
+            raise CraneError(
+                f"{where}: {' and '.join(missing)} missing, found only {', '.join(self.channels)}. Expected spool commands u1 "
+                f"and u2 in [-1, 1], or valve voltages U1[V] and U2[V]; a valve that stays closed is a column of zeros.{self._unused()}"
+            )
+        if len(self.sensors) < sensors:
+            raise CraneError(
+                f"{where}: found {len(self.sensors)} sensor channels ({', '.join(self.sensors) or 'none'}), expected at least "
+                f"{sensors} of {', '.join(SENSORS)}. Record one, or map a column: --map z1=BoomAngle[deg].{self._unused()}"
+            )
+        return self
+
+    def _unused(self) -> str:
+        return f" ({'; '.join(self.notes)}.)" if self.notes else ""
+
+    # -- taking data out -----------------------------------------------------------------------------------------
+
+    def commands(self, crane: Crane | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return time (n,) in s and spool commands (n, 2) in [-1, 1], linear between samples.
+
+        Valve voltages become commands through the calibration of `crane`. Where both commands have one clock it is
+        returned as it is; otherwise the union of both.
+        """
+        self.require(sensors=0)
+        names = COMMANDS if self.has(*COMMANDS) else VOLTAGES
+        time = _union([self[name].time for name in names])
+        values = np.column_stack([self[name].held(time) for name in names])
+        if names == COMMANDS:
+            return time, np.clip(values, -1.0, 1.0)
+        if crane is None:
+            raise CraneError(
+                f"{self.source or self.name}: holds valve voltages; a crane's calibration makes commands of them."
+            )
+        return time, crane.commands_from_voltages(values)
+
+    def supply(self, time: np.ndarray) -> np.ndarray:
+        """Return pump and tank pressure (n, 2) in Pa at `time`; NaN where they were not measured."""
+        unknown = np.full(len(time), np.nan)
+        return np.column_stack([self[n].held(time) if self.has(n) else unknown for n in SUPPLY])
+
+    def aligned(self, names: Iterable[str] | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return all samples on the union of the clocks: time (n,), values (n, k), NaN where a channel has no sample.
+
+        Nothing is interpolated. Stamps that differ by less than a millionth of the shortest step count as one.
+        """
+        chosen = tuple(self.channels) if names is None else tuple(names)
+        time = _union([self[name].time for name in chosen])
+        values = np.full((len(time), len(chosen)), np.nan)
+        for k, name in enumerate(chosen):
+            values[_rows_of(time, self[name].time), k] = self[name].values
+        return time, values
+
+    def on_grid(self, names: Iterable[str], time: np.ndarray) -> np.ndarray:
+        """Return values (n, k) at `time` (n,), linear between samples, NaN outside a channel's own range."""
+        return np.column_stack([self[name].at(np.asarray(time, dtype=float)) for name in names])
+
+    def window(self, start: float, end: float) -> Recording:
+        """Return the samples with start <= time <= end; channels without any there are left out."""
+        kept = {}
+        for name, channel in self.channels.items():
+            chosen = (channel.time >= start) & (channel.time <= end)
+            if chosen.any():
+                kept[name] = Channel(channel.time[chosen], channel.values[chosen], channel.unit)
+        if not kept:
+            raise CraneError(
+                f"{self.source or self.name}: no sample between {start:g} s and {end:g} s; "
+                f"the recording goes from {self.start:g} s to {self.end:g} s."
+            )
+        return replace(self, channels=kept)
+
+    def select(self, names: Iterable[str]) -> Recording:
+        """Return a recording with only these channels."""
+        return replace(self, channels={name: self[name] for name in names})
+
+    def noise(self) -> dict[str, float]:
+        """Return the standard deviation of each sensor's noise in SI, estimated from the data (`signals.noise_std`)."""
+        return {name: signals.noise_std(self[name].values) for name in self.sensors}
+
+    def first_values(self, span: float = 0.1) -> dict[str, float]:
+        """Return the mean of each sensor over the first `span` seconds, but not beyond the first change of a command."""
+        moves = [_first_change(self[n]) for n in (*COMMANDS, *VOLTAGES) if self.has(n)]
+        until = min([self.start + span, *moves])
+        means = {}
+        for name in self.sensors:
+            channel = self[name]
+            n = max(1, int(np.searchsorted(channel.time, until, side="right")))
+            means[name] = float(np.mean(channel.values[:n]))
+        return means
+
+    # -- giving away ---------------------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Write all samples in SI units to .csv, .csv.gz, .parquet or .mat, whole or not at all."""
+        from .formats import write_table
+
+        time, values = self.aligned()
+        columns = {"time[s]": time}
+        for k, name in enumerate(self.channels):
+            columns[f"{name}[{CHANNELS[name] or '-'}]"] = values[:, k]
+        write_table(path, columns)
+
+    to_csv = save
+
+    def plot(self, names: Iterable[str] | None = None) -> Any:
+        """Return a matplotlib figure with one row per channel."""
+        from matplotlib.figure import Figure
+
+        chosen = tuple(self.channels) if names is None else tuple(names)
+        figure = Figure(figsize=(8, 1.2 * len(chosen) + 0.6), layout="constrained")
+        axes = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
+        for axis, name in zip(axes, chosen, strict=True):
+            unit = _EXAMPLE[CHANNELS[name]]
+            axis.plot(self[name].time, self[name].values / factor_to_si(unit, CHANNELS[name]), linewidth=0.8)
+            axis.set_ylabel(name if unit == "-" else f"{name} / {unit}")
+            axis.grid(alpha=0.3)
+        axes[0].set_title(self.name)
+        axes[-1].set_xlabel("time / s")
+        return figure
+
+    def __repr__(self) -> str:
+        return f"<Recording {self.name}: {', '.join(self.channels)}; {self.duration:g} s at {self.sampling_rate:g} Hz>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{CHANNELS[name] or '-'}</td><td>{len(c)}</td><td>{c.values.min():.6g}</td>"
+            f"<td>{c.values.max():.6g}</td></tr>"
+            for name, c in self.channels.items()
+        )
+        head = "<tr><th>channel</th><th>unit</th><th>samples</th><th>min</th><th>max</th></tr>"
+        return f"<b>{self.name}</b>: {self.duration:g} s at {self.sampling_rate:g} Hz<table>{head}{rows}</table>"
+
+
+# -- clocks ----------------------------------------------------------------------------------------------------------
+
+
+def _union(clocks: list[np.ndarray]) -> np.ndarray:
+    """Return all stamps of some clocks, sorted; stamps closer than a millionth of the shortest step are one."""
+    if all(np.array_equal(clocks[0], clock) for clock in clocks[1:]):
+        return clocks[0]
+    steps = [float(np.min(np.diff(clock))) for clock in clocks if len(clock) > 1]
+    stamps = np.unique(np.concatenate(clocks))
+    return stamps[np.diff(stamps, prepend=-np.inf) > 1e-6 * min(steps, default=0.0)]
+
+
+def _rows_of(union: np.ndarray, clock: np.ndarray) -> np.ndarray:
+    """Return the rows of `union` at which the stamps of `clock` stand (the nearest stamp)."""
+    right = np.clip(np.searchsorted(union, clock), 1, max(1, len(union) - 1))
+    if len(union) == 1:
+        return np.zeros(len(clock), dtype=int)
+    return np.where(clock - union[right - 1] < union[right] - clock, right - 1, right)
+
+
+def _first_change(channel: Channel) -> float:
+    """Return the last time at which a command still has its first value; infinite if it always has."""
+    changed = np.flatnonzero(channel.values != channel.values[0])
+    return float(channel.time[max(0, changed[0] - 1)]) if len(changed) else np.inf
+
+
+# -- from a file's columns to channels -------------------------------------------------------------------------------
+
+
+def _check_mapping(mapping: Mapping[str, str]) -> None:
+    known = ["time", *CHANNELS]
+    for name in mapping:
+        if name not in known:
+            raise CraneError(f"--map {name}={mapping[name]}: there is no channel {name!r}.{nearest(name, known)}")
+    columns = list(mapping.values())
+    for column in columns:
+        if columns.count(column) > 1:
+            raise CraneError(f"--map takes column {column!r} for two channels. Map each column once.")
+
+
+def _wanted(mapping: Mapping[str, str]) -> set[str]:
+    mapped = {part for column in mapping.values() for part in (column, split_header(column)[0])}
+    return {"time", *CHANNELS, *mapped}
+
+
+def _assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> Recording:
+    """Return the recording that a file's columns make: names, units and clocks judged, missing samples dropped."""
+    named, notes = _name_columns(path, table, mapping)
+    clock = named.pop("time", None)
+    if not named:
+        found = ", ".join(c.header for c in table.columns[:8])
+        raise CraneError(
+            f"{path}: found no known channel among the columns {found}. Expected some of {', '.join(CHANNELS)}; "
+            "give other names with --map z1=BoomAngle[deg]."
+        )
+    notes = [*table.notes, *notes]
+    times: dict[int, np.ndarray] = {}
+    channels = {}
+    for name in (n for n in CHANNELS if n in named):  # in the order of the contract, whatever the file's
+        own = _clock_of(path, named[name], clock, table)
+        if id(own) not in times:
+            times[id(own)] = _seconds(path, own, table)
+        channel = _channel(path, name, named[name], times[id(own)], table)
+        if channel is None:
+            notes.append(f"channel {name} has no sample")
+        else:
+            channels[name] = channel
+    return _whole(Recording(path.name.partition(".")[0], channels, str(path), tuple(notes)))
+
+
+def _whole(recording: Recording) -> Recording:
+    if not recording.channels or max(len(c) for c in recording.channels.values()) < 2:
+        raise CraneError(
+            f"{recording.source}: found fewer than two samples, expected a recording over time. Record longer."
+        )
+    return recording
+
+
+def _name_columns(
+    path: Path, table: RawTable, mapping: Mapping[str, str]
+) -> tuple[dict[str, tuple[RawColumn, str | None]], list[str]]:
+    """Return {channel: (column, unit)} and remarks on columns that were left alone."""
+    by_column = {id(_find(path, table, column)): name for name, column in mapping.items()}
+    named: dict[str, tuple[RawColumn, str | None]] = {}
+    notes = []
+    for column in table.columns:
+        name, unit = split_header(column.header)
+        unit = column.unit if unit is None else unit
+        if id(column) in by_column:
+            name = by_column[id(column)]
+            unit = _mapped_unit(path, column.header, unit, split_header(mapping[name])[1])
+        elif name in mapping or name not in ("time", *CHANNELS):
+            notes.append(_remark(column.header, name, mapping))
+            continue
+        if name in named:
+            raise CraneError(
+                f"{path}: channel {name} stands twice, as columns {named[name][0].header!r} and {column.header!r}. "
+                f"Delete or rename one, or choose with --map {name}=…"
+            )
+        named[name] = (column, unit)
+    return named, notes
+
+
+def _remark(header: str, name: str, mapping: Mapping[str, str]) -> str:
+    if name in mapping:
+        return f"column {header!r} was put aside for {mapping[name]!r}"
+    like = [c for c in CHANNELS if c.lower() == name.lower()]
+    return f"column {header!r} was ignored" + (f", did you mean {like[0]}?" if like else "")
+
+
+def _find(path: Path, table: RawTable, wanted: str) -> RawColumn:
+    """Return the column that a mapping names: by its whole header, else by its name without unit."""
+    whole = [c for c in table.columns if c.header.strip() == wanted.strip()]
+    name = split_header(wanted)[0]
+    found = whole or [c for c in table.columns if split_header(c.header)[0] == name]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise CraneError(f"{path}: column {wanted!r} of --map stands there {len(found)} times. Rename one.")
+    headers = [split_header(c.header)[0] for c in table.columns]
+    raise CraneError(f"{path}: there is no column {name!r}, as --map says.{nearest(name, headers)}")
+
+
+def _mapped_unit(path: Path, header: str, own: str | None, given: str | None) -> str | None:
+    if own is not None and given is not None and own != given:
+        raise CraneError(
+            f"{path}, column {header}: the file says [{own}], --map says [{given}]. Leave the unit of --map out, or mend one."
+        )
+    return own if given is None else given
+
+
+def _clock_of(
+    path: Path, column: tuple[RawColumn, str | None], clock: tuple[RawColumn, str | None] | None, table: RawTable
+) -> tuple[RawColumn, str | None] | RawColumn:
+    if column[0].clock is not None:
+        return column[0].clock
+    if clock is None:
+        headers = [c.header for c in table.columns]
+        raise CraneError(
+            f"{path}: there is no column time[s], found {', '.join(headers[:8])}. Add it, or give its name: --map time=Zeit[s]."
+        )
+    return clock
+
+
+def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table: RawTable) -> np.ndarray:
+    """Return the times of a clock in s, finite and increasing."""
+    column, unit = (clock, clock.unit or "s") if isinstance(clock, RawColumn) else clock
+    time = column.values * _factor(path, "time", column.header, unit, "s")
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        raise CraneError(
+            f"{path}, {table.place(bad[0])}, column {column.header}: the time is missing or not finite. Fill it in, or delete the line."
+        )
+    back = np.flatnonzero(np.diff(time) <= 0.0)
+    if len(back):
+        row = int(back[0]) + 1
+        what = "is repeated" if time[row] == time[row - 1] else f"goes back from {time[row - 1]:.6g} s"
+        raise CraneError(
+            f"{path}, {table.place(row)}, column {column.header}: time {time[row]:.6g} s {what}, expected increasing times. "
+            "Sort the samples, and delete repeated ones or give the time with more digits."
+        )
+    return np.asarray(time)
+
+
+def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) -> float:
+    if unit is None and si_unit:
+        raise CraneError(
+            f"{path}, column {header}: no unit is given. Write it into the name, as {name}[{_EXAMPLE[si_unit]}], "
+            f"or give --map {name}={header}[{_EXAMPLE[si_unit]}]."
+        )
+    try:
+        return factor_to_si(unit or "", si_unit)
+    except CraneError as problem:
+        raise CraneError(
+            f"{path}, column {header}: {problem}, such as {name}[{_EXAMPLE[si_unit]}]. Mend the unit."
+        ) from None
+
+
+def _channel(
+    path: Path, name: str, column: tuple[RawColumn, str | None], time: np.ndarray, table: RawTable
+) -> Channel | None:
+    raw, unit = column
+    if raw.values.shape != time.shape:
+        raise CraneError(
+            f"{path}, column {raw.header}: found {raw.values.size} samples, expected {time.size} as its time has. "
+            f"Give it a time of its own, or export it again."
+        )
+    values = raw.values * _factor(path, name, raw.header, unit, CHANNELS[name])
+    there = ~np.isnan(values)
+    infinite = np.flatnonzero(np.isinf(values))
+    if len(infinite):
+        raise CraneError(
+            f"{path}, {table.place(infinite[0])}, column {raw.header}: found an infinite value. Leave it empty if it is missing."
+        )
+    if name in COMMANDS:
+        _check_command(path, raw, values, table)
+    return Channel(time[there], values[there], CHANNELS[name]) if there.any() else None
+
+
+def _check_command(path: Path, raw: RawColumn, values: np.ndarray, table: RawTable) -> None:
+    beyond = np.flatnonzero(np.abs(np.nan_to_num(values)) > _COMMAND_LIMIT)
+    if len(beyond):
+        raise CraneError(
+            f"{path}, {table.place(beyond[0])}, column {raw.header}: found the command {values[beyond[0]]:g}, expected -1 to 1. "
+            "Write percent as u1[%], and valve voltages as U1[V]."
+        )

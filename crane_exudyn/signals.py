@@ -1,0 +1,49 @@
+"""What a measured signal says about its own noise and rate."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+_WINDOW = 64  # samples whose noise is judged together
+_THIRD_DIFFERENCE = math.sqrt(20.0)  # 1² + 3² + 3² + 1²: what a third difference makes of white noise
+
+
+def sampling_rate(time: np.ndarray) -> float:
+    """Return samples per second: one over the median step of `time` (n,), 0 for fewer than two samples."""
+    return float(1.0 / np.median(np.diff(time))) if len(time) > 1 else 0.0
+
+
+def quantisation(values: np.ndarray) -> float:
+    """Return the step in which `values` (n,) come, in their unit; 0 for a constant signal."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 1e-12 * max(1e-300, float(np.max(np.abs(values), initial=0.0)))]
+    return float(np.min(steps)) if len(steps) else 0.0
+
+
+def noise_std(values: np.ndarray) -> float:
+    """Return an estimate of the standard deviation of white sensor noise in `values` (n,).
+
+    Third differences remove what is smooth; their RMS is taken over short windows and the median window counts, so that
+    jumps and ringing in a part of the signal do no harm. A channel that was interpolated from a slower one is judged
+    at its own samples, where its slope changes. The result is never below what rounding alone makes (step / √12).
+    """
+    values = np.asarray(values, dtype=float)
+    step = quantisation(values)
+    floor = step / math.sqrt(12.0)
+    own = values[_own_samples(values, step)]
+    if len(own) < 4:
+        return floor
+    third = np.diff(own, n=3)
+    windows = np.array_split(third, max(1, len(third) // _WINDOW))
+    rms = np.median([math.sqrt(float(np.mean(w**2))) for w in windows])
+    return max(float(rms) / _THIRD_DIFFERENCE, floor)
+
+
+def _own_samples(values: np.ndarray, step: float) -> np.ndarray:
+    """Return indices of the samples that were measured, not put between two others by linear interpolation."""
+    bend = np.abs(np.diff(values, n=2)) > 2.5 * step
+    if bend.mean() > 0.34 if len(bend) else True:
+        return np.arange(len(values))
+    return np.concatenate([[0], np.flatnonzero(bend) + 1, [len(values) - 1]])

@@ -1,0 +1,260 @@
+"""Columns as they stand in a file, before names, units and clocks are judged; and the reader of text files (CSV)."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import warnings
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .errors import CraneError
+
+_NEWLINE = 10
+#: spreadsheets and archives that people hand over by mistake, by their first bytes
+_NOT_TEXT = {b"PK": "an Excel or ZIP file", b"\xd0\xcf\x11\xe0": "an old Excel file", b"%PDF": "a PDF"}
+
+
+@dataclass(frozen=True)
+class RawColumn:
+    """One column of a file.
+
+    Attributes:
+        header: as it stands in the file, such as "z1[deg]".
+        values: (n,) numbers in the file's unit, NaN where there is no sample.
+        unit: where the format keeps units apart from names; None where the header tells, or nothing does.
+        clock: the column that holds the times of `values`; None where the file has one `time` column for all.
+    """
+
+    header: str
+    values: np.ndarray
+    unit: str | None = None
+    clock: RawColumn | None = None
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """A file's columns, how to name a place in it ("line 17"), and remarks on what was left out."""
+
+    columns: Sequence[RawColumn]
+    place: Callable[[int], str] = lambda row: f"sample {row + 1}"
+    notes: Sequence[str] = field(default_factory=tuple)
+
+
+def split_header(header: str) -> tuple[str, str | None]:
+    """Return name and unit of "name[unit]"; unit None where there are no brackets."""
+    name, bracket, rest = header.strip().rpartition("[")
+    if not bracket or not rest.endswith("]"):
+        return header.strip(), None
+    return name.strip(), rest[:-1].strip()
+
+
+# -- text files ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What a text file's header line tells: names, what separates fields, and how many lines stand above the data."""
+
+    path: Path
+    names: list[str]
+    delimiter: str
+    skipped: int
+
+    @property
+    def decimal_comma(self) -> bool:
+        return self.delimiter != ","
+
+
+def read_text(path: Path, data: bytes) -> RawTable:
+    """Return the columns of a CSV file, given as bytes.
+
+    Fields are separated by commas, semicolons or tabs, as the header line shows; with the latter two, decimals may
+    be commas. UTF-8 with or without byte order mark, UTF-16 and Windows-1252 are read, any line ends, and gzip. Lines
+    above the header that start with # are skipped.
+
+    Raises:
+        CraneError: empty or cut-off file, text in a number, a line with too few or too many fields.
+    """
+    text = _newlines(_decode(path, _unzip(path, data)))
+    layout, body = _header(path, text)
+    if not body.strip():
+        raise CraneError(f"{path}: the file ends after its header line. Expected one line per sample; record again.")
+    values = _read_fast(body, layout)
+    lines = None
+    if values is None:
+        values, lines = _read_carefully(body, layout)
+    first = layout.skipped + 2
+    columns = [RawColumn(name, values[:, i]) for i, name in enumerate(layout.names) if name]
+    return RawTable(columns, lambda row: f"line {first + row if lines is None else lines[row]}")
+
+
+def _unzip(path: Path, data: bytes) -> bytes:
+    if not data.startswith(b"\x1f\x8b"):
+        return data
+    try:
+        return gzip.decompress(data)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as problem:
+        raise CraneError(
+            f"{path}: the gzip file is cut off or damaged ({problem}). Copy or export it again."
+        ) from problem
+
+
+def _decode(path: Path, data: bytes) -> bytes:
+    """Return `data` without byte order mark, one byte per ASCII character."""
+    for start, kind in _NOT_TEXT.items():
+        if data.startswith(start):
+            raise CraneError(f"{path}: this is {kind}, expected text. Export it as CSV.")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", errors="replace").encode()
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if b"\x00" in data:
+        raise CraneError(
+            f"{path}: holds zero bytes, so it is no text file, or one that was cut off while being written."
+        )
+    return data
+
+
+def _newlines(data: bytes) -> bytes:
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
+
+
+def _header(path: Path, data: bytes) -> tuple[_Layout, bytes]:
+    if not data.strip():
+        raise CraneError(f"{path}: the file is empty. Expected a first line name[unit],… and one line per sample.")
+    skipped = 0
+    line, _, body = data.partition(b"\n")
+    while not line.strip() or line.startswith(b"#"):
+        skipped += 1
+        line, newline, body = body.partition(b"\n")
+        if not newline and not line.strip():
+            raise CraneError(f"{path}: there is no header line. Expected a line name[unit],… and one line per sample.")
+    text = _to_text(line)
+    delimiter = _delimiter(text)
+    names = [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
+    _check_header(path, skipped + 1, names)
+    return _Layout(path, names, delimiter, skipped), body
+
+
+def _to_text(line: bytes) -> str:
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:
+        return line.decode("cp1252", errors="replace")
+
+
+def _delimiter(header: str) -> str:
+    bare = "".join(part.partition("]")[2] if i else part for i, part in enumerate(header.split("[")))
+    return next((d for d in (";", "\t") if d in bare), ",")
+
+
+def _check_header(path: Path, line: int, names: list[str]) -> None:
+    place = f"{path}, line {line}"
+    if all(_is_number(name) for name in names if name):
+        raise CraneError(
+            f"{place}: found numbers, expected the header name[unit],… such as time[s],u1,u2,z1[deg]. Add it."
+        )
+    if len(names) == 1:
+        raise CraneError(
+            f"{place}: found the single column {names[0][:60]!r}, expected several, separated by commas, semicolons "
+            "or tabs. Export the file with one of these."
+        )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _read_fast(body: bytes, layout: _Layout) -> np.ndarray | None:
+    """Return the numbers (rows, columns), or None where the body is not plain and wants the careful reader."""
+    separator = layout.delimiter.encode()
+    body = body.rstrip(b"\n") + b"\n"
+    if b'"' in body or b"\n\n" in body or body.startswith(b"\n"):
+        return None
+    rows = _count_rows(body, ord(separator), len(layout.names))
+    if rows is None:
+        return None
+    if layout.decimal_comma:
+        body = body.replace(b",", b".")
+    flat = _fill_empty(body, separator).replace(b"\n", separator)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            numbers = np.fromstring(flat.decode("ascii", errors="replace"), sep=layout.delimiter)  # type: ignore[call-overload]
+        except (DeprecationWarning, ValueError):
+            return None
+    return numbers.reshape(rows, -1) if numbers.size == rows * len(layout.names) else None
+
+
+def _count_rows(body: bytes, separator: int, columns: int) -> int | None:
+    """Return the number of lines, or None unless each has as many fields as the header."""
+    characters = np.frombuffer(body, dtype=np.uint8)
+    ends = np.flatnonzero(characters == _NEWLINE)
+    separators = np.searchsorted(np.flatnonzero(characters == separator), ends)
+    return len(ends) if np.all(np.diff(separators, prepend=0) == columns - 1) else None
+
+
+def _fill_empty(body: bytes, separator: bytes) -> bytes:
+    """Return `body` with nan in its empty fields."""
+    double = separator + separator
+    if double in body:
+        body = body.replace(double, separator + b"nan" + separator).replace(double, separator + b"nan" + separator)
+    body = body.replace(separator + b"\n", separator + b"nan\n").replace(b"\n" + separator, b"\nnan" + separator)
+    return b"nan" + body if body.startswith(separator) else body
+
+
+def _read_carefully(body: bytes, layout: _Layout) -> tuple[np.ndarray, list[int]]:
+    """Return numbers and line numbers, reading field by field; this is what finds and names a fault."""
+    rows, lines = [], []
+    text = _to_text(body)
+    reader = csv.reader(io.StringIO(text), delimiter=layout.delimiter)
+    total = text.count("\n") + (not text.endswith("\n"))
+    for fields in reader:
+        if not any(field.strip() for field in fields):
+            continue
+        line = layout.skipped + 1 + reader.line_num
+        _check_length(fields, layout, line, last=reader.line_num >= total)
+        rows.append([_number(field, name, layout, line) for field, name in zip(fields, layout.names, strict=False)])
+        lines.append(line)
+    return np.array(rows, dtype=float), lines
+
+
+def _check_length(fields: list[str], layout: _Layout, line: int, last: bool) -> None:
+    found, expected = len(fields), len(layout.names)
+    if found == expected or (found > expected and not any(f.strip() for f in fields[expected:])):
+        return
+    what = f"{layout.path}, line {line}: found {found} fields, expected {expected} as in the header."
+    if found < expected and last:
+        raise CraneError(f"{what} The file was cut off in its last line. Delete that line, or export the file again.")
+    if found > expected and layout.delimiter == ",":
+        raise CraneError(f"{what} If decimals are commas, separate the fields by semicolons. Otherwise mend that line.")
+    raise CraneError(f"{what} Mend that line; an empty field is a missing sample.")
+
+
+def _number(field: str, name: str, layout: _Layout, line: int) -> float:
+    text = field.strip()
+    if not text or not name:
+        return np.nan
+    if layout.decimal_comma:
+        text = text.replace(",", ".")
+    try:
+        if "_" in text:  # Python's float takes 1_000, nobody's logger writes it
+            raise ValueError
+        return float(text)
+    except ValueError:
+        hint = (
+            " If this line holds units, put them into the header, as name[unit]." if line <= layout.skipped + 2 else ""
+        )
+        raise CraneError(
+            f"{layout.path}, line {line}, column {name}: found {field.strip()[:40]!r}, expected a number. "
+            f"Mend it, or leave the field empty for a missing sample.{hint}"
+        ) from None
