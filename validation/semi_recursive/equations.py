@@ -27,8 +27,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from crane_exudyn import parameters as par
 from crane_exudyn import compiled
+from crane_exudyn import parameters as par
 from crane_exudyn.effects import hooks
 
 
