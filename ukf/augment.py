@@ -1,0 +1,126 @@
+"""Unknown quantities that the filter estimates along with the state, each as a slow random walk.
+
+| name | unit | what is unknown |
+|---|---|---|
+| any nominal parameter, such as `payload.mass`, `supply.pump_pressure`, `joints.A.x` | SI | that parameter |
+| any effect's parameter, such as `internal_leakage@lift.k` | SI | that parameter |
+| `bias.p4`, any sensor | of the sensor | an offset of the sensor: y + b |
+| `torque.O`, `torque.A` | N m | a moment on z1 or z4 that no law explains |
+| `force.x`, `force.y` | N | a force on the point E of the outer boom |
+| `flow.p1` … `flow.p4` | m³/s | a flow into the chamber that no law explains |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from crane_exudyn import parameters
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.errors import CraneError, nearest
+
+SENSORS = ("z1", "z4", "z4_abs", "dz1", "dz4", "dz4_abs", "p1", "p2", "p3", "p4", "s1", "s2")
+#: places of the vector D of disturbances that the engines take, with a standard deviation that is worth a search
+DISTURBANCES = {
+    "torque.O": 300.0,
+    "torque.A": 200.0,
+    "force.x": 200.0,
+    "force.y": 200.0,
+    "flow.p1": 1e-5,
+    "flow.p2": 1e-5,
+    "flow.p3": 1e-5,
+    "flow.p4": 1e-5,
+}
+_BIAS_STD = {"z": np.radians(1.0), "d": np.radians(1.0), "p": 2e5, "s": 5e-3}
+
+
+@dataclass(frozen=True)
+class Augment:
+    """One quantity to be estimated.
+
+    Attributes:
+        name: see the table of the module.
+        std: standard deviation at the start, SI; None takes the crane file's uncertainty of it.
+        drift: growth of the standard deviation of its random walk, SI per √s; 0 for a constant.
+        lower: hard lower limit (a mass is not negative).
+    """
+
+    name: str
+    std: float | None = None
+    drift: float = 0.0
+    lower: float = -np.inf
+
+
+@dataclass(frozen=True)
+class Extra:
+    """An `Augment` with its numbers filled in: `value` and `std` at the start, SI, and what kind of quantity it is."""
+
+    name: str
+    kind: str  # "parameter" (the engine's business) or "bias" (the sensors')
+    value: float
+    std: float
+    drift: float
+    lower: float
+
+
+def resolve(crane: Crane, augment: Iterable[Augment | str]) -> tuple[Extra, ...]:
+    """Return the extra states for a crane.
+
+    Raises:
+        CraneError: an unknown name, one that is given twice, or one whose uncertainty nobody states.
+    """
+    wanted = [Augment(a) if isinstance(a, str) else a for a in augment]
+    names = [a.name for a in wanted]
+    for name in names:
+        if names.count(name) > 1:
+            raise CraneError(f"augmented states: {name!r} stands twice. Remove one of them.")
+    return tuple(_resolve_one(crane, a) for a in wanted)
+
+
+def _resolve_one(crane: Crane, wanted: Augment) -> Extra:
+    kind, value, std, lower = _nominal(crane, wanted.name)
+    std = wanted.std if wanted.std is not None else std
+    if not (std > 0 and np.isfinite(std)):
+        raise CraneError(
+            f"augmented state {wanted.name!r}: a standard deviation of {std:g} at the start cannot be used. "
+            f'Give a positive one: Augment("{wanted.name}", std=…).'
+        )
+    return Extra(wanted.name, kind, value, std, wanted.drift, max(wanted.lower, lower))
+
+
+def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
+    """Return kind, value, standard deviation and lower limit of a quantity as the crane file knows it."""
+    head, _, tail = name.partition(".")
+    if head == "bias" and tail in SENSORS:
+        return "bias", 0.0, _BIAS_STD[tail[0]], -np.inf
+    if name in DISTURBANCES:
+        return "parameter", 0.0, DISTURBANCES[name], -np.inf
+    if name in parameters.INDEX:
+        known = crane.uncertainty.get(name)
+        std = known.std if known is not None else np.nan
+        if not np.isfinite(std):
+            std = 100.0 if name == "payload.mass" else 0.1 * abs(crane[name])
+        return "parameter", crane[name], std, 0.0 if name.endswith("mass") else -np.inf
+    if "@" in name or "." in name:
+        return _effect_parameter(crane, name)
+    raise CraneError(f"augmented state {name!r} is not known.{nearest(name, [*parameters.NAMES, *DISTURBANCES])}")
+
+
+def _effect_parameter(crane: Crane, name: str) -> tuple[str, float, float, float]:
+    key, _, last = name.rpartition(".")
+    try:
+        effect, _place = registry.split_key(key)
+    except CraneError:
+        known = [*parameters.NAMES, *DISTURBANCES, *(f"bias.{s}" for s in SENSORS)]
+        raise CraneError(f"augmented state {name!r} is not known.{nearest(name, known)}") from None
+    for p in effect.parameters:
+        if p.name == last:
+            acting = crane.effect(key)
+            value = p.neutral if acting is None else acting.parameters[last]
+            return "parameter", value, abs(p.typical), p.lower
+    raise CraneError(
+        f"augmented state {name!r}: no such parameter.{nearest(last, [p.name for p in effect.parameters])}"
+    )

@@ -1,0 +1,98 @@
+"""Sigma points and means that stay physical: pressures not below the vapour floor, pistons inside their cylinders.
+
+Clipping sigma points would move the mean and shrink the covariance. Instead each point is propagated from the nearest
+physical state and its excess is carried through unchanged::
+
+    f⁺(χ) = f(χ') + (χ - χ'),    χ' = χ clipped to the limits
+
+Inside the limits f⁺ = f. Outside, f⁺ extends f linearly with unit slope, so the spread of the points, and with it the
+covariance, survives, and no engine ever sees an impossible state. A corrected mean that is outside is moved back along the
+covariance, to the most probable state on the limit (Simon, IET Control Theory Appl. 4 (2010) 1303):
+x - P_i/P_ii (x_i - limit). States that are correlated with it move along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from crane_exudyn.compiled import njit
+from crane_exudyn.crane import Crane
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Limits `lower` (n,) and `upper` (n,) of the states; infinite where there is none."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def split(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return the physical points (m, n) and the excess (m, n), or None where all points are physical."""
+        if not _outside(points, self.lower, self.upper):
+            return points, None
+        inside = np.clip(points, self.lower, self.upper)
+        return inside, points - inside
+
+    def project(self, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Return the mean (n,) moved inside along the covariance (n, n); the same array where it is inside."""
+        if not _outside(mean[None], self.lower, self.upper):
+            return mean
+        out = mean.copy()
+        for i in np.flatnonzero((mean < self.lower) | (mean > self.upper)):
+            target = np.clip(out[i], self.lower[i], self.upper[i])
+            out -= covariance[:, i] / covariance[i, i] * (out[i] - target)
+        return np.clip(out, self.lower, self.upper)
+
+
+@njit()
+def _outside(points, lower, upper):  # type: ignore[no-untyped-def]
+    for k in range(points.shape[0]):
+        for i in range(points.shape[1]):
+            if points[k, i] < lower[i] or points[k, i] > upper[i]:
+                return True
+    return False
+
+
+def crane_bounds(
+    crane: Crane, lengths: Callable[[np.ndarray], np.ndarray] | None, states: int, margin: float = 5e-3
+) -> Bounds:
+    """Return the limits of a crane's states: the vapour floor, and the angles at which a piston meets its cylinder's end.
+
+    `lengths` maps z (m, 2) to cylinder lengths (m, 2), NaN where the loop cannot close; without it angles are free.
+    `margin` (m) keeps both chambers of a cylinder a little longer than nothing.
+    """
+    lower, upper = np.full(states, -np.inf), np.full(states, np.inf)
+    lower[4:8] = crane["fluid.vapour_pressure"]
+    if lengths is not None:
+        for i, cylinder in enumerate(("lift", "tilt")):
+            empty = crane[f"cylinders.{cylinder}.empty_length"] + margin
+            full = empty + crane[f"cylinders.{cylinder}.chamber_range"] - 2 * margin
+            lower[i], upper[i] = _angle_range(lengths, i, (crane.initial.z1, crane.initial.z4), empty, full)
+    return Bounds(lower, upper)
+
+
+def _angle_range(
+    lengths: Callable[[np.ndarray], np.ndarray], i: int, start: tuple[float, float], empty: float, full: float
+) -> tuple[float, float]:
+    """Return the connected range of angle i around the start in which the length of cylinder i stays in its limits.
+
+    The length also has to go on growing or falling: beyond its extreme the same length belongs to another pose.
+    """
+    angles = np.linspace(-np.pi, np.pi, 1441)
+    z = np.tile(np.asarray(start, float), (angles.size, 1))
+    z[:, i] = angles
+    with np.errstate(invalid="ignore"):
+        s = lengths(z)[:, i]
+        slope = np.gradient(s)
+        good = (s > empty) & (s < full)
+    home = int(np.argmin(np.abs(angles - start[i])))
+    good &= slope * slope[home] > 0
+    if not good[home]:
+        return -np.inf, np.inf
+    below, above = np.flatnonzero(~good[:home]), np.flatnonzero(~good[home:])
+    first = below[-1] + 1 if below.size else 0
+    last = home + above[0] - 1 if above.size else angles.size - 1
+    return float(angles[first]), float(angles[last])

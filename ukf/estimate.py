@@ -1,0 +1,292 @@
+"""What a run of the estimator leaves: states with intervals, innovations, consistency, and what happened on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import consistency
+from .monitor import ABSENT, FROZEN, OUTLIER, USED
+from .smoother import smooth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_WORDS = {OUTLIER: "leapt away: samples rejected", FROZEN: "frozen at one value: samples rejected"}
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened: from, to (s), where (channel, "time" or "filter"), what, and how many samples."""
+
+    start: float
+    end: float
+    where: str
+    text: str
+    count: int = 1
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The estimate over a recording: N instants, n quantities, k sensors; SI.
+
+    Attributes:
+        time: (N,) s.
+        state_names, channel_names: names of the n quantities and the k sensors.
+        mean, std: (N, n).
+        measured: (N, k), NaN where there was no sample.
+        innovation, innovation_std: (N, k), NaN where there was no sample.
+        flags: (N, k) uint8, see `monitor`: used, absent, outlier, frozen.
+        nis: (N,) and dof: (N,): normalised innovation squared of the samples used, and how many they were.
+        log_likelihood: sum over all samples.
+        events: what happened on the way.
+        inputs: (N, 4) spool positions and supply pressures.
+        covariance: (N, n, n) if it was kept.
+        smoothed: the smoothed estimate if it was asked for.
+    """
+
+    time: np.ndarray
+    state_names: tuple[str, ...]
+    channel_names: tuple[str, ...]
+    mean: np.ndarray
+    std: np.ndarray
+    measured: np.ndarray
+    innovation: np.ndarray
+    innovation_std: np.ndarray
+    flags: np.ndarray
+    nis: np.ndarray
+    dof: np.ndarray
+    log_likelihood: float
+    events: tuple[Event, ...]
+    inputs: np.ndarray
+    crane: str = ""
+    method: str = "ukf"
+    covariance: np.ndarray | None = None
+    smoothed: Estimate | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return the estimated mean (N,) of one quantity by its name."""
+        return self.mean[:, self.state_names.index(name)]
+
+    def interval(self, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+        """Return lower and upper limits (N, n) of the intervals that hold each quantity with this probability."""
+        from scipy.stats import norm
+
+        half = norm.ppf(0.5 + probability / 2) * self.std
+        return self.mean - half, self.mean + half
+
+    @property
+    def nis_mean(self) -> float:
+        """Mean NIS over the instants with a sample; the number of sensors read, if the filter is consistent."""
+        return float(np.nanmean(self.nis)) if np.isfinite(self.nis).any() else float("nan")
+
+    @property
+    def nis_bounds(self) -> tuple[float, float]:
+        """The interval that holds the mean NIS of a consistent filter with a probability of 99 %."""
+        known = np.isfinite(self.nis)
+        return (
+            consistency.mean_bounds(float(self.dof[known].mean()), int(known.sum()), 0.99)
+            if known.any()
+            else (0.0, 0.0)
+        )
+
+    @property
+    def whiteness(self) -> dict[str, float]:
+        """p-value of whiteness (Ljung-Box) of the normalised innovations of each sensor."""
+        used = np.where(self.flags == USED, self.innovation / self.innovation_std, np.nan)
+        return {n: consistency.ljung_box(used[:, i]) for i, n in enumerate(self.channel_names)}
+
+    @property
+    def consistent(self) -> bool:
+        """Whether innovations have the size that the filter states (NIS) and are white, at the 1 % level each."""
+        low, high = self.nis_bounds
+        p = [v for v in self.whiteness.values() if np.isfinite(v)]
+        return bool(low <= self.nis_mean <= high and min(p, default=1.0) >= 0.01 / max(len(p), 1))
+
+    def coverage(self, truth: np.ndarray, probability: float = 0.95) -> dict[str, float]:
+        """Return the share of instants at which the true states (N, m), m <= n, are inside their intervals."""
+        m = truth.shape[1]
+        shares = consistency.coverage(truth - self.mean[:, :m], self.std[:, :m], probability)
+        return dict(zip(self.state_names, shares.tolist(), strict=False))
+
+    def document(self) -> dict[str, Any]:
+        """Return what the command writes as JSON."""
+        last = {
+            n: {"value": float(self.mean[-1, i]), "std": float(self.std[-1, i]), "unit": self.units.get(n, "")}
+            for i, n in enumerate(self.state_names)
+        }
+        return {
+            "crane": self.crane,
+            "method": self.method,
+            "samples": int(self.time.size),
+            "from": float(self.time[0]),
+            "to": float(self.time[-1]),
+            "filter": {
+                "nis_mean": self.nis_mean,
+                "nis_bounds": list(self.nis_bounds),
+                "whiteness": self.whiteness,
+                "consistent": self.consistent,
+                "log_likelihood": self.log_likelihood,
+            },
+            "used": {n: int((self.flags[:, i] == USED).sum()) for i, n in enumerate(self.channel_names)},
+            "final": last,
+            "events": [
+                {"from": e.start, "to": e.end, "where": e.where, "text": e.text, "count": e.count} for e in self.events
+            ],
+        }
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write states with 95 % limits, innovations, their standard deviations and NIS; SI, whole or not at all."""
+        from .tables import write_csv
+
+        write_csv(self, path)
+
+    def plot(self, truth: np.ndarray | None = None) -> Figure:
+        """Return a figure of states with 95 % intervals, measurements and innovations; `truth` (N, m) if it is known."""
+        from .plots import estimate_figure
+
+        return estimate_figure(self, truth)
+
+    def __repr__(self) -> str:
+        low, high = self.nis_bounds
+        verdict = "consistent" if self.consistent else "NOT consistent"
+        return (
+            f"<Estimate of {', '.join(self.state_names)} by {self.method} at {self.time.size} instants, "
+            f"{self.time[0]:.3f} … {self.time[-1]:.3f} s; NIS {self.nis_mean:.3g} (expected {low:.3g} … {high:.3g}): "
+            f"{verdict}; {len(self.events)} event(s)>"
+        )
+
+
+class Recorder:
+    """Collects a run into arrays that are allocated once; the smoother's share only where it is asked for."""
+
+    def __init__(
+        self, states: Sequence[str], channels: Sequence[str], time: np.ndarray, std: np.ndarray, smooth: bool
+    ) -> None:
+        count, n, k = time.size, len(states), len(channels)
+        self.states, self.channels, self.smooth = tuple(states), tuple(channels), smooth
+        self.mean, self.std = np.empty((count, n)), np.empty((count, n))
+        self.innovation, self.spread = np.full((count, k), np.nan), np.full((count, k), np.nan)
+        self.flags = np.full((count, k), ABSENT, np.uint8)
+        self.nis, self.dof = np.full(count, np.nan), np.zeros(count)
+        self.log_likelihood = 0.0
+        self._at = 0
+        size = count if smooth else 0
+        self.covariance, self._prior_covariance, self._cross = (np.empty((size, n, n)) for _ in range(3))
+        self._prior_mean = np.empty((size, n))
+
+    def start(self, belief: Any) -> None:
+        """Note the belief before the first step."""
+        self._keep(0, belief)
+        if self.smooth:
+            self._prior_mean[0], self._prior_covariance[0], self._cross[0] = belief.mean, belief.covariance, 0.0
+
+    def predicted(self, prior: Any) -> None:
+        """Note a prediction for the smoother."""
+        k = self._at + 1
+        self._prior_mean[k], self._prior_covariance[k], self._cross[k] = prior.mean, prior.covariance, prior.cross
+
+    def cut(self, belief: Any) -> None:
+        """Tell the smoother that the filter was restarted: nothing passes back over this instant."""
+        k = self._at + 1
+        self._prior_mean[k], self._prior_covariance[k], self._cross[k] = belief.mean, belief.covariance, 0.0
+
+    def note(
+        self,
+        k: int,
+        belief: Any,
+        innovation: np.ndarray,
+        variance: np.ndarray,
+        flags: np.ndarray,
+        nis: float,
+        ll: float,
+    ) -> None:
+        """Note the result of step k."""
+        self._keep(k, belief)
+        self._at = k
+        self.innovation[k], self.spread[k], self.flags[k] = innovation, variance, flags
+        self.nis[k] = nis
+        self.log_likelihood += ll
+
+    def _keep(self, k: int, belief: Any) -> None:
+        covariance = belief.covariance
+        self.mean[k] = belief.mean
+        self.std[k] = covariance.diagonal()
+        if self.smooth:
+            self.covariance[k] = covariance
+
+    def estimate(self, plan: Any, events: list[tuple[float, str, str]], crane: str, method: str) -> Estimate:
+        """Return what was collected."""
+        result = Estimate(
+            time=plan.time,
+            state_names=self.states,
+            channel_names=self.channels,
+            mean=self.mean,
+            std=np.sqrt(np.maximum(self.std, 0.0)),
+            measured=plan.values,
+            innovation=self.innovation,
+            innovation_std=np.sqrt(self.spread),
+            flags=self.flags,
+            nis=self.nis,
+            dof=(self.flags == USED).sum(axis=1).astype(float),
+            log_likelihood=self.log_likelihood,
+            events=tuple(merged(events) + flagged(plan.time, self.flags, self.channels)),
+            inputs=plan.inputs[plan.inner],
+            crane=crane,
+            method=method,
+            covariance=self.covariance if self.smooth else None,
+            units={n: unit_of(n) for n in (*self.states, *self.channels)},
+        )
+        return replace(result, smoothed=self._smoothed(result)) if self.smooth else result
+
+    def _smoothed(self, filtered: Estimate) -> Estimate:
+        mean, covariance = smooth(self.mean, self.covariance, self._prior_mean, self._prior_covariance, self._cross)
+        std = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0))
+        return replace(filtered, mean=mean, std=std, covariance=covariance, method=filtered.method + " + RTS smoother")
+
+
+def merged(events: Sequence[tuple[float, str, str]]) -> list[Event]:
+    """Return events in order, those of the same place and kind put together."""
+    groups: dict[tuple[str, str], list[float]] = {}
+    for time, where, text in events:
+        groups.setdefault((where, text), []).append(time)
+    return [Event(min(t), max(t), where, text, len(t)) for (where, text), t in groups.items()]
+
+
+def flagged(time: np.ndarray, flags: np.ndarray, channels: Sequence[str]) -> list[Event]:
+    """Return an event for every run of rejected samples of a channel; runs less than 50 ms apart are one."""
+    found = []
+    for column, name in enumerate(channels):
+        for flag, words in _WORDS.items():
+            at = np.flatnonzero(flags[:, column] == flag)
+            if at.size:
+                runs = np.split(at, np.flatnonzero(np.diff(time[at]) > 0.05) + 1)
+                found += [Event(float(time[r[0]]), float(time[r[-1]]), name, words, r.size) for r in runs]
+    return sorted(found, key=lambda e: e.start)
+
+
+def unit_of(name: str) -> str:
+    """Return the SI unit, as pint writes it, of an estimated quantity or a sensor."""
+    from crane_exudyn import parameters
+    from crane_exudyn.effects import registry
+
+    head, _, tail = name.partition(".")
+    if head in ("bias", "reading"):
+        return unit_of(tail)
+    if head in ("torque", "force", "flow") and tail:
+        return {"torque": "N*m", "force": "N", "flow": "m^3/s"}[head]
+    if name in parameters.INDEX:
+        return parameters.unit_of(name)
+    if "@" in name or "." in name:
+        effect = registry.find(name.split("@")[0].split(".")[0])
+        return next((p.unit for p in effect.parameters if p.name == name.rpartition(".")[2]), "")
+    if name[0] == "p":
+        return "Pa"
+    if name[0] == "s":
+        return "m"
+    return "rad/s" if name.startswith("d") else "rad"

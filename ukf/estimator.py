@@ -1,0 +1,400 @@
+"""The estimator: a crane, an engine, a filter and sensors, live one sample at a time or over a whole recording.
+
+estimator = Estimator(crane, engine="semi-recursive", sensors={"z1": 0.017, "z4": 0.017, "p1": 1.5e5, "p4": 1.5e5})
+now = estimator.step((0.5, 0.0), {"z1": 0.17, "p1": 62e5})     # what is missing is missing
+estimate = estimator.run(recording)                            # the whole state with intervals
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError, nearest
+
+from .augment import SENSORS, Augment, resolve
+from .bounds import Bounds, crane_bounds
+from .channels import Channels
+from .estimate import Estimate, Recorder
+from .filter import Belief, FilterError
+from .methods import method_of
+from .monitor import ABSENT, USED, Monitor
+from .noise import ProcessNoise
+from .process import Process, engine_of
+from .start import start_belief
+
+#: noise standard deviations where neither the user, the crane file nor the recording says any, SI
+DEFAULT_STD = {
+    "z1": 2e-3, "z4": 2e-3, "z4_abs": 2e-3, "dz1": 1e-2, "dz4": 1e-2, "dz4_abs": 1e-2,
+    "p1": 5e4, "p2": 5e4, "p3": 5e4, "p4": 5e4, "s1": 1e-3, "s2": 1e-3,
+}  # fmt: skip
+SUPPLY = ("pp", "pt")
+
+
+@dataclass(frozen=True)
+class Now:
+    """What the estimator knows after one sample: SI units, names as in `Estimator.state_names`."""
+
+    time: float
+    mean: np.ndarray
+    std: np.ndarray
+    innovation: Mapping[str, float]
+    rejected: tuple[str, ...]
+    nis: float
+    names: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> float:
+        """Return one estimated quantity by its name."""
+        return float(self.mean[self.names.index(name)])
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{n} {self.mean[i]:.4g} ± {1.96 * self.std[i]:.2g}" for i, n in enumerate(self.names))
+        return f"<t = {self.time:.3f} s: {shown}>"
+
+
+class Estimator:
+    """Estimates the crane's state (and what else is unknown) from commands and whatever sensors there are.
+
+    Args:
+        crane: the model that the filter believes in.
+        engine: "exudyn", "semi-recursive", or an engine object with this crane.
+        sensors: channels with their noise standard deviation in SI, or channel names alone (then the crane file's
+            standard deviation, else a default of the channel's kind).
+        noise: process noise with a method `covariance(dt)` -> (8, 8); `noise.ProcessNoise` or `noise.PaperNoise`.
+        method: "ukf", "sr-ukf", "ckf" or "ekf".
+        augment: quantities to estimate along with the state, see `augment`.
+        start: mean and covariance (8, …) of the state to start with; without it, the crane at rest as measured first.
+        gate: how many standard deviations an innovation may leap before the sample is rejected; None for no gate.
+        max_step: longest integration step of the engine, s; longer intervals are cut evenly.
+
+    Raises:
+        CraneError: an unknown sensor, filter, engine or quantity, or a noise that is not positive.
+    """
+
+    def __init__(
+        self,
+        crane: Crane,
+        engine: Any = "exudyn",
+        sensors: Mapping[str, float] | Sequence[str] = ("z1", "z4", "p1", "p4"),
+        noise: Any = None,
+        method: str = "ukf",
+        augment: Iterable[Augment | str] = (),
+        start: Belief | None = None,
+        gate: float | None = 6.0,
+        max_step: float = 1e-3,
+    ) -> None:
+        self.crane = crane
+        self.engine = engine_of(engine, crane)
+        self.std_of = sensor_std(crane, sensors)
+        self.noise = noise if noise is not None else ProcessNoise()
+        self.max_step = float(max_step)
+        self._std = np.array(list(self.std_of.values()))
+        self._extras = resolve(crane, augment)
+        self._engine_states = len(self.engine.state_names)
+        lengths = lengths_of(crane)
+        self._channels = Channels(crane, list(self.std_of), self._engine_states, self._extras, lengths)
+        self._bounds = self._all_bounds(lengths)
+        self._process = Process(self.engine, self._channels, self._extras, self._bounds)
+        self._method_name = method
+        self._method = method_of(method, np.ones(self.size))
+        self._gate = np.inf if gate is None else float(gate)
+        self._start = start
+        self._noises: dict[float, np.ndarray] = {}
+        self._spool: Any = None
+        self.reset()
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the sensors, in the order of the innovations."""
+        return self._channels.names
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of everything that is estimated: engine states, lagged readings, augmented quantities."""
+        lagged = tuple(f"reading.{self._channels.names[row]}" for row, _ in self._channels.lags)
+        return (*self.engine.state_names, *lagged, *(e.name for e in self._extras))
+
+    @property
+    def size(self) -> int:
+        """Number of estimated quantities."""
+        return self._engine_states + len(self._channels.lags) + len(self._extras)
+
+    def reset(self) -> None:
+        """Forget everything that was measured."""
+        self.belief: Any = None
+        self.time: float | None = None
+        self.count = 0
+        self.events: list[tuple[float, str, str]] = []
+        self._monitor = Monitor(self._channels.names, self._std, self._gate)
+        self._spool = None
+        self._last_input: np.ndarray | None = None
+        self._last_command: np.ndarray | None = None
+
+    # -- live ----------------------------------------------------------------------------------------------------
+
+    def step(
+        self,
+        commands: Sequence[float] | Mapping[str, float],
+        measurements: Mapping[str, float],
+        time: float | None = None,
+    ) -> Now:
+        """Return what is known after one more sample.
+
+        Args:
+            commands: spool commands u1, u2 in [-1, 1] at `time`; between two calls they are taken as linear.
+            measurements: any of the sensors, SI; what is missing or NaN is missing. `pp`, `pt` go to the model as inputs.
+            time: s; without it one `max_step` after the last call. A time that is not later than the last one is
+                not a new sample: the call changes nothing, and says so in `events`.
+
+        Raises:
+            CraneError: a command or measurement with an unknown name.
+        """
+        command, values, supply = self._sorted_out(commands, measurements)
+        if self.time is None:
+            self._begin(0.0 if time is None else float(time), command, values, supply)
+            return self._now(np.full(values.size, np.nan), np.full(values.size, ABSENT, np.uint8), np.nan)
+        time = self.time + self.max_step if time is None else float(time)
+        if not time > self.time:
+            self.events.append((time, "time", "stamp not later than the last one: sample left out"))
+            return self._now(np.full(values.size, np.nan), np.full(values.size, ABSENT, np.uint8), np.nan)
+        times = inner_times(self.time, time, self.max_step)
+        inputs = self._live_inputs(times, command, supply)
+        innovation, _, flags, nis, _ = self._advance(times, inputs, values)
+        return self._now(innovation, flags, nis)
+
+    def _sorted_out(
+        self, commands: Sequence[float] | Mapping[str, float], measurements: Mapping[str, float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        if isinstance(commands, Mapping):
+            missing = [n for n in ("u1", "u2") if n not in commands]
+            if missing:
+                raise CraneError(f"commands: {missing[0]} is missing. Give u1 and u2 in [-1, 1].")
+            commands = (commands["u1"], commands["u2"])
+        for name in measurements:
+            if name not in self.std_of and name not in SUPPLY:
+                known = [*self.std_of, *SUPPLY]
+                raise CraneError(f"measurements: {name!r} is no sensor of this estimator.{nearest(name, known)}")
+        values = np.array([_number(measurements.get(n)) for n in self._channels.names])
+        supply = np.array([_number(measurements.get(n)) for n in SUPPLY])
+        return np.asarray(commands, float), values, supply
+
+    def _begin(self, time: float, command: np.ndarray, values: np.ndarray, supply: np.ndarray) -> None:
+        from crane_exudyn.inputs import SpoolPath
+
+        self._spool = SpoolPath(self.crane)
+        spool = np.asarray(self._spool.step(time, command), float)
+        self._last_input = np.concatenate([spool, supply])
+        self._last_command = command
+        self.start_at(time, dict(zip(self._channels.names, values, strict=True)))
+
+    def _live_inputs(self, times: np.ndarray, command: np.ndarray, supply: np.ndarray) -> np.ndarray:
+        assert self._last_command is not None and self._last_input is not None
+        inputs = np.empty((times.size, 4))
+        inputs[0] = self._last_input
+        for k in range(1, times.size):
+            share = (times[k] - times[0]) / (times[-1] - times[0])
+            between = self._last_command + share * (command - self._last_command)
+            inputs[k, :2] = self._spool.step(float(times[k]), between)
+            inputs[k, 2:] = supply
+        self._last_command, self._last_input = command, inputs[-1].copy()
+        return inputs
+
+    def _now(self, innovation: np.ndarray, flags: np.ndarray, nis: float) -> Now:
+        assert self.time is not None
+        names = self._channels.names
+        return Now(
+            time=self.time,
+            mean=self.belief.mean.copy(),
+            std=np.sqrt(np.diag(self.belief.covariance)),
+            innovation={n: float(v) for n, v in zip(names, innovation, strict=True) if np.isfinite(v)},
+            rejected=tuple(n for n, f in zip(names, flags, strict=True) if f not in (USED, ABSENT)),
+            nis=nis,
+            names=self.state_names,
+        )
+
+    # -- the recursion -------------------------------------------------------------------------------------------
+
+    def start_at(self, time: float, first: Mapping[str, float]) -> None:
+        """Set the belief at `time` from the first measurements (NaN is missing), or from the `start` that was given."""
+        start = self._start if self._start is not None else start_belief(self.crane, self.engine, first, self.std_of)
+        mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
+        n = self._engine_states
+        mean[:n], covariance[:n, :n] = start.mean, start.covariance
+        for k, extra in enumerate(self._extras):
+            at = n + len(self._channels.lags) + k
+            mean[at], covariance[at, at] = extra.value, extra.std**2
+        for k, (row, _) in enumerate(self._channels.lags):
+            mean[n + k] = self._channels.read(mean[None])[0, row]
+            covariance[n + k, n + k] = self._std[row] ** 2
+        self._opened = covariance
+        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)))
+        self.belief = self._method.begin(mean, covariance)
+        self.time = time
+
+    def _advance(
+        self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        """Predict to times[-1] and correct by `values` (k,), NaN for missing.
+
+        Returns innovation (k,), its variance (k,), flags (k,), NIS and log-likelihood.
+        """
+        try:
+            result = self._predict_and_correct(times, inputs, values, recorder)
+        except (FilterError, ArithmeticError, np.linalg.LinAlgError) as problem:
+            self._restart(float(times[-1]), str(problem))
+            unknown = np.full(values.size, np.nan)
+            result = unknown, unknown.copy(), np.full(values.size, ABSENT, np.uint8), float("nan"), 0.0
+            if recorder is not None and recorder.smooth:
+                recorder.cut(self.belief)
+        self.time = float(times[-1])
+        self.count += 1
+        return result
+
+    def _predict_and_correct(
+        self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        noise = self._process_noise(float(times[-1] - times[0]))
+        prior = self._method.predict(self.belief, self._process.over(inputs, times), noise, self.count)
+        if recorder is not None and recorder.smooth:
+            recorder.predicted(prior)
+        if np.isnan(values).all():
+            self.belief = prior
+            unknown = np.full(values.size, np.nan)
+            return unknown, unknown.copy(), np.full(values.size, ABSENT, np.uint8), float("nan"), 0.0
+        return self._correct(prior, float(times[-1]), values)
+
+    def _correct(
+        self, prior: Any, time: float, values: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        present = ~np.isnan(values)
+        result = self._update(prior, values, present)
+        innovation, variance = np.full(values.size, np.nan), np.full(values.size, np.nan)
+        innovation[present] = result.innovation
+        variance[present] = np.diag(result.innovation_covariance)
+        flags = self._monitor.judge(time, values, innovation, variance)
+        used = flags == USED
+        if not used[present].all():
+            result = self._update(prior, values, used) if used.any() else None
+        if result is None:
+            self.belief = prior
+            return innovation, variance, flags, float("nan"), 0.0
+        mean = self._bounds.project(result.mean, result.covariance) if self._bounds_matter(result.mean) else result.mean
+        self.belief = result if mean is result.mean else _moved(result, mean)
+        return innovation, variance, flags, result.nis, result.log_likelihood
+
+    def _bounds_matter(self, mean: np.ndarray) -> bool:
+        return bool((mean < self._bounds.lower).any() or (mean > self._bounds.upper).any())
+
+    def _update(self, prior: Any, values: np.ndarray, rows: np.ndarray) -> Any:
+        if rows.all():
+            return self._method.update(prior, self._channels.observe, values, self._std, self.count)
+        seen = self._channels.observe
+        return self._method.update(prior, lambda p: seen(p)[:, rows], values[rows], self._std[rows], self.count)
+
+    def _process_noise(self, dt: float) -> np.ndarray:
+        key = round(dt, 9)
+        if key not in self._noises:
+            if len(self._noises) > 1000:
+                self._noises.clear()
+            full = np.zeros((self.size, self.size))
+            full[:8, :8] = self.noise.covariance(dt)
+            for k, extra in enumerate(self._extras):
+                at = self._engine_states + len(self._channels.lags) + k
+                full[at, at] = extra.drift**2 * dt
+            self._noises[key] = full
+        return self._noises[key]
+
+    def _restart(self, time: float, why: str) -> None:
+        """Open the belief again around the last good mean: a filter that has lost its covariance knows nothing."""
+        self.events.append((time, "filter", f"restarted: {why}"))
+        mean = self.belief.mean
+        if not np.isfinite(mean).all():
+            mean = np.where(np.isfinite(mean), mean, 0.0)
+        mean = np.clip(mean, self._bounds.lower, self._bounds.upper)
+        self.belief = self._method.begin(mean, self._opened)
+
+    def _all_bounds(self, lengths: Callable[[np.ndarray], np.ndarray] | None) -> Bounds:
+        engine = crane_bounds(self.crane, lengths, self._engine_states)
+        lagged = np.full(len(self._channels.lags), np.inf)
+        extra = np.array([e.lower for e in self._extras], float)
+        return Bounds(
+            np.concatenate([engine.lower, -lagged, extra]),
+            np.concatenate([engine.upper, lagged, np.full(extra.size, np.inf)]),
+        )
+
+    # -- a whole recording ---------------------------------------------------------------------------------------
+
+    def run(self, recording: Any, *, smooth: bool = False, progress: Callable[[float], None] | None = None) -> Estimate:
+        """Return the estimate over a whole recording, at every instant at which some sensor of this estimator was read.
+
+        Args:
+            recording: a `crane_exudyn.recording.Recording`, or `signals.Signals`.
+            smooth: also run the RTS smoother back over the recording; needs 24 n² bytes a sample for n states.
+            progress: called with the fraction done, now and then.
+
+        Raises:
+            CraneError: the recording has none of the sensors, or no commands.
+        """
+        from .signals import Signals
+
+        signals = recording if isinstance(recording, Signals) else Signals.of(recording, self.crane)
+        self.reset()
+        plan = signals.plan(self.crane, self.channel_names, self.max_step)
+        self.events.extend(plan.events)
+        self.start_at(float(plan.time[0]), plan.first)
+        recorder = Recorder(self.state_names, self.channel_names, plan.time, self._std, smooth)
+        recorder.start(self.belief)
+        for k in range(1, plan.time.size):
+            i, j = plan.inner[k - 1], plan.inner[k] + 1
+            result = self._advance(plan.grid[i:j], plan.inputs[i:j], plan.values[k], recorder)
+            recorder.note(k, self.belief, *result)
+            if progress is not None and k % 500 == 0:
+                progress(k / plan.time.size)
+        return recorder.estimate(plan, self.events, self.crane.name, self._method_name)
+
+
+def _moved(result: Any, mean: np.ndarray) -> Any:
+    """Return the same belief at another mean."""
+    from dataclasses import replace
+
+    return replace(result, mean=mean)
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def inner_times(start: float, end: float, max_step: float) -> np.ndarray:
+    """Return instants from `start` to `end` inclusive, evenly apart, at most `max_step`."""
+    pieces = max(1, int(np.ceil((end - start) / max_step - 1e-6)))
+    return start + (end - start) * np.arange(pieces + 1) / pieces
+
+
+def sensor_std(crane: Crane, sensors: Mapping[str, float] | Sequence[str]) -> dict[str, float]:
+    """Return {channel: noise standard deviation in SI}: as given, else the crane file's, else a default.
+
+    Raises:
+        CraneError: no sensor, an unknown one, or a standard deviation that is not positive.
+    """
+    given = dict(sensors) if isinstance(sensors, Mapping) else dict.fromkeys(sensors)
+    if not given:
+        raise CraneError(f"The estimator has no sensor. Give at least one of {', '.join(SENSORS)}.")
+    for name, std in given.items():
+        if name not in SENSORS:
+            raise CraneError(f"sensor {name!r} is not known.{nearest(name, list(SENSORS))}")
+        if std is not None and not (np.isfinite(std) and std > 0):
+            raise CraneError(
+                f"sensor {name!r}: a noise standard deviation of {std:g} cannot be used. Give a positive one."
+            )
+    return {n: float(s if s is not None else crane.sensors.get(n, DEFAULT_STD[n])) for n, s in given.items()}
+
+
+def lengths_of(crane: Crane) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Return the function z (m, 2) -> cylinder lengths (m, 2) of a crane."""
+    from .lengths import cylinder_lengths
+
+    return lambda z: cylinder_lengths(crane, z)

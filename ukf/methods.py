@@ -1,0 +1,109 @@
+"""The filters by name, behind one pair of calls: predict(belief, …) and update(belief, …)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from crane_exudyn.errors import CraneError, nearest
+
+from . import filter as kf
+from .linear_algebra import semidefinite_root
+from .sigma_points import Weights, cubature, merwe
+
+METHODS = ("ukf", "sr-ukf", "ckf", "ekf")
+
+
+class Method(Protocol):
+    """One filter: `begin` makes its kind of belief, `predict` and `update` return new ones."""
+
+    def begin(self, mean: np.ndarray, covariance: np.ndarray) -> Any: ...
+
+    def predict(self, belief: Any, propagate: kf.Points, noise: np.ndarray, step: int) -> Any: ...
+
+    def update(self, belief: Any, observe: kf.Points, y: np.ndarray, std: np.ndarray, step: int) -> Any: ...
+
+
+@dataclass(frozen=True)
+class SigmaPoints:
+    """UKF or CKF, by the weights."""
+
+    weights: Weights
+
+    def begin(self, mean: np.ndarray, covariance: np.ndarray) -> kf.Belief:
+        """Return the belief to start with."""
+        return kf.Belief(mean, covariance)
+
+    def predict(self, belief: kf.Belief, propagate: kf.Points, noise: np.ndarray, step: int) -> kf.Prediction:
+        """Return (28), (29)."""
+        return kf.predict(belief, propagate, noise, self.weights, step=step)
+
+    def update(self, belief: kf.Belief, observe: kf.Points, y: np.ndarray, std: np.ndarray, step: int) -> kf.Correction:
+        """Return (30), (31)."""
+        return kf.update(belief, observe, y, np.diag(std**2), self.weights, step=step)
+
+
+class SquareRoot:
+    """The square-root UKF."""
+
+    def __init__(self, weights: Weights) -> None:
+        """Keep the roots of process noises that were met, because there are few different steps."""
+        self.weights = weights
+        self._roots: dict[bytes, np.ndarray] = {}
+
+    def begin(self, mean: np.ndarray, covariance: np.ndarray) -> kf.RootBelief:
+        """Return the belief to start with."""
+        return kf.root_of(kf.Belief(mean, covariance))
+
+    def predict(self, belief: kf.RootBelief, propagate: kf.Points, noise: np.ndarray, step: int) -> kf.RootPrediction:
+        """Return (28), (29) in square-root form."""
+        key = noise.tobytes()
+        if key not in self._roots:
+            if len(self._roots) > 100:
+                self._roots.clear()
+            self._roots[key] = semidefinite_root(noise)
+        return kf.predict_root(belief, propagate, self._roots[key], self.weights)
+
+    def update(
+        self, belief: kf.RootBelief, observe: kf.Points, y: np.ndarray, std: np.ndarray, step: int
+    ) -> kf.RootCorrection:
+        """Return (30), (31) in square-root form."""
+        return kf.update_root(belief, observe, y, np.diag(std), self.weights)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """EKF with Jacobians from central differences; `increments` (n,) in state units."""
+
+    increments: np.ndarray
+
+    def begin(self, mean: np.ndarray, covariance: np.ndarray) -> kf.Belief:
+        """Return the belief to start with."""
+        return kf.Belief(mean, covariance)
+
+    def predict(self, belief: kf.Belief, propagate: kf.Points, noise: np.ndarray, step: int) -> kf.Prediction:
+        """Return x = f(x), P = F P Fᵀ + Q."""
+        return kf.predict_linearised(belief, propagate, noise, self.increments)
+
+    def update(self, belief: kf.Belief, observe: kf.Points, y: np.ndarray, std: np.ndarray, step: int) -> kf.Correction:
+        """Return the linearised correction."""
+        return kf.update_linearised(belief, observe, y, np.diag(std**2), self.increments, step=step)
+
+
+def method_of(name: str, std: np.ndarray) -> Method:
+    """Return the filter called `name` for states whose standard deviations at the start are `std` (n,).
+
+    Raises:
+        CraneError: no such filter.
+    """
+    if name == "ukf":
+        return SigmaPoints(merwe(std.size))
+    if name == "ckf":
+        return SigmaPoints(cubature(std.size))
+    if name == "sr-ukf":
+        return SquareRoot(merwe(std.size))
+    if name == "ekf":
+        return Linearised(1e-3 * std)  # far above the engines' solver tolerance, far below any curvature
+    raise CraneError(f"There is no filter {name!r}.{nearest(name, list(METHODS))}")

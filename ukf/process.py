@@ -1,0 +1,90 @@
+"""The crane as the filter sees it: sigma points in, sigma points out, extra states and physical limits included."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+
+from .augment import DISTURBANCES, Extra
+from .bounds import Bounds
+from .channels import Channels
+
+
+class Process:
+    """The transition of [engine states, lagged readings, extra states] over one sampling interval."""
+
+    def __init__(
+        self, engine: Any, channels: Channels, extras: Sequence[Extra], bounds: Bounds, crane: Crane | None = None
+    ) -> None:
+        """Raises CraneError where the engine cannot vary what the extra states ask for."""
+        self.engine = engine
+        self.nx = len(engine.state_names)
+        self._channels = channels
+        self._lags = len(channels.lags)
+        self._bounds = bounds
+        first = self.nx + self._lags
+        self._columns = {e.name: first + k for k, e in enumerate(extras) if e.kind == "parameter"}
+        if self._columns and not accepts_parameters(engine):
+            raise CraneError(
+                f"augmented state {next(iter(self._columns))!r}: the engine {type(engine).__name__} has one set of "
+                'parameters for all sigma points. Use the engine "semi-recursive", or leave the quantity out.'
+            )
+        self._plain = not self._columns and not self._lags
+
+    def over(self, inputs: np.ndarray, times: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the function points (m, n) -> points (m, n) from times[0] to times[-1] (s,) with inputs (s, 4)."""
+        return lambda points: self.run(points, inputs, times)
+
+    def run(self, points: np.ndarray, inputs: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return the points (m, n) carried along the inner steps `times` (s,) with inputs (s, 4)."""
+        inside, excess = self._bounds.split(points)
+        states = np.ascontiguousarray(inside[:, : self.nx])
+        keyword = {"parameters": {n: inside[:, c] for n, c in self._columns.items()}} if self._columns else {}
+        for k in range(len(times) - 1):
+            states = self.engine.propagate(
+                states, inputs[k : k + 2], times[k + 1] - times[k], float(times[k]), **keyword
+            )
+        if not np.isfinite(states).all():
+            raise ArithmeticError("the engine returned states that are not finite")
+        return self._assemble(inside, states, excess, float(times[-1] - times[0]))
+
+    def _assemble(self, inside: np.ndarray, states: np.ndarray, excess: np.ndarray | None, dt: float) -> np.ndarray:
+        if self._plain:
+            return states if excess is None else states + excess
+        out = inside.copy()
+        out[:, : self.nx] = states
+        if self._lags:
+            out[:, self.nx : self.nx + self._lags] = self._channels.follow(inside, out, dt)
+        return out if excess is None else out + excess
+
+
+def accepts_parameters(engine: Any) -> bool:
+    """Whether an engine takes parameters that differ from sigma point to sigma point."""
+    return "parameters" in inspect.signature(engine.propagate).parameters
+
+
+def engine_of(engine: Any, crane: Crane) -> Any:
+    """Return an engine by name ("exudyn", "semi-recursive"), or the object itself where one is given."""
+    if not isinstance(engine, str):
+        return engine
+    if engine == "exudyn":
+        from crane_exudyn.engine import ExudynEngine
+
+        return ExudynEngine(crane)
+    if engine == "semi-recursive":
+        from importlib import import_module
+
+        # by name, because imports point from validation to ukf
+        return import_module("validation.semi_recursive").SemiRecursiveEngine(crane)
+    raise CraneError(f'There is no engine {engine!r}. Use "exudyn" or "semi-recursive".')
+
+
+def disturbance_names() -> tuple[str, ...]:
+    """Return the disturbances in the order in which engines take them."""
+    return tuple(DISTURBANCES)

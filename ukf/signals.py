@@ -1,0 +1,154 @@
+"""A recording as the filter needs it: when to predict, with which inputs, and what was measured then.
+
+Every channel may have its own clock. The instants of the filter are all those at which one of its sensors was read;
+between two of them the engine takes even inner steps. Oddities are told, not repaired in silence: repeated stamps, time
+running backwards, gaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+
+from .augment import SENSORS
+
+Series = tuple[np.ndarray, np.ndarray]
+_SAME = 1e-7  # s: stamps of different clocks that are closer than this are one instant
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Instants `time` (N,), measurements `values` (N, k) with NaN, inner `grid` (G,) with `inputs` (G, 4).
+
+    `inner[k]` is where instant k stands in the grid; `first` are the measurements to start from.
+    """
+
+    time: np.ndarray
+    values: np.ndarray
+    grid: np.ndarray
+    inputs: np.ndarray
+    inner: np.ndarray
+    first: Mapping[str, float]
+    events: list[tuple[float, str, str]]
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Spool commands, sensors and supply pressures in SI, each with its own clock.
+
+    Attributes:
+        command_time: (n,) s; commands: (n, 2) u1, u2 in [-1, 1], linear between samples.
+        sensors: {channel: (time (m,), values (m,))}, NaN for missing.
+        supply: {"pp" or "pt": (time, values)} if measured.
+    """
+
+    command_time: np.ndarray
+    commands: np.ndarray
+    sensors: Mapping[str, Series]
+    supply: Mapping[str, Series] = field(default_factory=dict)
+    name: str = "recording"
+
+    @classmethod
+    def of(cls, recording: Any, crane: Crane) -> Signals:
+        """Return the signals of a `crane_exudyn.recording.Recording`, its voltages turned into commands by the crane."""
+        time, commands = recording.commands(crane)
+        held = {n: recording.series(n) for n in recording.names}
+        return cls(
+            np.asarray(time, float),
+            np.asarray(commands, float),
+            {n: held[n] for n in SENSORS if n in held},
+            {n: held[n] for n in ("pp", "pt") if n in held},
+            str(recording.name),
+        )
+
+    def plan(self, crane: Crane, channels: Sequence[str], max_step: float) -> Plan:
+        """Return the filter's instants for these channels.
+
+        Raises:
+            CraneError: none of the channels was recorded, or fewer than two samples.
+        """
+        from crane_exudyn.inputs import SpoolPath
+
+        events: list[tuple[float, str, str]] = []
+        present = [c for c in channels if c in self.sensors]
+        if not present:
+            raise CraneError(
+                f"{self.name}: none of the estimator's sensors ({', '.join(channels)}) was recorded; "
+                f"there are {', '.join(self.sensors) or 'none'}. Choose the sensors among these."
+            )
+        series = {c: clean(*self.sensors[c], c, events) for c in present}
+        time = instants(series)
+        if time.size < 2:
+            raise CraneError(f"{self.name}: fewer than two samples of {', '.join(present)}. Nothing can be estimated.")
+        values = np.full((time.size, len(channels)), np.nan)
+        for column, name in enumerate(channels):
+            if name in series:
+                t, y = series[name]
+                values[nearest_index(time, t), column] = y
+        _note_gaps(time, events)
+        grid, inner = inner_grid(time, max_step)
+        commands = np.column_stack([_held(grid, self.command_time, self.commands[:, c]) for c in (0, 1)])
+        inputs = np.column_stack([SpoolPath(crane).run(grid, commands), *(self._supply(n, grid) for n in ("pp", "pt"))])
+        first = {c: float(np.median(series[c][1][:5])) for c in present if series[c][1].size}
+        return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, first, events)
+
+    def _supply(self, name: str, grid: np.ndarray) -> np.ndarray:
+        if name not in self.supply:
+            return np.full(grid.size, np.nan)
+        t, y = clean(*self.supply[name], name, [])
+        return _held(grid, t, y)
+
+
+def _held(grid: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values linear between samples, constant outside; NaN samples are skipped."""
+    known = np.isfinite(values)
+    return np.interp(grid, time[known], values[known]) if known.any() else np.full(grid.size, np.nan)
+
+
+def clean(time: np.ndarray, values: np.ndarray, name: str, events: list[tuple[float, str, str]]) -> Series:
+    """Return the known samples in increasing order of time; repeated and backward stamps are left out and told."""
+    time, values = np.asarray(time, float), np.asarray(values, float)
+    known = np.isfinite(time) & np.isfinite(values)
+    time, values = time[known], values[known]
+    if time.size == 0:
+        events.append((float("nan"), name, "no sample at all"))
+        return time, values
+    latest = np.maximum.accumulate(time)
+    late = np.concatenate([[False], time[1:] <= latest[:-1]])
+    for stamp in time[late]:
+        events.append((float(stamp), name, "stamp not later than the last one: sample left out"))
+    return time[~late], values[~late]
+
+
+def instants(series: Mapping[str, Series]) -> np.ndarray:
+    """Return all different instants (N,) at which any channel was read."""
+    stacked = np.sort(np.concatenate([t for t, _ in series.values()]))
+    return stacked[np.concatenate([[True], np.diff(stacked) > _SAME])] if stacked.size else stacked
+
+
+def nearest_index(time: np.ndarray, stamps: np.ndarray) -> np.ndarray:
+    """Return the index in `time` (N,) of the instant to which each stamp (m,) belongs."""
+    return np.clip(np.searchsorted(time, stamps + _SAME, side="right") - 1, 0, time.size - 1)
+
+
+def inner_grid(time: np.ndarray, max_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a grid that holds every instant of `time` with even steps of at most `max_step` between, and their places."""
+    steps = np.diff(time)
+    pieces = np.maximum(1, np.ceil(steps / max_step - 1e-6).astype(int))
+    inner = np.concatenate([[0], np.cumsum(pieces)])
+    share = np.arange(inner[-1]) - np.repeat(inner[:-1], pieces)
+    grid = np.repeat(time[:-1], pieces) + share * np.repeat(steps / pieces, pieces)
+    return np.append(grid, time[-1]), inner
+
+
+def _note_gaps(time: np.ndarray, events: list[tuple[float, str, str]]) -> None:
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    for k in np.flatnonzero((steps > 10 * usual) & (steps > 0.05)):
+        events.append((float(time[k]), "time", f"gap of {steps[k]:.3f} s: predicted through by the model"))
