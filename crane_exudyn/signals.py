@@ -42,8 +42,12 @@ def noise_std(values: np.ndarray) -> float:
 
 
 def _own_samples(values: np.ndarray, step: float) -> np.ndarray:
-    """Return indices of the samples that were measured, not put between two others by linear interpolation."""
+    """Return indices of the samples that were measured, not put between two others by linear interpolation.
+
+    Between two own samples an interpolated channel is steep but does not bend by more than rounding makes it.
+    """
     bend = np.abs(np.diff(values, n=2)) > 2.5 * step
-    if bend.mean() > 0.34 if len(bend) else True:
+    steep = np.abs(np.diff(values)[:-1]) > 4.0 * step
+    if not steep.any() or bend[steep].mean() > 0.34:
         return np.arange(len(values))
     return np.concatenate([[0], np.flatnonzero(bend) + 1, [len(values) - 1]])

@@ -16,6 +16,8 @@ import numpy as np
 from .errors import CraneError
 
 _NEWLINE = 10
+#: what plain numbers are written with; anything else is for the careful reader
+_PLAIN = b"0123456789+-.eEnNaA\n"
 #: spreadsheets and archives that people hand over by mistake, by their first bytes
 _NOT_TEXT = {b"PK": "an Excel or ZIP file", b"\xd0\xcf\x11\xe0": "an old Excel file", b"%PDF": "a PDF"}
 
@@ -178,7 +180,8 @@ def _read_fast(body: bytes, layout: _Layout) -> np.ndarray | None:
     """Return the numbers (rows, columns), or None where the body is not plain and wants the careful reader."""
     separator = layout.delimiter.encode()
     body = body.rstrip(b"\n") + b"\n"
-    if b'"' in body or b"\n\n" in body or body.startswith(b"\n"):
+    body = _without_spaces(body, separator)
+    if body.translate(None, _PLAIN + separator + b"," * layout.decimal_comma) or b"\n\n" in b"\n" + body:
         return None
     rows = _count_rows(body, ord(separator), len(layout.names))
     if rows is None:
@@ -192,7 +195,19 @@ def _read_fast(body: bytes, layout: _Layout) -> np.ndarray | None:
             numbers = np.fromstring(flat.decode("ascii", errors="replace"), sep=layout.delimiter)  # type: ignore[call-overload]
         except (DeprecationWarning, ValueError):
             return None
-    return numbers.reshape(rows, -1) if numbers.size == rows * len(layout.names) else None
+    if numbers.size != rows * len(layout.names):
+        return None
+    numbers = numbers.reshape(rows, -1)
+    return None if np.isnan(numbers).all(axis=1).any() else numbers
+
+
+def _without_spaces(body: bytes, separator: bytes) -> bytes:
+    """Return `body` without spaces beside separators; numpy would read a field of spaces as -1."""
+    while b" " + separator in body or separator + b" " in body:
+        body = body.replace(b" " + separator, separator).replace(separator + b" ", separator)
+    while b" \n" in body or b"\n " in body:
+        body = body.replace(b" \n", b"\n").replace(b"\n ", b"\n")
+    return body
 
 
 def _count_rows(body: bytes, separator: int, columns: int) -> int | None:
