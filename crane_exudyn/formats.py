@@ -12,9 +12,12 @@ How names and units are found:
 
 from __future__ import annotations
 
+import gc
 import gzip
 import importlib
+import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -207,12 +210,7 @@ def _read_mdf(path: Path, wanted: Collection[str]) -> RawTable:
         raise CraneError(
             f'{path}: reading MDF files needs asammdf, which is not installed. Install it: pip install "crane-exudyn[mdf]"'
         ) from None
-    try:
-        with mdf(path) as file:
-            signals = list(_mdf_signals(file, wanted))
-            others = sorted(n for n in file.channels_db if n not in wanted and split_header(n)[0] not in wanted)
-    except Exception as problem:  # asammdf raises many kinds for a damaged file
-        raise CraneError(f"{path}: damaged or cut-off MDF file ({problem}). Save it again.") from problem
+    signals, others = _mdf_content(mdf, path, wanted)
     clocks: dict[bytes, RawColumn] = {}
     columns = []
     for signal in signals:
@@ -224,10 +222,34 @@ def _read_mdf(path: Path, wanted: Collection[str]) -> RawTable:
     return RawTable(columns, notes=[f"{len(others)} other channels were ignored"] if others else [])
 
 
+def _mdf_content(mdf: Any, path: Path, wanted: Collection[str]) -> tuple[list[Any], list[str]]:
+    """Return the wanted signals and the names of the others."""
+    try:
+        with mdf(path) as file:
+            signals = list(_mdf_signals(file, wanted))
+            return signals, sorted(set(file.channels_db) - {"time", "t"} - {s.name for s in signals})
+    except Exception as problem:  # asammdf raises many kinds for a damaged file
+        text = f"{path}: damaged or cut-off MDF file ({problem}). Save it again."
+    with _finalisers_kept_quiet():  # asammdf's half-made object fails once more when it is deleted
+        gc.collect()
+    raise CraneError(text)
+
+
+@contextmanager
+def _finalisers_kept_quiet() -> Iterator[None]:
+    usual = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        sys.unraisablehook = usual
+
+
 def _mdf_signals(file: Any, wanted: Collection[str]) -> Iterator[Any]:
+    """Yield the wanted signals, but for the groups' own clocks, which come with every signal."""
     for name, places in file.channels_db.items():
         if name in wanted or split_header(name)[0] in wanted:
-            for group, index in places:
+            for group, index in (p for p in places if file.masters_db.get(p[0]) != p[1]):
                 signal = file.get(name, group=group, index=index)
                 if signal.samples.ndim == 1 and signal.samples.dtype.kind in "fiub":
                     yield signal

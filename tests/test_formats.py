@@ -1,0 +1,249 @@
+"""Recordings in other formats, each written by the format's own library, and results leaving again."""
+
+from __future__ import annotations
+
+import datetime
+import importlib
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import savemat
+
+from crane_exudyn.errors import CraneError
+from crane_exudyn.formats import write_table
+from crane_exudyn.recording import Recording
+
+SLOW, FAST = np.arange(6) * 0.05, np.arange(21) * 0.0125
+Z1, P1 = np.linspace(10.0, 12.0, 6), np.linspace(30.0, 50.0, 21)
+
+
+def check(recording: Recording) -> None:
+    """The same two channels in every format: z1 in deg on the slow clock, p1 in bar on the fast one, unresampled."""
+    assert recording.sensors == ("z1", "p1")
+    np.testing.assert_allclose(recording["z1"].values, np.radians(Z1), rtol=1e-14)
+    np.testing.assert_allclose(recording["p1"].values, P1 * 1e5, rtol=1e-14)
+    np.testing.assert_allclose(recording["z1"].time, SLOW, rtol=1e-14)
+    np.testing.assert_allclose(recording["p1"].time, FAST, rtol=1e-14)
+    time, values = recording.aligned(("z1", "p1"))
+    assert len(time) == 21 + 0 * len(SLOW)  # every slow stamp coincides with a fast one
+    assert np.isfinite(values).sum(axis=0).tolist() == [6, 21]
+
+
+def _refused(file: Path) -> str:
+    with pytest.raises(CraneError) as caught:
+        Recording.load(file)
+    assert str(file) in str(caught.value)
+    return str(caught.value)
+
+
+# -- MATLAB v5 -------------------------------------------------------------------------------------------------------
+
+
+def test_mat5_vectors_with_clocks_of_their_own(tmp_path: Path) -> None:
+    savemat(
+        tmp_path / "lift.mat",
+        {"z1": Z1[:, None], "z1_time": SLOW, "z1_time_unit": "s", "z1_unit": "deg", "p1": P1, "time": FAST * 1e3}
+        | {"units": {"time": "ms", "p1": "bar"}, "operator": "Q. K.", "magic": np.eye(3)},
+    )  # fmt: skip
+    recording = Recording.load(tmp_path / "lift.mat")
+    check(recording)
+    assert any("magic" in note for note in recording.notes)
+
+
+def test_mat5_structs_inside_one_struct(tmp_path: Path) -> None:
+    channels = {
+        "z1": {"values": Z1, "time": SLOW, "unit": "deg"},
+        "p1": {"data": P1, "time": FAST, "units": "bar"},
+    }
+    savemat(tmp_path / "lift.mat", {"log": channels})
+    check(Recording.load(tmp_path / "lift.mat"))
+
+
+def test_mat5_mapping(tmp_path: Path) -> None:
+    savemat(tmp_path / "lift.mat", {"t": SLOW, "BoomAngle": Z1})
+    recording = Recording.load(tmp_path / "lift.mat", {"time": "t[s]", "z1": "BoomAngle[deg]"})
+    np.testing.assert_allclose(recording["z1"].values, np.radians(Z1))
+
+
+@pytest.mark.parametrize(
+    ("variables", "part"),
+    [
+        ({"time": SLOW, "z1": Z1}, "no unit"),
+        ({"time": SLOW, "units": {"time": "s", "z1": "bar"}, "z1": Z1}, "wrong dimension"),
+        ({"time": FAST, "units": {"time": "s", "z1": "deg"}, "z1": Z1}, "found 6 samples, expected 21"),
+        ({"time": SLOW[::-1], "units": {"time": "s", "z1": "deg"}, "z1": Z1}, "sample 2"),
+        ({"text": "nothing"}, "no vector of numbers"),
+    ],
+)
+def test_mat5_refusals(tmp_path: Path, variables: dict[str, Any], part: str) -> None:
+    savemat(tmp_path / "lift.mat", variables)
+    assert part in _refused(tmp_path / "lift.mat")
+
+
+# -- MATLAB v7.3 -----------------------------------------------------------------------------------------------------
+
+
+def _matlab_text(group: h5py.Group, name: str, text: str) -> None:
+    """Store text as MATLAB v7.3 does: a column of UTF-16 numbers with the class beside it."""
+    item = group.create_dataset(name, data=np.array([[ord(c)] for c in text], dtype=np.uint16))
+    item.attrs["MATLAB_class"] = np.bytes_("char")
+
+
+def _mat73(path: Path, own_structs: bool) -> None:
+    with h5py.File(path, "w", userblock_size=512) as file:
+        if own_structs:
+            for name, values, time, unit in (("z1", Z1, SLOW, "deg"), ("p1", P1, FAST, "bar")):
+                group = file.create_group(name)
+                group.attrs["MATLAB_class"] = np.bytes_("struct")
+                group["values"], group["time"] = values[None, :], time[None, :]
+                _matlab_text(group, "unit", unit)
+        else:
+            file["z1"], file["z1_time"], file["p1"], file["time"] = Z1[None], SLOW[None], P1[None], FAST[None]
+            for name, unit in (("z1", "deg"), ("z1_time", "s"), ("p1", "bar"), ("time", "s")):
+                _matlab_text(file, f"{name}_unit", unit)
+        file.create_group("#refs#")
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+@pytest.mark.parametrize("own_structs", [True, False])
+def test_mat73(tmp_path: Path, own_structs: bool) -> None:
+    _mat73(tmp_path / "lift.mat", own_structs)
+    check(Recording.load(tmp_path / "lift.mat"))
+
+
+# -- Parquet ---------------------------------------------------------------------------------------------------------
+
+
+def _on_fast_clock() -> dict[str, Any]:
+    z1: list[float | None] = [None] * 21
+    for value, stamp in zip(Z1, SLOW, strict=True):
+        z1[round(stamp / 0.0125)] = float(value)
+    return {"z1": pa.array(z1), "p1": pa.array(P1)}
+
+
+def test_parquet_units_in_names(tmp_path: Path) -> None:
+    columns = _on_fast_clock()
+    table = pa.table({"time[s]": FAST, "z1[deg]": columns["z1"], "p1[bar]": columns["p1"], "who": ["x"] * 21})
+    pq.write_table(table, tmp_path / "lift.parquet")
+    recording = Recording.load(tmp_path / "lift.parquet")
+    check(recording)
+    assert "who" in recording.notes[0]
+
+
+def test_parquet_units_in_metadata_and_time_stamps(tmp_path: Path) -> None:
+    start = datetime.datetime(2024, 5, 17, 8, 0, tzinfo=datetime.UTC)
+    stamps = pa.array([start + datetime.timedelta(seconds=float(t)) for t in FAST], pa.timestamp("us", "UTC"))
+    fields = [pa.field("time", stamps.type), *(pa.field(n, pa.float64(), metadata={"unit": u}) for n, u in (("z1", "deg"), ("p1", "bar")))]  # fmt: skip
+    columns = _on_fast_clock()
+    pq.write_table(pa.table([stamps, columns["z1"], columns["p1"]], pa.schema(fields)), tmp_path / "lift.parquet")
+    check(Recording.load(tmp_path / "lift.parquet"))
+
+
+def test_parquet_refusal_names_the_row(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"time[s]": [0.0, 0.2, 0.1], "z1[deg]": [1, 2, 3]}), tmp_path / "lift.parquet")
+    assert "row 3" in _refused(tmp_path / "lift.parquet")
+
+
+# -- MDF4 ------------------------------------------------------------------------------------------------------------
+
+
+def _mdf(path: Path, twice: bool = False) -> None:
+    asammdf = importlib.import_module("asammdf")
+    signals = [
+        asammdf.Signal(Z1, SLOW, unit="deg", name="z1"),
+        asammdf.Signal(P1, FAST, unit="bar", name="p1"),
+        asammdf.Signal(P1, FAST, unit="degC", name="oil"),
+    ]
+    with asammdf.MDF(version="4.10") as file:
+        for signal in [*signals, signals[0]] if twice else signals:
+            file.append([signal])  # one group each: each with a clock of its own
+        file.save(path, overwrite=True)
+
+
+def test_mdf4_channels_keep_their_clocks(tmp_path: Path) -> None:
+    _mdf(tmp_path / "lift.mf4")
+    recording = Recording.load(tmp_path / "lift.mf4")
+    check(recording)
+    assert recording.notes == ("1 other channels were ignored",)
+
+
+def test_mdf4_channel_in_two_groups_is_refused(tmp_path: Path) -> None:
+    _mdf(tmp_path / "lift.mf4", twice=True)
+    assert "z1 stands twice" in _refused(tmp_path / "lift.mf4")
+
+
+def test_mdf4_without_asammdf_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _mdf(tmp_path / "lift.mf4")
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    assert 'pip install "crane-exudyn[mdf]"' in _refused(tmp_path / "lift.mf4")
+
+
+# -- damaged files, and leaving again --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["mat", "mat73", "parquet", "mf4"])
+def test_a_file_cut_in_half_is_refused(tmp_path: Path, kind: str) -> None:
+    file = tmp_path / f"lift.{kind.removesuffix('73')}"
+    if kind == "mat":
+        savemat(file, {"z1": np.arange(5000.0)})
+    elif kind == "mat73":
+        _mat73(file, own_structs=True)
+    elif kind == "parquet":
+        pq.write_table(pa.table({"time[s]": FAST}), file)
+    else:
+        _mdf(file)
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    assert "cut" in _refused(file)
+
+
+@pytest.mark.parametrize("ending", ["mat", "parquet", "mf4"])
+def test_an_empty_file_is_refused(tmp_path: Path, ending: str) -> None:
+    file = tmp_path / f"lift.{ending}"
+    file.touch()
+    assert "empty" in _refused(file)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".csv.gz", ".parquet", ".mat"])
+def test_every_format_written_reads_back_bit_for_bit(tmp_path: Path, ending: str) -> None:
+    rng = np.random.default_rng(3)
+    time = np.cumsum(rng.uniform(0.001, 0.02, 50))
+    values = {name: rng.normal(size=50) * scale for name, scale in (("z1", 1.0), ("p4", 1e7), ("s2", 1e-9))}
+    values["u1"], values["u2"] = rng.uniform(-1, 1, 50), np.zeros(50)
+    values["p4"][rng.integers(0, 50, 20)] = np.nan
+    recording = Recording.from_arrays("run", time, values)
+    recording.save(tmp_path / f"run{ending}")
+    again = Recording.load(tmp_path / f"run{ending}")
+    assert again.name == "run"
+    assert set(again.channels) == set(recording.channels)
+    for name in recording.channels:
+        np.testing.assert_array_equal(again[name].time, recording[name].time)
+        np.testing.assert_array_equal(again[name].values, recording[name].values)
+    assert [p.name for p in tmp_path.iterdir()] == [f"run{ending}"]  # no temporary file stays
+
+
+def test_written_csv_has_si_units_and_empty_fields(tmp_path: Path) -> None:
+    Recording.from_arrays("r", [0.0, 0.5], {"z1": [0.1, np.nan], "u1": [0.0, 1.0]}).save(tmp_path / "r.csv")
+    assert (tmp_path / "r.csv").read_text() == "time[s],u1[-],z1[rad]\n0.0,0.0,0.1\n0.5,1.0,\n"
+
+
+def test_unknown_ending_and_missing_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(CraneError, match=r"run\.xlsx.*Known: \.csv"):
+        write_table(tmp_path / "run.xlsx", {"a[s]": np.zeros(2)})
+    with pytest.raises(CraneError, match="does not exist"):
+        write_table(tmp_path / "nowhere" / "run.csv", {"a[s]": np.zeros(2)})
+
+
+def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("old")
+    with pytest.raises(ValueError, match="zip"):
+        write_table(tmp_path / "run.csv", {"a[s]": np.zeros(2), "b[s]": np.zeros(3)})
+    assert (tmp_path / "run.csv").read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
