@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from crane_exudyn import parameters as names
 from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane
-from crane_exudyn.errors import CraneError
+from crane_exudyn.effects import registry
+from crane_exudyn.errors import CraneError, nearest
 
 from . import equations, kernel
 from .terms import TERM_NAMES, terms
 
+#: names of the state, and of what a payload on a pendulum adds to it
 STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
 PENDULUM_NAMES = ("theta", "dtheta")
+#: unknown inputs, in the order of `equations.disturbance`: moments in N m, forces on E in N, flows into chambers in m^3/s
+DISTURBANCES = ("torque.O", "torque.A", "force.x", "force.y", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
 _CHAMBERS = ("lift, piston side empty", "lift, rod side empty", "tilt, piston side empty", "tilt, rod side empty")
 
 
@@ -36,6 +41,21 @@ def _held(z1, z4, less_loaded, P, E, x):
     return math.atan2(gx, -gy)
 
 
+def _find_column(name: str) -> tuple[str, int]:
+    if name in DISTURBANCES:
+        return "w", 4 + DISTURBANCES.index(name)
+    if name in names.INDEX:
+        return "P", names.INDEX[name]
+    key, _, last = name.rpartition(".")
+    if "@" in key or key in {e.name for e in registry.known()}:
+        effect, place = registry.split_key(key)
+        for i, parameter in enumerate(effect.parameters):
+            if parameter.name == last:
+                return "E", registry.slot(effect.name, place) + i
+    known = [*names.NAMES, *DISTURBANCES]
+    raise CraneError(f"Semi-recursive engine: no parameter {name!r} can differ from row to row.{nearest(name, known)}")
+
+
 class SemiRecursiveEngine:
     """The crane by the double-step semi-recursive method; states in, states out, no hidden state.
 
@@ -47,6 +67,7 @@ class SemiRecursiveEngine:
     def __init__(self, crane: Crane, *, step: float = 1e-3):
         self.crane, self.step = crane, float(step)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
+        self._columns: dict[str, tuple[str, int]] = {}
         pendulum = crane.effect("payload_swing")
         swings = pendulum is not None and pendulum.parameters.get("length", 0.0) > 0.0
         self.state_names = STATE_NAMES + (PENDULUM_NAMES if swings else ())
@@ -67,16 +88,25 @@ class SemiRecursiveEngine:
         self._refuse_stroke_end(x[None], np.zeros(1))
         return x
 
-    def propagate(self, states: np.ndarray, inputs: np.ndarray, dt: float, time: float = 0.0) -> np.ndarray:
+    def propagate(
+        self,
+        states: np.ndarray,
+        inputs: np.ndarray,
+        dt: float,
+        time: float = 0.0,
+        parameters: Mapping[str, np.ndarray] | None = None,
+    ) -> np.ndarray:
         """Return states (n, nx) one dt (s) later.
 
         Args:
             states: (n, nx).
             inputs: w = [U1 U2 pp pt] at the start and the end of the step, (2, 4) or (2, n, 4).
             time: time at the start of the step, s.
+            parameters: {name: (n,)}, what differs from row to row (SI): nominal parameters such as "payload.mass",
+                parameters of effects such as "internal_leakage@lift.k", and the disturbances of `DISTURBANCES`.
 
         Raises:
-            CraneError: wrong shapes, or a state whose step does not converge.
+            CraneError: wrong shapes, an unknown parameter, or a state whose step does not converge.
         """
         x = np.ascontiguousarray(states, dtype=float)
         self._check_shape("states", x, (None, len(self.state_names)))
@@ -85,12 +115,35 @@ class SemiRecursiveEngine:
             raise CraneError(
                 f"inputs have the shape {w.shape}; expected (2, 4) or (2, {len(x)}, 4): w at start and end."
             )
-        w = w.reshape(2, -1, 4)
+        w, P, E = w.reshape(2, -1, 4), self._P[None], self._E[None]
+        if parameters:
+            w, P, E = self._by_row(len(x), w, parameters)
         n = max(1, math.ceil(dt / self.step - 1e-6))
-        out, status, row = kernel.propagate_batch(x, w[0], w[1], float(time), float(dt), n, self._P, self._E)
+        out, status, row = kernel.propagate_batch(x, w[0], w[1], float(time), float(dt), n, P, E)
         if status != kernel.OK:
             raise CraneError(self._failure(x[row], time, dt / n, f"row {row} of the batch"))
         return out
+
+    def _by_row(
+        self, rows: int, w: np.ndarray, parameters: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return inputs (2, rows, 12), P (rows, .) and E (rows, .) with what differs from row to row."""
+        wide = np.zeros((2, rows, 4 + len(DISTURBANCES)))
+        wide[:, :, :4] = w
+        P, E = np.tile(self._P, (rows, 1)), np.tile(self._E, (rows, 1))
+        for name, values in parameters.items():
+            table, column = self._column(name)
+            if table == "w":
+                wide[:, :, column] = values
+            else:
+                (P if table == "P" else E)[:, column] = values
+        return wide, P, E
+
+    def _column(self, name: str) -> tuple[str, int]:
+        """Return where a quantity that may differ from row to row stands: "w", "P" or "E", and the column."""
+        if name not in self._columns:
+            self._columns[name] = _find_column(name)
+        return self._columns[name]
 
     def simulate(
         self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float | None = None

@@ -475,8 +475,10 @@ def friction(P, i, v):
 
 
 @njit
-def cylinder(c, s, v, pa, pb, u, pp, pt, P, E):
+def cylinder(c, s, v, pa, pb, u, pp, pt, P, E, flow_a=0.0, flow_b=0.0):
     """Return all hydraulic quantities of cylinder c at pin-to-pin length s and rate v, (17)-(19), (34), (37), (38).
+
+    flow_a, flow_b: flows into the chambers that no law explains (disturbances).
 
     With a spring of compliance k' in series the hydraulic length is s + k' F; its rate follows from both chambers' pressure
     rates, which depend on it linearly, so it is found without iteration.
@@ -493,6 +495,7 @@ def cylinder(c, s, v, pa, pb, u, pp, pt, P, E):
     pump, tank = pump_edge(c, u, pa, pb, pp, P, E), tank_edge(c, u, pa, pb, pt, P, E)
     Qa, Qb = (pump, tank) if u > 0.0 else (-tank, -pump)
     leak_a, leak_b = hooks.leakage(E, c, pa, pb)
+    leak_a, leak_b = leak_a + flow_a, leak_b + flow_b
     ka, kb = Ba / Va, Bb / Vb
     if compliance != 0.0:
         v += compliance * (Aa * ka * (Qa + leak_a) + Ab * kb * (Qb - leak_b))
@@ -512,6 +515,12 @@ def cylinder(c, s, v, pa, pb, u, pp, pt, P, E):
 def supply(w, k, P):
     """Measured pump (k = 0) or tank (k = 1) pressure, or the crane's own where it is not measured."""
     return P[SUPPLY + k] if math.isnan(w[2 + k]) else w[2 + k]
+
+
+@njit(inline="always")
+def disturbance(w, k):
+    """Unknown input k of [torque O, torque A, force x, force y at E, flows into p1 p2 p3 p4]; 0 where w has but four entries."""
+    return w[4 + k] if w.shape[0] > 4 else 0.0
 
 
 class Swing(NamedTuple):
@@ -592,8 +601,8 @@ def balance(x, w, t, P, E):
     u1, u2 = hooks.opening(E, 0, w[0]), hooks.opening(E, 1, w[1])
     pp = pump_pressure(supply(w, 0, P), u1, u2, x, P, E)
     pt = tank_pressure(supply(w, 1, P), u1, u2, x, P, E)
-    c1 = cylinder(0, lift.s, lift.v, x[4], x[5], u1, pp, pt, P, E)
-    c2 = cylinder(1, tilt.s, tilt.v, x[6], x[7], u2, pp, pt, P, E)
+    c1 = cylinder(0, lift.s, lift.v, x[4], x[5], u1, pp, pt, P, E, disturbance(w, 4), disturbance(w, 5))
+    c2 = cylinder(1, tilt.s, tilt.v, x[6], x[7], u2, pp, pt, P, E, disturbance(w, 6), disturbance(w, 7))
     mass = hooks.payload_mass(E, t, P[PAYLOAD])
     length, damping = hooks.pendulum(E)
     swings = length > 0.0 and x.shape[0] > 8
@@ -603,9 +612,9 @@ def balance(x, w, t, P, E):
     g1, g4 = weight_forces(z, m, tr, g)
     v1, v4 = velocity_forces(z, m, tr)
     h1, h4 = cylinder_forces(z, m, lift, tilt, c1.F, c2.F)
-    j1, j4 = point_forces(z, m, complex(0.0, hooks.tip_force(E, t)))
-    j1 += hooks.joint_torque(E, 0, x[2])
-    j4 += hooks.joint_torque(E, 1, x[3])
+    j1, j4 = point_forces(z, m, complex(disturbance(w, 2), hooks.tip_force(E, t) + disturbance(w, 3)))
+    j1 += hooks.joint_torque(E, 0, x[2]) + disturbance(w, 0)
+    j4 += hooks.joint_torque(E, 1, x[3]) + disturbance(w, 1)
     M11, M14, M44, ddtheta = tr.reduced11, tr.reduced14, tr.reduced44, 0.0
     if swings:
         p = swing(z, m, mass, length, damping, g, x[8], x[9])

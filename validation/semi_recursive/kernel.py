@@ -193,7 +193,7 @@ def newton(x0, f0, w1, t1, h, P, E, work, x1, f1):
 
 @njit(cache=False)
 def between(w0, w1, share, w):
-    for k in range(4):
+    for k in range(w.size):
         w[k] = w0[k] if share == 0.0 else (w1[k] if share == 1.0 else w0[k] + share * (w1[k] - w0[k]))
 
 
@@ -201,7 +201,7 @@ def between(w0, w1, share, w):
 def advance(x, f, w0, w1, t0, h, P, E, work):
     """Move x by h in place, and f = rhs(x) with it; in pieces where one step does not converge. False if nothing helps."""
     states = work[4]
-    x1, f1, w = states[0], states[1], states[4]
+    x1, f1, w = states[0], states[1], np.empty(w0.size)
     done, pieces = 0.0, 1
     while done < 1.0:
         share = min(1.0, done + 1.0 / pieces)
@@ -265,22 +265,24 @@ def simulate_substeps(x0, W, time, step, P, E):
 def propagate_batch(states, W0, W1, t0, dt, n, P, E):
     """Return states (rows, nx) one dt later, in n equal steps, the status and the row that failed.
 
-    W0, W1 (rows, 4) or (1, 4): inputs at the start and the end. The tangent is shared by the rows: they are neighbours.
+    W0, W1 (rows or 1, 4 or 12): inputs at the start and the end; the last eight are disturbances, see `equations`.
+    P, E (rows or 1, .): parameter and effect vectors. The tangent is shared by the rows: they are neighbours.
     """
     rows, nx = states.shape
     out = np.empty_like(states)
     work = workspace(nx)
-    f, wa, wb = np.empty(nx), np.empty(4), np.empty(4)
+    f, wa, wb = np.empty(nx), np.empty(W0.shape[1]), np.empty(W0.shape[1])
     h = dt / n
     for row in range(rows):
         a, b = W0[row % W0.shape[0]], W1[row % W1.shape[0]]
+        p, e = P[row % P.shape[0]], E[row % E.shape[0]]
         x = out[row]
         x[:] = states[row]
-        rhs(x, a, t0, P, E, f)
+        rhs(x, a, t0, p, e, f)
         for i in range(n):
             between(a, b, i / n, wa)
             between(a, b, (i + 1) / n, wb)
-            if not advance(x, f, wa, wb, t0 + i * h, h, P, E, work):
+            if not advance(x, f, wa, wb, t0 + i * h, h, p, e, work):
                 x[:] = math.nan
                 return out, NOT_CONVERGED, row
     return out, OK, -1
