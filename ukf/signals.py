@@ -53,18 +53,20 @@ class Signals:
     sensors: Mapping[str, Series]
     supply: Mapping[str, Series] = field(default_factory=dict)
     name: str = "recording"
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, recording: Any, crane: Crane) -> Signals:
         """Return the signals of a `crane_exudyn.recording.Recording`, its voltages turned into commands by the crane."""
         time, commands = recording.commands(crane)
-        held = {n: recording.series(n) for n in recording.names}
+        held = {n: (c.time, c.values) for n, c in recording.channels.items()}
         return cls(
             np.asarray(time, float),
             np.asarray(commands, float),
             {n: held[n] for n in SENSORS if n in held},
             {n: held[n] for n in ("pp", "pt") if n in held},
             str(recording.name),
+            tuple(recording.notes),
         )
 
     def plan(self, crane: Crane, channels: Sequence[str], max_step: float) -> Plan:
@@ -75,7 +77,7 @@ class Signals:
         """
         from crane_exudyn.inputs import SpoolPath
 
-        events: list[tuple[float, str, str]] = []
+        events = [(float("nan"), "file", note) for note in self.notes]
         present = [c for c in channels if c in self.sensors]
         if not present:
             raise CraneError(
