@@ -1,0 +1,155 @@
+"""The sensitivity sweep against differences of whole runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from crane_exudyn import parameters
+from crane_exudyn.crane import Crane
+from validation.semi_recursive import SemiRecursiveEngine, kernel
+from validation.semi_recursive.sensitivity import Sweep, sweep
+
+H, N = 5e-3, 401
+SIZES = np.array([1e-6, 1e-6, 1e-5, 1e-5, 1e2, 1e2, 1e2, 1e2])
+
+
+@pytest.fixture(scope="module")
+def crane() -> Crane:
+    return Crane.load("patu655")
+
+
+@pytest.fixture(scope="module")
+def start(crane: Crane) -> np.ndarray:
+    x = SemiRecursiveEngine(crane).static_start(0.2, -0.7)
+    x[2] = 0.02
+    return x
+
+
+@pytest.fixture(scope="module")
+def inputs() -> np.ndarray:
+    time = np.arange(N) * H
+    nan = np.full(N, np.nan)
+    return np.column_stack([0.4 * np.sin(2 * time) ** 2, -0.3 * np.sin(3 * time) ** 2, nan, nan])
+
+
+def run(crane: Crane, x0: np.ndarray, W: np.ndarray) -> np.ndarray:
+    X, status, _ = kernel.simulate(x0, W, H, 0.0, crane.parameter_vector(), crane.effect_vector())
+    assert status == kernel.OK
+    return X
+
+
+def swept(
+    crane: Crane, x0: np.ndarray, W: np.ndarray, probes: list[Crane], delta: list[float], **more: object
+) -> Sweep:
+    m, P, E = len(probes), crane.parameter_vector(), crane.effect_vector()
+    P_cols = np.array([c.parameter_vector() for c in probes]).reshape(m, len(P))
+    E_cols = np.array([c.effect_vector() for c in probes]).reshape(m, len(E))
+    arguments = {"x0_knots": x0[None], "knot_index": np.array([0]), "W_all": W[None]} | more
+    return sweep(h=H, t0=0.0, P=P, E=E, P_cols=P_cols, E_cols=E_cols, delta=np.array(delta), **arguments)  # type: ignore[arg-type]
+
+
+def assert_close(S: np.ndarray, difference: np.ndarray, share: float) -> None:
+    """Each state's sensitivity agrees within `share` of its largest value along the run."""
+    scale = np.abs(difference).max(axis=0)
+    assert (np.abs(S - difference) <= share * scale + 1e-12).all(), (
+        np.abs(S - difference).max(axis=0) / scale
+    ).tolist()
+
+
+def test_columns_of_the_start_are_differences_of_runs(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
+    result = swept(crane, start, inputs, [], [])
+    base = run(crane, start, inputs)
+    np.testing.assert_allclose(result.X, base, rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(result.S[0], np.eye(8))
+    for j, size in enumerate(SIZES):
+        moved = start.copy()
+        moved[j] += size
+        assert_close(result.S[:, :, j], (run(crane, moved, inputs) - base) / size, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("payload.mass", 1e-3), ("supply.pump_pressure", 1e2), ("joints.C.x", 1e-7), ("cylinders.tilt.viscous_friction", 1e-2),
+     ("fluid.hose_bulk_modulus", 1e4), ("valves.lift.flow_coefficient", 1e-12)],
+)  # fmt: skip
+def test_columns_of_parameters(crane: Crane, start: np.ndarray, inputs: np.ndarray, name: str, size: float) -> None:
+    assert name in parameters.INDEX
+    probe = crane.with_parameters({name: crane[name] + size})
+    result = swept(crane, start, inputs, [probe], [size])
+    assert_close(result.S[:, :, 8], (run(probe, start, inputs) - run(crane, start, inputs)) / size, 2e-3)
+
+
+@pytest.mark.parametrize(
+    ("key", "values"),
+    [
+        ("internal_leakage@lift", {"k": 1e-15}),
+        ("dead_band@tilt", {"upper": 1e-5, "lower": 1e-5}),
+        ("pump_droop", {"R": 1e6}),
+        ("seal_friction@lift", {"dFc": 1.0, "dFs": 1.0}),
+        ("tip_contact_force", {"F": 0.1, "T": 0.5}),
+        ("structural_compliance@tilt", {"stiffness": 1e12}),
+    ],
+)
+def test_columns_of_effects(
+    crane: Crane, start: np.ndarray, inputs: np.ndarray, key: str, values: dict[str, float]
+) -> None:
+    probe = crane.with_effect(key, values)
+    result = swept(crane, start, inputs, [probe], [1.0])
+    assert_close(result.S[:, :, 8], run(probe, start, inputs) - run(crane, start, inputs), 5e-3)
+
+
+def test_a_column_of_other_inputs(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
+    late = inputs.copy()
+    late[:, :2] += 1e-5 * np.cos(7.0 * np.arange(N) * H)[:, None]
+    result = swept(crane, start, inputs, [crane], [1.0], W_all=np.array([inputs, late]), W_index=np.array([1]))
+    assert_close(result.S[:, :, 8], run(crane, start, late) - run(crane, start, inputs), 2e-3)
+
+
+def test_windows_do_not_know_of_each_other(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
+    base = run(crane, start, inputs)
+    probe, knots = crane.with_parameters({"payload.mass": 25.01}), np.array([0, 150, 300])
+    result = swept(crane, start, inputs, [probe], [0.01], x0_knots=base[knots], knot_index=knots)
+    np.testing.assert_allclose(result.X, base, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(result.X_end, base[[150, 300, 400]], rtol=1e-8, atol=1e-9)
+    middle = swept(crane, base[150], inputs[150:301], [probe], [0.01])
+    np.testing.assert_allclose(result.S[150:300], middle.S[:150], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(result.S_end[1], middle.S[150], rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(result.S[300], np.eye(8, 9))
+
+
+def test_transitions_multiply_to_the_sensitivity(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
+    result = swept(crane, start, inputs, [], [], want_phi=True)
+    product = np.eye(8)
+    for k in range(1, 100):
+        product = result.Phi[k] @ product
+    np.testing.assert_allclose(product, result.S[99], rtol=1e-8, atol=1e-9 * np.abs(result.S[99]).max())
+
+
+def test_substeps_refine_the_run(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
+    engine = SemiRecursiveEngine(crane, step=1e-3)
+    fine = engine.simulate(start, np.arange(N) * H, inputs)
+    result = swept(crane, start, inputs, [], [], substeps=5)
+    np.testing.assert_allclose(result.X, fine, rtol=1e-8, atol=1e-9)
+
+
+def test_a_probe_with_its_own_tangent_swings(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
+    """A pendulum changes the dynamics: with its own tangent the column follows the difference of runs, without it cannot."""
+    swinging = crane.with_effect("payload_swing", {"length": 0.8, "damping": 5.0})
+    x0 = np.concatenate([start, np.zeros(2)])
+    difference = run(swinging, x0, inputs) - run(crane, x0, inputs)
+    scale = np.abs(difference[:, 8]).max()
+    followed = swept(crane, x0, inputs, [swinging], [1.0], own=np.array([True])).S[:, 8, 10]
+    stiff = swept(crane, x0, inputs, [swinging], [1.0]).S[:, 8, 10]
+    assert np.abs(followed - difference[:, 8]).max() < 0.1 * scale
+    assert np.abs(stiff - difference[:, 8]).max() > 0.5 * scale
+
+
+def test_a_failing_window_is_flagged_and_the_others_go_on(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
+    knots = np.array([0, 100, 200])
+    wild = start.copy()
+    wild[2:4] = 1e9, -1e9
+    result = swept(crane, start, inputs, [], [], x0_knots=np.array([start, wild, start]), knot_index=knots)
+    assert (result.status, result.index) == (kernel.NOT_CONVERGED, 100)
+    assert np.isfinite(result.X[:101]).all() and np.isfinite(result.X[200:]).all()
+    assert np.isnan(result.X[101:200]).all() and np.isnan(result.X_end[1]).all()
