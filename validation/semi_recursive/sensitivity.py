@@ -159,7 +159,7 @@ def _sweep(x0_knots, knot_index, W_all, h_sample, t0, P, E, P_cols, E_cols, delt
     A0, A1, L, pivot = np.empty((nx, nx)), np.empty((nx, nx)), np.empty((nx, nx)), np.empty(nx, np.int64)
     b0, b1 = np.zeros((nx, m)), np.zeros((nx, m))
     A0_own, A1_own = np.empty((n_own, nx, nx)), np.empty((n_own, nx, nx))
-    scratch, w, wj = np.empty((3, nx)), np.empty(4), np.empty(4)
+    scratch, w, wj = np.empty((3, nx)), np.empty(W_all.shape[2]), np.empty(W_all.shape[2])
     x, f, x1, f1, floored = np.empty(nx), np.empty(nx), np.empty(nx), np.empty(nx), np.zeros(nx, np.bool_)
     status, failed, window, alive = OK, -1, -1, False
     for k in range(N):
@@ -244,7 +244,8 @@ def sweep(
     Args:
         x0_knots: (K, nx) state at the start of each window; nx is 8, or 10 with a pendulum in the base or a probe.
         knot_index: (K,) sample at which each window starts, increasing; usually begins with 0.
-        W_all: (n_W, N, 4) input signals [U1 U2 pp pt] on the sample grid, linear between; the first is the base's.
+        W_all: (n_W, N, 4) input signals [U1 U2 pp pt] on the sample grid, linear between; the first is the base's. With
+            (n_W, N, 12) the eight disturbances of `engine.DISTURBANCES` follow, so that unknown inputs can be probed.
         h, t0: sample interval and time of the first sample, s.
         P, E: the base's parameters and effects.
         P_cols, E_cols: (m, len P), (m, len E): those of each probe.
