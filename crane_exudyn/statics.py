@@ -1,0 +1,175 @@
+"""Balances at one state: the static start, and every term of the equations of motion and of the pressures by name."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from . import geometry as geo
+from . import hydraulics as hyd
+from . import reduction as red
+from . import trapezoidal
+from .compiled import njit
+from .crane import Crane
+from .effects import hooks
+from .errors import CraneError
+from .parameters import CYLINDERS, POINT_NAMES
+
+
+def _reduce(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
+    """Return the arrays of the reduction at one state: inertia, arms, N, q, v, a_centripetal, M and the cylinders' rates."""
+    P, E = crane.parameter_vector(), crane.effect_vector()
+    width = 14 if hooks.pendulum(E)[0] > 0.0 else 12
+    nu = width // 2 - 4
+    x = np.asarray(state, dtype=float)
+    if x.shape != (nu + 6 + (nu == 3),):
+        raise CraneError(f"{crane.name}: a state has {8 if nu == 2 else 10} numbers, found shape {x.shape}.")
+    inertia, arms, N = np.zeros((5, 4)), np.zeros((red.N_ARMS, 2)), np.zeros((nu, width))
+    q, v, bias, work, M = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width), np.zeros((nu, nu))
+    red.inertias(P, E, time, inertia)
+    theta, dtheta = (x[8], x[9]) if nu > 2 else (0.0, 0.0)
+    if not red.close_position(P, E, inertia, x[0], x[1], theta, arms, q):
+        raise geo.unreachable(crane.name, x[0], x[1])
+    red.null_space(arms, N)
+    red.velocities(N, np.array([x[2], x[3], dtheta]), v)
+    red.centripetal(arms, v, bias)
+    red.reduced_mass(inertia, N, work, M)
+    kinematics = red.cylinder_kinematics(P, arms, q, v)
+    D = np.array([red.cylinder_rates(arms, row, *kinematics[4:]) for row in N])  # ds_c / du_i
+    return locals()
+
+
+def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) -> np.ndarray:
+    """Return the state (nx,) at rest with valves closed and forces in balance.
+
+    In each cylinder the less loaded chamber has the given pressure, the other follows from the balance of moments. A
+    payload on a pendulum hangs straight down (along gravity where that is turned).
+
+    Args:
+        z1, z4: angles in rad.
+        less_loaded: pressure in Pa, one number or one per cylinder.
+
+    Raises:
+        CraneError: the pose cannot be reached, a pressure below vapour pressure, or a cylinder without leverage there.
+    """
+    P, E = crane.parameter_vector(), crane.effect_vector()
+    swings = hooks.pendulum(E)[0] > 0.0
+    gx, gy = hooks.gravity(E, 0.0, -1.0)
+    state = np.array([z1, z4, *[0.0] * 6, *([math.atan2(gx, -gy), 0.0] if swings else [])])
+    low = np.broadcast_to(np.asarray(less_loaded, dtype=float), (2,))
+    floor = P[hyd.FLUID + hyd.VAPOUR]
+    if not np.all(low >= floor):
+        raise CraneError(
+            f"{crane.name}: the less loaded chamber cannot be at {low.min():g} Pa, below vapour pressure ({floor:g} Pa)."
+        )
+    r = _reduce(crane, state, 0.0)
+    needed = -_at_rest(crane, r)
+    for c in range(2):
+        leverage = r["D"][c, c]
+        if abs(leverage) < 1e-6:
+            raise CraneError(
+                f"{crane.name}: the {CYLINDERS[c]} cylinder has no leverage at z1 = {math.degrees(z1):.2f} deg, z4 = "
+                f"{math.degrees(z4):.2f} deg, so no pressure balances the load. Start at another pose."
+            )
+        state[4 + 2 * c : 6 + 2 * c] = _pressures(P, c, needed[c] / leverage, low[c])
+    return state
+
+
+def _at_rest(crane: Crane, r: dict[str, Any]) -> np.ndarray:
+    """Return the generalised forces (nu,) of weights and tip force."""
+    f = np.zeros(r["width"])
+    red.add_gravity(r["P"], r["E"], r["inertia"], f)
+    red.add_joint_forces(r["E"], 0.0, r["arms"], np.zeros(r["width"]), f)
+    return r["N"] @ f
+
+
+def _pressures(P: np.ndarray, c: int, force: float, low: float) -> tuple[float, float]:
+    """Return (p_piston, p_rod) that give a force, with the less loaded chamber at `low`."""
+    area_a, area_b = hyd.areas(P, c)
+    if force + low * area_b >= low * area_a:
+        return (force + low * area_b) / area_a, low
+    return low, (low * area_a - force) / area_b
+
+
+def stroke_message(crane: Crane, state: np.ndarray) -> str:
+    """Return which cylinder is at which end of its stroke at a state."""
+    r = _reduce(crane, state, 0.0)
+    s1, s2 = r["kinematics"][:2]
+    code = trapezoidal.stroke_end(r["P"], r["E"], s1, s2, state[4:8]) - 1
+    if code < 0:
+        return "the end of a stroke is reached"
+    end = "retracted" if code % 2 == 0 else "extended"
+    return f"the {CYLINDERS[code // 2]} cylinder is fully {end} (length {(s1, s2)[code // 2]:.4f} m)"
+
+
+def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
+    """Return every term of the balances at one state by name, in SI.
+
+    Args:
+        state: (nx,);  w: (4,) [U1 U2 pp pt];  time in s.
+
+    Returns:
+        Lengths "s1", "s2", "ds1", "ds2"; loop "z2", "z3", "phi_bracket_1", "phi_bracket_2"; port flows "Q1".."Q4" with the signs
+        of (34); "leak1".."leak4" into the chambers; "Be1".."Be4", "V1".."V4", "dp1".."dp4"; forces "F1", "F2" with
+        friction, "Fmu1", "Fmu2"; reduced mass "M11", "M12", "M22"; generalised forces "Qg" (weights), "Qv" (inertia by
+        velocity), "Qh" (hydraulic), "Qj" (joints, tip, pendulum damping) of z1 and z4; "ddz1", "ddz4"; supply "pp",
+        "pt"; "x_O", "y_O", ... of all points. With a pendulum also M13, M23, M33, Qg_theta, ..., ddtheta.
+    """
+    x, w = np.ascontiguousarray(state, dtype=float), np.ascontiguousarray(w, dtype=float)
+    r = _reduce(crane, x, time)
+    return _geometry_terms(crane, x, r) | _pressure_terms(r, x[4:8].copy(), w) | _motion_terms(r, x[4:8].copy(), time)
+
+
+def _geometry_terms(crane: Crane, x: np.ndarray, r: dict[str, Any]) -> dict[str, float]:
+    pose = geo.pose(crane, x[0], x[1])
+    out = dict(zip(("s1", "s2", "ds1", "ds2"), r["kinematics"][:4], strict=True))
+    out |= {"z2": pose.z2[0], "z3": pose.z3[0]}
+    out |= {"phi_bracket_1": x[0] + pose.z2[0], "phi_bracket_2": x[0] + pose.z2[0] + pose.z3[0]}
+    for name, (px, py) in zip(POINT_NAMES, pose.points[0], strict=True):
+        out |= {f"x_{name}": px, f"y_{name}": py}
+    return {k: float(v) for k, v in out.items()}
+
+
+def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str, float]:
+    P, E = r["P"], r["E"]
+    s1, s2, ds1, ds2 = r["kinematics"][:4]
+    pp, pt = hyd.supply_loop(P, E, w, p)
+    rates = np.zeros(4)
+    hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
+    hyd.hold_at_vapour_pressure(P, p, rates)
+    out = {"pp": pp, "pt": pt} | {f"dp{i + 1}": rates[i] for i in range(4)}
+    for c, (s, ds) in enumerate(((s1, ds1), (s2, ds2))):
+        a, b = 2 * c + 1, 2 * c + 2
+        pa, pb = p[2 * c], p[2 * c + 1]
+        out[f"Q{a}"], out[f"Q{b}"], _, _ = hyd.port_flows(P, E, c, w[c], pp, pt, pa, pb)
+        out[f"leak{a}"], out[f"leak{b}"] = hooks.leakage(E, c, pa, pb)
+        _, _, out[f"V{a}"], out[f"V{b}"], out[f"Be{a}"], out[f"Be{b}"] = hyd.chambers(P, E, c, s, pa, pb)
+        out[f"Fmu{c + 1}"] = hyd.friction_force(P, c, ds)
+        out[f"F{c + 1}"] = hyd.pressure_force(P, c, pa, pb) + hyd.extra_force(P, E, c, s, ds, pa, pb)
+    return {k: float(v) for k, v in out.items()}
+
+
+def _motion_terms(r: dict[str, Any], p: np.ndarray, time: float) -> dict[str, float]:
+    P, E, N, M = r["P"], r["E"], r["N"], r["M"]
+    s1, s2, ds1, ds2 = r["kinematics"][:4]
+    forces = np.array(_cylinder_forces(P, E, s1, s2, ds1, ds2, p))
+    weight, joint, inertial = (np.zeros(r["width"]) for _ in range(3))
+    red.add_gravity(P, E, r["inertia"], weight)
+    red.add_joint_forces(E, time, r["arms"], r["v"], joint)
+    red.mass_times(r["inertia"], r["bias"], inertial)
+    parts = {"Qg": N @ weight, "Qv": -N @ inertial, "Qh": r["D"] @ forces, "Qj": N @ joint}
+    acceleration = np.linalg.solve(M, sum(parts.values()))
+    axes = ("1", "4", "_theta")
+    out = {f"{name}{axes[i]}": q[i] for name, q in parts.items() for i in range(len(N))}
+    out |= {f"M{i + 1}{k + 1}": M[i, k] for i in range(len(N)) for k in range(i, len(N))}
+    out |= {f"dd{name}": a for name, a in zip(("z1", "z4", "theta"), acceleration, strict=False)}
+    return {k: float(v) for k, v in out.items()}
+
+
+@njit
+def _cylinder_forces(P, E, s1, s2, ds1, ds2, p):
+    F1 = hyd.pressure_force(P, 0, p[0], p[1]) + hyd.extra_force(P, E, 0, s1, ds1, p[0], p[1])
+    F2 = hyd.pressure_force(P, 1, p[2], p[3]) + hyd.extra_force(P, E, 1, s2, ds2, p[2], p[3])
+    return F1, F2
