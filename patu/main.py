@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -64,16 +65,32 @@ def help_text() -> str:
     )
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
+class Leave(BaseException):
+    """Ends a command with a status, past typer, which would answer an interrupt with a status of its own."""
+
+    def __init__(self, status: int, message: str = "") -> None:
+        super().__init__(message)
+        self.status = status
+        self.message = message
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
     """Run one command line and leave with its exit status; bad input gives one message and no traceback."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         status = _guarded(words)
         sys.stdout.flush()
-    except BrokenPipeError:  # `patu effects | head`: the reader has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = 0
+    except (Leave, BrokenPipeError) as leaving:
+        status = _leave(leaving)
     sys.exit(status)
+
+
+def _leave(leaving: BaseException) -> int:
+    if isinstance(leaving, Leave) and leaving.status:
+        return _complain(leaving.message, leaving.status)
+    # `patu effects | head`: the reader has seen enough, and Python must not complain when it flushes at its end
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _guarded(words: list[str]) -> int:
@@ -84,7 +101,7 @@ def _guarded(words: list[str]) -> int:
     except CraneError as problem:
         return _complain(str(problem), BAD_INPUT)
     except KeyboardInterrupt:
-        return _complain("Interrupted; no file was left half-written.", INTERRUPTED)
+        raise Leave(INTERRUPTED, "Interrupted; no file was left half-written.") from None
     except BrokenPipeError:
         raise
     except OSError as problem:
@@ -122,12 +139,27 @@ def _invoke(name: str, words: list[str]) -> int:
         help=_help(name),
         epilog=f"Example: {COMMANDS[name].example}",
         context_settings={"help_option_names": ["--help", "-h"]},
-    )(load(name))
+    )(_past_typer(load(name)))
     try:
         app(words, prog_name=f"patu {name}")
     except SystemExit as leaving:  # typer ends every run, good or bad, this way
         return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
     return 0
+
+
+def _past_typer(command: Callable[..., None]) -> Callable[..., None]:
+    """Return the command with those exceptions turned into `Leave` that typer would answer itself."""
+
+    @functools.wraps(command)
+    def guarded(*args: Any, **options: Any) -> None:
+        try:
+            command(*args, **options)
+        except KeyboardInterrupt:
+            raise Leave(INTERRUPTED, "Interrupted; no file was left half-written.") from None
+        except BrokenPipeError:
+            raise Leave(0) from None
+
+    return guarded
 
 
 def load(name: str) -> Callable[..., None]:

@@ -11,9 +11,8 @@ import typer
 from crane_exudyn.errors import CraneError
 
 if TYPE_CHECKING:
-    from crane_exudyn.recording import Recording
-
     from crane_exudyn.crane import Crane
+    from crane_exudyn.recording import Recording
 
 DEFAULT_CRANE = "patu655"
 

@@ -64,7 +64,6 @@ class Printer:
         if self.quiet:
             return
         from rich import box
-        from rich.console import Console
         from rich.table import Table
 
         table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
@@ -73,7 +72,19 @@ class Printer:
             table.add_column(column, justify="right" if numbers else "left")
         for row in rows:
             table.add_row(*(_cell(value) for value in row))
-        Console(markup=False, highlight=False, width=_width()).print(table)
+        _console().print(table)
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    class Honest(Console):
+        """A console that leaves it to us what happens when the reader has gone."""
+
+        def on_broken_pipe(self) -> None:
+            raise
+
+    return Honest(markup=False, highlight=False, width=_width())
 
 
 def _width() -> int | None:

@@ -1,0 +1,52 @@
+# make demo   install into .venv and run the paper's experiment; says where the pictures are
+# make test   install the development tools and run the whole test suite
+# make lint   ruff and mypy;   make docs   the documentation site;   make clean
+VENV := .venv
+BIN := $(VENV)/bin
+OUT := out
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+SOURCES := pyproject.toml README.md $(shell find crane_exudyn ukf validation patu -name '*.py' -o -name '*.toml' -o -name '*.j2')
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+  $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v $$p; break; }; done)
+
+.PHONY: demo test lint docs clean
+.DEFAULT_GOAL := help
+
+.PHONY: help
+help:
+	@sed -n 's/^# //p' Makefile
+
+demo: $(VENV)/installed
+	$(BIN)/patu demo -o $(OUT)/demo
+
+test: $(VENV)/installed-dev
+	$(BIN)/pytest
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+docs: $(VENV)/installed-docs
+	$(BIN)/mkdocs build --strict --quiet --site-dir $(OUT)/site
+	@echo "Documentation: $(OUT)/site/index.html"
+
+clean:
+	rm -rf $(VENV) $(OUT) build dist *.egg-info
+
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "No Python 3.11 or newer was found. Install it, or say where: make PYTHON=/path/to/python3.11" >&2; exit 2; }
+	@rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/installed: $(BIN)/python $(SOURCES)
+	$(PIP) .
+	@touch $@
+
+$(VENV)/installed-dev: $(BIN)/python $(SOURCES)
+	$(PIP) '.[dev]'
+	@touch $@ $(VENV)/installed
+
+$(VENV)/installed-docs: $(BIN)/python $(SOURCES)
+	$(PIP) '.[docs]'
+	@touch $@
