@@ -265,15 +265,25 @@ def write_table(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
         path: its ending chooses the format.
         columns: "name[unit]" -> (n,) values; NaN is a missing sample.
     """
+    write = check_writable(path)
+    with replacing(path) as temporary:
+        write(temporary, columns)
+
+
+def check_writable(path: str | Path) -> Callable[[Path, Mapping[str, np.ndarray]], None]:
+    """Return the writer for the ending of `path`; commands ask this before they begin to work.
+
+    Raises:
+        CraneError: an ending without a writer, or a folder that does not exist.
+    """
     target = Path(path)
+    if not target.parent.is_dir():
+        raise CraneError(f"{target}: the folder {target.parent} does not exist. Create it, or give another path.")
     for ending, write in _WRITERS.items():
         if target.name.lower().endswith(ending):
-            with replacing(target) as temporary:
-                write(temporary, columns)
-            return
-    raise CraneError(
-        f"{target}: cannot write {target.suffix or 'a file without ending'!r}. Known: {', '.join(_WRITERS)}."
-    )
+            return write
+    known = ", ".join(_WRITERS)
+    raise CraneError(f"{target}: cannot write {target.suffix or 'a file without ending'!r}. Known: {known}.")
 
 
 def _csv_bytes(columns: Mapping[str, np.ndarray]) -> bytes:

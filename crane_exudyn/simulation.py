@@ -1,0 +1,155 @@
+"""Open-loop runs: a crane, commands, and what the crane does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .crane import Crane
+from .recording import CHANNELS, COMMANDS, SUPPLY, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: length of the paper's working cycle, s
+CYCLE = 25.0
+#: units of states that no sensor measures
+_EXTRA_UNITS = {"theta": "rad", "dtheta": "rad/s"}
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """An open-loop run; SI.
+
+    Attributes:
+        crane: what was simulated.
+        time: (N,) s.
+        state_names: names of the nx states.
+        states: (N, nx).
+        commands: (N, 2) spool commands u1, u2.
+        inputs: (N, 4) spool positions U1, U2 and supply pressures pp, pt (NaN: the crane's own).
+    """
+
+    crane: Crane
+    time: np.ndarray
+    state_names: tuple[str, ...]
+    states: np.ndarray
+    commands: np.ndarray
+    inputs: np.ndarray
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a channel (N,) by name: a command, a state, z4_abs, dz4_abs, s1 or s2."""
+        return self.channels()[name]
+
+    def channels(self) -> dict[str, np.ndarray]:
+        """Return every channel (N,) that a recording may hold, as it really is: without noise and sensor effects."""
+        from .geometry import pose
+
+        found = dict(zip(COMMANDS, self.commands.T, strict=True))
+        found |= dict(zip(self.state_names, self.states.T, strict=True))
+        found["z4_abs"] = found["z1"] + found["z4"]
+        found["dz4_abs"] = found["dz1"] + found["dz4"]
+        lengths = pose(self.crane, found["z1"], found["z4"]).lengths
+        found |= {"s1": lengths[:, 0], "s2": lengths[:, 1]}
+        supply = dict(zip(SUPPLY, self.inputs[:, 2:].T, strict=True))
+        return found | {name: values for name, values in supply.items() if not np.isnan(values).all()}
+
+    def recording(self) -> Recording:
+        """Return the run as a recording, as if perfect sensors had measured every channel."""
+        channels = {n: v for n, v in self.channels().items() if n in CHANNELS}
+        return Recording.from_arrays(f"simulation of {self.crane.name}", self.time, channels)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write all channels in SI to .csv, .csv.gz, .parquet or .mat; `patu` reads them back as a recording."""
+        from .formats import write_table
+
+        units = {**CHANNELS, **_EXTRA_UNITS}
+        write_table(path, {"time[s]": self.time} | {f"{n}[{units[n] or '-'}]": v for n, v in self.channels().items()})
+
+    def plot(self) -> Figure:
+        """Return a matplotlib figure of commands, angles and pressures."""
+        return self.recording().plot([*COMMANDS, "z1", "z4", "p1", "p2", "p3", "p4"])
+
+    def __repr__(self) -> str:
+        z1, z4 = (np.degrees(self[name]) for name in ("z1", "z4"))
+        return (
+            f"<Simulation of {self.crane.name}: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants; "
+            f"z1 {z1.min():.1f} … {z1.max():.1f} deg, z4 {z4.min():.1f} … {z4.max():.1f} deg>"
+        )
+
+
+def simulate(
+    crane: Crane | str = "patu655",
+    inputs: Recording | None = None,
+    *,
+    start: np.ndarray | None = None,
+    engine: Any = None,
+    step: float = 1e-3,
+) -> Simulation:
+    """Return an open-loop run of a crane.
+
+    Args:
+        crane: the crane, or the name of a built-in one.
+        inputs: a recording whose commands (and supply pressures, if measured) drive the crane; the result has its
+            instants. Without one, the crane goes through the paper's 25 s working cycle, with a result every 1 ms.
+        start: (nx,) state at the first instant; by default the crane file's initial rule.
+        engine: an engine that holds the crane; by default a new ExudynEngine.
+        step: largest time step in s.
+
+    Raises:
+        CraneError: a recording without commands, or a run that leaves what the crane can do.
+    """
+    crane = Crane.load(crane) if isinstance(crane, str) else crane
+    if engine is None:
+        from .engine import ExudynEngine
+
+        engine = ExudynEngine(crane)
+    time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
+    grid, rows = inner_grid(time, step)
+    commands, supply = _driven(crane, inputs, grid)
+    w = _inputs(crane, grid, commands, supply)
+    x0 = initial_state(crane, engine) if start is None else np.asarray(start, dtype=float)
+    states = engine.simulate(x0, grid, w, step=step)
+    return Simulation(crane, time, tuple(engine.state_names), states[rows], commands[rows], w[rows])
+
+
+def paper_time() -> np.ndarray:
+    """Return the instants of the paper's working cycle: 25 s at 1 kHz."""
+    return np.linspace(0.0, CYCLE, round(CYCLE * 1000) + 1)
+
+
+def initial_state(crane: Crane, engine: Any) -> np.ndarray:
+    """Return the crane file's start (nx,): its angles, at rest, valves closed."""
+    rule = crane.initial
+    return np.asarray(engine.static_start(rule.z1, rule.z4, rule.less_loaded_pressure))
+
+
+def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a grid with even steps of at most `step` between the instants of `time`, and where those stand in it."""
+    spans = np.diff(time)
+    parts = np.maximum(1, np.ceil(spans / step - 1e-6)).astype(int)
+    rows = np.concatenate([[0], np.cumsum(parts)])
+    share = np.arange(rows[-1]) - np.repeat(rows[:-1], parts)
+    inner = np.repeat(time[:-1], parts) + share * np.repeat(spans / parts, parts)
+    return np.append(inner, time[-1]), rows
+
+
+def _driven(crane: Crane, inputs: Recording | None, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands (n, 2) and supply pressures (n, 2) on the grid."""
+    from .inputs import paper_cycle
+
+    if inputs is None:
+        return paper_cycle(grid), np.full((len(grid), 2), math.nan)
+    time, commands = inputs.commands(crane)
+    return np.column_stack([np.interp(grid, time, u) for u in commands.T]), inputs.supply(grid)
+
+
+def _inputs(crane: Crane, grid: np.ndarray, commands: np.ndarray, supply: np.ndarray) -> np.ndarray:
+    """Return w (n, 4) = [U1 U2 pp pt]: spool positions behind the lag (16), and supply pressures."""
+    from .inputs import SpoolPath
+
+    return np.ascontiguousarray(np.column_stack([SpoolPath(crane).run(grid, commands), supply]))

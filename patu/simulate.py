@@ -1,0 +1,139 @@
+"""`patu simulate`: an open-loop run of the crane."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from crane_exudyn.errors import CraneError
+
+from .options import (
+    DEFAULT_CRANE,
+    CraneOption,
+    EffectsOption,
+    EngineOption,
+    JsonOption,
+    MapOption,
+    OutputOption,
+    load_crane,
+    load_recording,
+    make_engine,
+)
+from .output import Printer, write_json
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from crane_exudyn.crane import Crane
+    from crane_exudyn.recording import Recording
+    from crane_exudyn.simulation import Simulation
+
+#: channels of the printed table: name, unit for people, what one of these is in SI
+_SHOWN = (
+    ("z1", "deg", math.pi / 180),
+    ("z4", "deg", math.pi / 180),
+    ("p1", "bar", 1e5),
+    ("p2", "bar", 1e5),
+    ("p3", "bar", 1e5),
+    ("p4", "bar", 1e5),
+)
+
+
+def command(
+    inputs: Annotated[
+        Path | None, typer.Option("--inputs", metavar="REC", help="Recording whose commands drive the crane.")
+    ] = None,
+    output: OutputOption = None,
+    engine: EngineOption = "exudyn",
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    mapping: MapOption = None,
+    start_from_recording: Annotated[
+        bool, typer.Option("--start-from-recording", help="Start at the recording's first samples.")
+    ] = False,
+    step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Largest time step.")] = 1e-3,
+    json: JsonOption = None,
+) -> None:
+    """Run the crane open loop.
+
+    Commands come from a recording, or are the paper's 25 s working cycle. The crane starts as its file says: given angles, at
+    rest, valves closed. The result has the instants of the recording (1 ms for the cycle), SI units, and is itself a
+    recording without noise.
+    """
+    if start_from_recording and inputs is None:
+        raise CraneError("--start-from-recording wants a recording. Give one with --inputs REC.")
+    if not step > 0.0:
+        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
+    _check_output(output)
+    chosen = load_crane(crane, effects)
+    recording = None if inputs is None else load_recording(inputs, mapping).require(sensors=0)
+    from crane_exudyn.simulation import simulate
+
+    holder = make_engine(engine, chosen)
+    start = first_state(chosen, holder, recording) if recording is not None and start_from_recording else None
+    begin = perf_counter()
+    run = simulate(chosen, recording, start=start, engine=holder, step=step)
+    seconds = perf_counter() - begin
+    if output is not None:
+        run.to_csv(output)
+    write_json(json, summary(run, engine, seconds))
+    tell(Printer(json), run, recording, engine, seconds, output)
+
+
+def _check_output(output: Path | None) -> None:
+    """Refuse a result file that could not be written, before the work is done."""
+    from crane_exudyn.formats import check_writable
+
+    if output is not None:
+        check_writable(output)
+
+
+def first_state(crane: Crane, engine: Any, recording: Recording) -> np.ndarray:
+    """Return the state (nx,) at rest in the pose and at the pressures that the sensors first show.
+
+    A pressure that was not measured follows from the measured one of its cylinder and the balance of moments.
+    """
+    from ukf.start import start_belief
+
+    first = recording.require(sensors=1).first_values()
+    mean: np.ndarray = start_belief(crane, engine, first, recording.noise()).mean
+    mean[2:4] = 0.0
+    return mean
+
+
+def summary(run: Simulation, engine: str, seconds: float) -> dict[str, Any]:
+    """Return what the JSON result tells: final state, range of each channel, speed."""
+    channels = run.channels()
+    return {
+        "crane": run.crane.name,
+        "engine": engine,
+        "duration": run.time[-1] - run.time[0],
+        "instants": len(run.time),
+        "channels": {n: {"first": v[0], "last": v[-1], "min": v.min(), "max": v.max()} for n, v in channels.items()},
+        "seconds": seconds,
+        "realtime_factor": (run.time[-1] - run.time[0]) / seconds,
+    }
+
+
+def tell(
+    printer: Printer, run: Simulation, recording: Recording | None, engine: str, seconds: float, output: Path | None
+) -> None:
+    """Print the range of each shown channel, and where the result is."""
+    driven = "the paper's working cycle" if recording is None else recording.name
+    printer.line(
+        f"{run.crane.name} on {engine}, driven by {driven}: {run.time[-1] - run.time[0]:g} s in {seconds:.2f} s"
+    )
+    for note in recording.notes if recording is not None else ():
+        printer.line(f"note: {note}")
+    channels = run.channels()
+    rows = [(f"{n} / {unit}", *(float(f(channels[n]) / si) for f in _RANGE)) for n, unit, si in _SHOWN]
+    printer.table("", ("channel", "first", "last", "min", "max"), rows)
+    if output is not None:
+        printer.line(f"Written: {output}")
+
+
+_RANGE = (lambda v: v[0], lambda v: v[-1], lambda v: v.min(), lambda v: v.max())
