@@ -15,8 +15,8 @@ from .errors import CraneError
 
 STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
 SWING_NAMES = ("theta", "dtheta")
-#: Newton stops when the next correction would be below this fraction of trapezoidal.RATE_UNIT and PRESSURE_UNIT
-TOLERANCE = 1e-11
+#: Newton stops when the error left is below this fraction of trapezoidal.RATE_UNIT and PRESSURE_UNIT (1e-9 rad/s, 0.01 Pa)
+TOLERANCE = 1e-9
 _MOST_ITERATIONS = 15
 #: a step that Newton cannot solve is halved this often before the engine gives up
 _MOST_HALVINGS = 6
@@ -239,7 +239,7 @@ class _System:
             if not 0.0 <= size < math.inf:
                 return ("singular" if size == trapezoidal.SINGULAR else "newton"), crane, out
             # the error left after this correction is about its size times the last contraction
-            if size <= TOLERANCE or (iteration > 0 and size < last and size * size / last <= 0.1 * TOLERANCE):
+            if size <= TOLERANCE or (iteration > 0 and size < last and size * size / last <= TOLERANCE):
                 return self._finished(x, out)
             last = size
         return "newton", crane, out

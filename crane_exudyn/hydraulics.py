@@ -127,15 +127,18 @@ def chambers(P, E, c, s, pa, pb):
 
 
 @njit
-def pressure_rates(P, E, c, spool, pp, pt, s, ds, pa, pb):
+def pressure_rates(P, E, c, qa, qb, s, ds, pa, pb):
     """Return (dp_a, dp_b) of cylinder c in Pa/s, (34) with leakage and series spring, before the vapour-pressure floor.
 
     dp_a = B_a/V_a (Q_a + leak_a - A_a v), dp_b = B_b/V_b (A_b v - Q_b + leak_b). With compliance 1/k in series the piston
     moves at v = ds + dF/dt / k, F = A_a p_a - A_b p_b, which is solved for v.
+
+    Args:
+        qa, qb: port flows into the piston side and out of the rod side, m^3/s.
+        s, ds: pin-to-pin length and its rate, m and m/s.
     """
     area_a, area_b = areas(P, c)
     _, _, va, vb, ba, bb = chambers(P, E, c, s, pa, pb)
-    qa, qb, _, _ = port_flows(P, E, c, spool, pp, pt, pa, pb)
     leak_a, leak_b = hooks.leakage(E, c, pa, pb)
     into_a, into_b = qa + leak_a, leak_b - qb
     stiff_a, stiff_b = ba / va, bb / vb
@@ -147,10 +150,21 @@ def pressure_rates(P, E, c, spool, pp, pt, s, ds, pa, pb):
 
 @njit
 def all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, out):
-    """Fill out (4,) with the raw pressure rates in Pa/s of both cylinders."""
-    pp, pt = supply_loop(P, E, w, p)
-    out[0], out[1] = pressure_rates(P, E, 0, w[0], pp, pt, s1, ds1, p[0], p[1])
-    out[2], out[3] = pressure_rates(P, E, 1, w[1], pp, pt, s2, ds2, p[2], p[3])
+    """Fill out (4,) with the raw pressure rates in Pa/s; return whether an effect ties both cylinders to the supply."""
+    pp, pt = supplies(P, w)
+    qa1, qb1, drawn_1, returned_1 = port_flows(P, E, 0, w[0], pp, pt, p[0], p[1])
+    qa2, qb2, drawn_2, returned_2 = port_flows(P, E, 1, w[1], pp, pt, p[2], p[3])
+    tied = (
+        hooks.supply_pressure(E, pp, drawn_1 + drawn_2) != pp
+        or hooks.tank_pressure(E, pt, returned_1 + returned_2) != pt
+    )
+    if tied:
+        pp, pt = supply_loop(P, E, w, p)
+        qa1, qb1, _, _ = port_flows(P, E, 0, w[0], pp, pt, p[0], p[1])
+        qa2, qb2, _, _ = port_flows(P, E, 1, w[1], pp, pt, p[2], p[3])
+    out[0], out[1] = pressure_rates(P, E, 0, qa1, qb1, s1, ds1, p[0], p[1])
+    out[2], out[3] = pressure_rates(P, E, 1, qa2, qb2, s2, ds2, p[2], p[3])
+    return tied
 
 
 @njit

@@ -93,24 +93,38 @@ def _local_forces(P, E, s1, s2, ds1, ds2, p):
 def _tangents(P, E, w, s1, s2, ds1, ds2, p, rates, Fv, Fp, Rv, Rp):
     """Fill the derivatives of cylinder forces and pressure rates after cylinder speeds and pressures, by differences.
 
-    rates (4,): raw pressure rates. Fv (2,): dF_c/dv_c. Fp (2, 4), Rv (4, 2), Rp (4, 4) likewise, full because of the supply.
+    rates (4,): raw pressure rates. Fv (2,): dF_c/dv_c. Fp (2, 4), Rv (4, 2), Rp (4, 4) likewise. Chamber j and j + 2 belong to
+    different cylinders and are moved together, except where an effect ties both cylinders to the supply.
     """
     F1, F2 = _local_forces(P, E, s1, s2, ds1, ds2, p)
-    hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
+    tied = hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
     G1, G2 = _local_forces(P, E, s1, s2, ds1 + _DV, ds2 + _DV, p)
     Fv[0], Fv[1] = (G1 - F1) / _DV, (G2 - F2) / _DV
     moved = np.empty(4)
     hyd.all_pressure_rates(P, E, w, s1, s2, ds1 + _DV, ds2 + _DV, p, moved)
-    Rv[:] = 0.0
     for i in range(4):
         Rv[i, i // 2] = (moved[i] - rates[i]) / _DV
+    for j in range(2):
+        pa, pb = p[j], p[j + 2]
+        p[j], p[j + 2] = pa + _DP, pb + _DP
+        G1, G2 = _local_forces(P, E, s1, s2, ds1, ds2, p)
+        Fp[0, j], Fp[1, j + 2] = (G1 - F1) / _DP, (G2 - F2) / _DP
+        if not tied:
+            hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, moved)
+            Rp[0, j], Rp[1, j] = (moved[0] - rates[0]) / _DP, (moved[1] - rates[1]) / _DP
+            Rp[2, j + 2], Rp[3, j + 2] = (moved[2] - rates[2]) / _DP, (moved[3] - rates[3]) / _DP
+        p[j], p[j + 2] = pa, pb
+    if tied:
+        _tied_tangents(P, E, w, s1, s2, ds1, ds2, p, rates, moved, Rp)
+
+
+@njit
+def _tied_tangents(P, E, w, s1, s2, ds1, ds2, p, rates, moved, Rp):
     for j in range(4):
         saved = p[j]
         p[j] = saved + _DP
-        G1, G2 = _local_forces(P, E, s1, s2, ds1, ds2, p)
         hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, moved)
         p[j] = saved
-        Fp[0, j], Fp[1, j] = (G1 - F1) / _DP, (G2 - F2) / _DP
         for i in range(4):
             Rp[i, j] = (moved[i] - rates[i]) / _DP
 
@@ -153,20 +167,22 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0):
         s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = red.cylinder_kinematics(P, arms, qk, vk)
         for i in range(nu):
             D[0, i], D[1, i] = red.cylinder_rates(arms, N[i], e1x, e1y, e2x, e2y)
+        Rp[:] = 0.0
         _tangents(P, E, w[k], s1, s2, ds1, ds2, pk, rates, Fv, Fp, Rv, Rp)
         # joints first: d is the change of velocity that closes them
         start_g = n * (width + 4) + rows * k
         for i in range(rows):
             g[i] = -residual[start_g + i]
         red.chain(arms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, g, d)
-        _fill_system(E, h, inertia, N, D, vk, Fv, Fp, Rv, Rp, d, work, A)
+        _fill_system(E, h, inertia, N, D, vk, Fv, Fp, Rv, Rp, work, A)
+        d1, d2 = red.cylinder_rates(arms, d, e1x, e1y, e2x, e2y)
         red.mass_times(inertia, d, work)
         for i in range(nu):
-            b[i] = 0.0
+            b[i] = D[0, i] * Fv[0] * d1 + D[1, i] * Fv[1] * d2
             for j in range(width):
                 b[i] -= N[i, j] * (residual[width * k + j] / scale + 2.0 / h * work[j])
         for j in range(4):
-            b[nu + j] = -residual[n * width + 4 * k + j]
+            b[nu + j] = -residual[n * width + 4 * k + j] - Rv[j, 0] * d1 - Rv[j, 1] * d2
         _hold_floor(P, h, rates, pk, p0[k], dp0[k], nu, A, b)
         if not red.solve(A, b):
             return SINGULAR, k
@@ -177,7 +193,7 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0):
 
 
 @njit
-def _fill_system(E, h, inertia, N, D, v, Fv, Fp, Rv, Rp, d, work, A):
+def _fill_system(E, h, inertia, N, D, v, Fv, Fp, Rv, Rp, work, A):
     """Fill A: reduced balance (2/h M - dF/dv) and pressure equations, unknowns (du, dp)."""
     nu = N.shape[0]
     at_o, at_a = _joint_tangents(E, v)
