@@ -101,7 +101,7 @@ def test_loading_a_command_imports_no_engine() -> None:
         (("simulate", "--crane", "patu66"), ["'patu66'", "patu655"]),
         (("simulate", "--inputs", "nowhere.csv"), ["nowhere.csv", "no such file"]),
         (("simulate", "--inputs", "{folder}"), ["is a folder"]),
-        (("simulate", "--inputs", "{half}"), ["half.csv, line 4", "2 fields, expected 4"]),
+        (("simulate", "--inputs", "{half}"), ["half.csv, line 4", "3 fields, expected 4"]),
         (("simulate", "--inputs", "{good}", "--map", "z1"), ["--map 'z1'", "NAME=COLUMN[UNIT]"]),
         (("simulate", "--inputs", "{good}", "--map", "z1=a", "--map", "z1=b"), ["'z1' twice"]),
         (("simulate", "--inputs", "{good}", "-o", "{folder}/nowhere/run.csv"), ["nowhere", "does not exist"]),
