@@ -166,7 +166,7 @@ class Recorder:
     """Collects a run into arrays that are allocated once; the smoother's share only where it is asked for."""
 
     def __init__(
-        self, states: Sequence[str], channels: Sequence[str], time: np.ndarray, std: np.ndarray, smooth: bool
+        self, states: Sequence[str], channels: Sequence[str], time: np.ndarray, smooth: bool, keep_covariance: bool
     ) -> None:
         count, n, k = time.size, len(states), len(channels)
         self.states, self.channels, self.smooth = tuple(states), tuple(channels), smooth
@@ -177,7 +177,9 @@ class Recorder:
         self.log_likelihood = 0.0
         self._at = 0
         size = count if smooth else 0
-        self.covariance, self._prior_covariance, self._cross = (np.empty((size, n, n)) for _ in range(3))
+        self._keeps = smooth or keep_covariance
+        self.covariance = np.empty((count if self._keeps else 0, n, n))
+        self._prior_covariance, self._cross = np.empty((size, n, n)), np.empty((size, n, n))
         self._prior_mean = np.empty((size, n))
 
     def start(self, belief: Any) -> None:
@@ -217,7 +219,7 @@ class Recorder:
         covariance = belief.covariance
         self.mean[k] = belief.mean
         self.std[k] = covariance.diagonal()
-        if self.smooth:
+        if self._keeps:
             self.covariance[k] = covariance
 
     def estimate(self, plan: Any, events: list[tuple[float, str, str]], crane: str, method: str) -> Estimate:
@@ -239,7 +241,7 @@ class Recorder:
             inputs=plan.inputs[plan.inner],
             crane=crane,
             method=method,
-            covariance=self.covariance if self.smooth else None,
+            covariance=self.covariance if self._keeps else None,
             units={n: unit_of(n) for n in (*self.states, *self.channels)},
         )
         return replace(result, smoothed=self._smoothed(result)) if self.smooth else result

@@ -328,12 +328,20 @@ class Estimator:
 
     # -- a whole recording ---------------------------------------------------------------------------------------
 
-    def run(self, recording: Any, *, smooth: bool = False, progress: Callable[[float], None] | None = None) -> Estimate:
+    def run(
+        self,
+        recording: Any,
+        *,
+        smooth: bool = False,
+        keep_covariance: bool = False,
+        progress: Callable[[float], None] | None = None,
+    ) -> Estimate:
         """Return the estimate over a whole recording, at every instant at which some sensor of this estimator was read.
 
         Args:
             recording: a `crane_exudyn.recording.Recording`, or `signals.Signals`.
             smooth: also run the RTS smoother back over the recording; needs 24 n² bytes a sample for n states.
+            keep_covariance: keep the covariance (N, n, n) of every instant, for NEES.
             progress: called with the fraction done, now and then.
 
         Raises:
@@ -346,7 +354,7 @@ class Estimator:
         plan = signals.plan(self.crane, self.channel_names, self.max_step)
         self.events.extend(plan.events)
         self.start_at(float(plan.time[0]), plan.first)
-        recorder = Recorder(self.state_names, self.channel_names, plan.time, self._std, smooth)
+        recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
         recorder.start(self.belief)
         for k in range(1, plan.time.size):
             i, j = plan.inner[k - 1], plan.inner[k] + 1
