@@ -1,0 +1,145 @@
+"""`patu demo`: the paper's experiment on the Exudyn engine, with its table, plots and a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
+from .output import Printer, progress, write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from validation.paper import Case
+
+MODEL_ERROR = 0.15
+_SYMBOL = {"dz1": "ż1", "dz4": "ż4"}
+
+
+def command(
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for plots, states and report; made if missing."),
+    ] = Path("out/demo"),
+    crane: CraneOption = DEFAULT_CRANE,
+    engine: EngineOption = "exudyn",
+    effects: EffectsOption = None,
+    seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise.")] = 0,
+    json: JsonOption = None,
+) -> None:
+    """Run the paper's experiment: a crane with true numbers, a model with wrong ones, and a filter that holds the model on the truth.
+
+    The model has 15 % too much mass and inertia in its booms, a payload of 10 kg, shifted joints, 20 bar too much pump pressure
+    and a wrong start. The filter sees two angles and two pressures, with noise, at 1 kHz for 25 s.
+    """
+    printer = Printer(json)
+    begin = perf_counter()
+    chosen = load_crane(crane, effects)
+    output.mkdir(parents=True, exist_ok=True)
+    from validation.paper import run_case
+
+    printer.line(f"The paper's experiment on {chosen.name}, {engine} engine: 25 s at 1 kHz, 17 sigma points …")
+    with progress("Filter") as done:
+        case = run_case(MODEL_ERROR, engine=engine, seed=seed, crane=chosen, progress=done)
+    paths = save(case, output, seed)
+    seconds = perf_counter() - begin
+    write_json(json, document(case, seconds))
+    tell(printer, case, seconds, paths)
+
+
+def document(case: Case, seconds: float) -> dict[str, Any]:
+    """Return the JSON result, shaped as that of `patu paper` with its one case."""
+    return {"cases": [case.document()], "realtime_factor": case.realtime_factor, "seconds": seconds}
+
+
+def rows(case: Case) -> list[tuple[object, ...]]:
+    """Return the table: PN-RMSE in % of each state by the filter, as published, by the model alone; share inside 95 %."""
+    published = case.published or {}
+    filtered, alone, inside = case.pn_rmse, case.pn_rmse_open_loop, case.coverage
+    return [(_SYMBOL.get(s, s), filtered[s], published.get(s), alone[s], 100 * inside[s]) for s in filtered]
+
+
+COLUMNS = ("state", "filter %", "published %", "model alone %", "inside 95 % interval, % of time")
+
+
+def tell(printer: Printer, case: Case, seconds: float, paths: list[Path]) -> None:
+    """Print the table, and where everything is."""
+    printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(case))
+    printer.line(f"{verdict(case)} Filter at {case.realtime_factor:.2g} times real time; all in {seconds:.0f} s.")
+    printer.line("Written:")
+    for path in paths:
+        printer.line(f"  {path}")
+
+
+def verdict(case: Case) -> str:
+    """Return in one sentence how the filter compares with the published one."""
+    published = case.published or {}
+    better = [s for s, value in published.items() if case.pn_rmse[s] <= value]
+    return f"{len(better)} of {len(published)} states are at or below the published error."
+
+
+def save(case: Case, folder: Path, seed: int) -> list[Path]:
+    """Write plots, states and report to `folder`, and return the files."""
+    from validation import plots
+    from validation.report import Table, write_report
+
+    figures = {"states.png": states_figure(case), "errors.png": errors_figure(case)}
+    for name, figure in figures.items():
+        plots.save(figure, folder / name)
+    case.estimate.to_csv(folder / "states.csv")
+    sections: list[tuple[str, list[Any]]] = [
+        ("Errors", [Table(COLUMNS, rows(case), note="PN-RMSE: 100 RMSE / (max - min of the true state).")]),
+        ("States", [figures["states.png"]]),
+        ("Errors in their 95 % intervals", [figures["errors.png"]]),
+    ]
+    title = f"The paper's experiment on {case.experiment.crane.name}"
+    parameters = {"model error": f"{100 * case.model_error:g} %", "engine": case.engine, "tuning": case.tuning}
+    report = write_report(folder, title, verdict(case), sections, seed=seed, parameters=parameters)
+    return [*(folder / name for name in figures), folder / "states.csv", report]
+
+
+def states_figure(case: Case) -> Figure:
+    """Return all eight states over time: true, model alone, estimated with 95 % interval."""
+    from validation import plots
+    from validation.paper import STATES
+
+    truth, alone = case.experiment.truth, case.open_loop
+    low, high = case.estimate.interval()
+    made = plots.figure(4, 2, height=1.5)
+    for i, (axes, name) in enumerate(zip(made.axes, STATES, strict=True)):
+        lines = {"true": truth[:, i], "model alone": alone[:, i], "estimated": case.estimate.mean[:, i]}
+        plots.draw_lines(axes, case.experiment.time, lines, channel=name, band=(low[:, i], high[:, i]))
+    return _finished(made)
+
+
+def errors_figure(case: Case) -> Figure:
+    """Return the error of each state over time and the interval that should hold it 95 % of the time."""
+
+    from validation import plots
+    from validation.paper import STATES
+
+    errors = case.estimate.mean[:, :8] - case.experiment.truth
+    half = 1.96 * case.estimate.std[:, :8]
+    made = plots.figure(4, 2, height=1.5)
+    for i, (axes, name) in enumerate(zip(made.axes, STATES, strict=True)):
+        plots.draw_lines(
+            axes,
+            case.experiment.time,
+            {"error of estimate": errors[:, i]},
+            channel=name,
+            band=(-half[:, i], half[:, i]),
+        )
+    return _finished(made)
+
+
+def _finished(made: Figure) -> Figure:
+    from validation import plots
+
+    for axes in made.axes[-2:]:
+        axes.set_xlabel("time / s")
+    plots.legend_above(made)
+    return made
