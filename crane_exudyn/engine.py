@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from . import geometry, mechanism, statics, trapezoidal
+from . import geometry, mechanism, reduction, statics, trapezoidal
 from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
 
 STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
 SWING_NAMES = ("theta", "dtheta")
-#: Newton stops when the error left is below this fraction of trapezoidal.RATE_UNIT and PRESSURE_UNIT (1e-9 rad/s, 0.01 Pa)
-TOLERANCE = 1e-9
 _MOST_ITERATIONS = 15
 #: a step that Newton cannot solve is halved this often before the engine gives up
 _MOST_HALVINGS = 6
@@ -43,6 +41,7 @@ class ExudynEngine:
     def __init__(self, crane: Crane, size: int = 1) -> None:
         self.crane = crane
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
+        self._payload = crane["payload.mass"]
         self._swings = bool(hooks.pendulum(self._E)[0] > 0.0)
         self.state_names = STATE_NAMES + (SWING_NAMES if self._swings else ())
         self._systems: OrderedDict[tuple[int, float], _System] = OrderedDict()
@@ -122,8 +121,8 @@ class ExudynEngine:
         """Return what Exudyn itself assembles at one state with consistent accelerations, for checks.
 
         Returns:
-            "mass": (nq, nq), "force": (nq,) applied forces, "joint": rows of G v, "joint_jacobian": (rows, nq),
-            "pressure_rates": (4,), "q", "v", "a": redundant coordinates and their rates.
+            "mass": (nq, nq), "force": (nq,) applied forces, "joint": rows of G v, "joint_jacobian": G (rows, nq),
+            "pressure_rates": (4,); and what it was given: "q", "v", "a" (nq,) redundant coordinates and their rates, "dp".
         """
         return self._system(1, time).inspect(np.asarray(state, dtype=float), np.asarray(w, dtype=float), time)
 
@@ -131,8 +130,7 @@ class ExudynEngine:
 
     def _system(self, size: int, time: float) -> _System:
         """Return the kept system of a batch size and the payload's mass at a time; build it where there is none."""
-        mass = float(hooks.payload_mass(self._E, time, self.crane["payload.mass"]))
-        key = (size, mass)
+        key = (size, self._mass(time))
         system = self._systems.get(key)
         if system is None:
             system = self._systems[key] = _System(self.crane, size, time)
@@ -143,35 +141,56 @@ class ExudynEngine:
         return system
 
     def _step(self, x: np.ndarray, w0: np.ndarray, w1: np.ndarray, h: float, time: float, halved: int) -> np.ndarray:
-        """Take one step, or two of half the length where Newton's method does not converge."""
+        """Take one step; a crane whose Newton iteration does not converge takes two steps of half the length."""
         system = self._system(len(x), time + h)
-        before = self._system(len(x), time)
-        problem, crane, out = system.step(x, w0, w1, h, time, before.plant.inertia)
-        if problem == "":
-            return out
-        if halved < _MOST_HALVINGS and problem != "unreachable":
-            middle = 0.5 * (w0 + w1)
-            x = self._step(x, w0, middle, 0.5 * h, time, halved + 1)
-            return self._step(x, middle, w1, 0.5 * h, time + 0.5 * h, halved + 1)
-        raise self._failure(problem, x[crane], time, h, halved)
+        start_inertia = system.plant.inertia if self._mass(time) == system.plant.payload_mass else self._inertia(time)
+        out, beyond = system.step(x, w0, w1, h, time, start_inertia)
+        for k in np.flatnonzero(system.status):
+            if system.status[k] == trapezoidal.UNREACHABLE or halved == _MOST_HALVINGS:
+                raise self._failure(int(system.status[k]), x[k], time, h, halved)
+            a, b, middle = w0[k, None], w1[k, None], 0.5 * (w0[k, None] + w1[k, None])
+            half = self._step(x[k, None], a, middle, 0.5 * h, time, halved + 1)
+            out[k] = self._step(half, middle, b, 0.5 * h, time + 0.5 * h, halved + 1)[0]
+        if beyond >= 0:
+            raise self._stroke_end(out[beyond], time + h)
+        return out
 
-    def _failure(self, problem: str, state: np.ndarray, time: float, h: float, halved: int) -> CraneError:
-        if problem == "unreachable":
-            return geometry.unreachable(f"{self.crane.name}, t = {time:.6g} s", state[0], state[1])
-        values = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.state_names, state, strict=True))
-        tried = f"Tried {halved} halvings of the step, down to {h:.3g} s, {_MOST_ITERATIONS} Newton iterations each."
-        mend = {
-            "newton": "Look for values that make the equations stiff or impossible, such as a spring far too hard.",
-            "singular": "The mechanism is singular there: brackets in one line, or a body without inertia.",
-        }.get(
-            problem,
-            "Add the effect end_stop to this cylinder, shorten the command, or mend the lengths of the cylinder.",
+    def _mass(self, time: float) -> float:
+        return float(hooks.payload_mass(self._E, time, self._payload))
+
+    def _inertia(self, time: float) -> np.ndarray:
+        inertia = np.zeros((5, 4))
+        reduction.inertias(self._P, self._E, time, inertia)
+        return inertia
+
+    def _told(self, state: np.ndarray) -> str:
+        return ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.state_names, state, strict=True))
+
+    def _stroke_end(self, state: np.ndarray, time: float) -> CraneError:
+        return CraneError(
+            f"{self.crane.name}: {statics.stroke_message(self.crane, state)} at t = {time:.6g} s, {self._told(state)}. "
+            "Add the effect end_stop to this cylinder, shorten the command, or mend the cylinder's lengths."
         )
-        what = {
-            "newton": "Newton's method does not converge",
-            "singular": "the equations of motion are singular",
-        }.get(problem, problem)
-        return CraneError(f"{self.crane.name}: {what} at t = {time:.6g} s, {values}. {tried} {mend}")
+
+    def _failure(self, status: int, state: np.ndarray, time: float, h: float, halved: int) -> CraneError:
+        if status == trapezoidal.UNREACHABLE:
+            return geometry.unreachable(f"{self.crane.name}, t = {time:.6g} s", state[0], state[1])
+        what, mend = {
+            trapezoidal.SINGULAR: (
+                "the equations of motion are singular",
+                "Look for brackets in one line, or a body without inertia.",
+            ),
+        }.get(
+            status,
+            (
+                "Newton's method does not converge",
+                "Look for values that make the equations stiff or impossible, such as a spring far too hard.",
+            ),
+        )
+        return CraneError(
+            f"{self.crane.name}: {what} at t = {time:.6g} s, {self._told(state)}. Tried {halved} halvings of the step, "
+            f"down to {h:.3g} s, {_MOST_ITERATIONS} iterations each. {mend}"
+        )
 
 
 def _check_grid(t: np.ndarray, w: np.ndarray, step: float) -> None:
@@ -198,6 +217,7 @@ class _System:
         self.plant = mechanism.build(self.mbs, crane, states=np.tile(mechanism.start_pose(crane), (size, 1)), time=time)
         self.mbs.Assemble()
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
+        self._settings.timeIntegration.startTime, self._settings.timeIntegration.endTime = time, time + 1.0
         self.solver = mechanism.exu.MainSolverImplicitSecondOrder()
         if not self.solver.InitializeSolver(self.mbs, self._settings):
             raise CraneError(f"{crane.name}: Exudyn cannot initialise its solver: {self.solver.GetErrorString()}")
@@ -206,51 +226,24 @@ class _System:
         width = self.plant.coordinates
         self._q, self._v, self._a = np.zeros((size, width)), np.zeros((size, width)), np.zeros((size, width))
         self._p, self._dp, self._p0, self._dp0 = (np.zeros((size, 4)) for _ in range(4))
+        self.status, self._last = np.zeros(size, dtype=np.int64), np.zeros(size)
 
     def step(
         self, x: np.ndarray, w0: np.ndarray, w1: np.ndarray, h: float, time: float, inertia0: np.ndarray
-    ) -> tuple[str, int, np.ndarray]:
-        """Return (problem, crane, states): problem is "" where the step was solved."""
-        plant = self.plant
-        out = np.empty_like(x)
-        flag, crane = trapezoidal.predict(
-            plant.P,
-            plant.E,
-            time,
-            h,
-            inertia0,
-            x,
-            w0,
-            self._q,
-            self._v,
-            self._a,
-            self._p,
-            self._dp,
-            self._p0,
-            self._dp0,
-        )
-        if flag < 0.0:
-            return ("unreachable" if flag == trapezoidal.UNREACHABLE else "singular"), crane, out
+    ) -> tuple[np.ndarray, int]:
+        """Return (states, first crane beyond its stroke or -1); `status` says crane by crane whether the step was solved."""
+        plant, out = self.plant, np.empty_like(x)
+        ends = (self._q, self._v, self._a, self._p, self._dp, self._p0, self._dp0, self.status, self._last)
+        if not trapezoidal.predict(plant.P, plant.E, time, h, inertia0, x, w0, *ends):
+            self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
+            return out, -1
         plant.inputs[...] = w1
         self.mbs.systemData.SetTime(time + h)
-        last = math.inf
-        for iteration in range(_MOST_ITERATIONS):
-            size, crane = self._newton(h)
-            if not 0.0 <= size < math.inf:
-                return ("singular" if size == trapezoidal.SINGULAR else "newton"), crane, out
-            # the error left after this correction is about its size times the last contraction
-            if size <= TOLERANCE or (iteration > 0 and size < last and size * size / last <= TOLERANCE):
-                return self._finished(x, out)
-            last = size
-        return "newton", crane, out
-
-    def _newton(self, h: float) -> tuple[float, int]:
-        plant = self.plant
-        residual = self._residual()
-        return trapezoidal.correct(
-            plant.P, plant.E, h, self._scale, plant.inertia, plant.inputs, residual,
-            self._q, self._v, self._a, self._p, self._dp, self._p0, self._dp0,
-        )  # fmt: skip
+        for _ in range(_MOST_ITERATIONS):
+            residual = self._residual()
+            if not trapezoidal.correct(plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends):
+                break
+        return out, trapezoidal.finish(plant.P, plant.E, plant.inertia, x, self._q, self._v, self._p, self.status, out)
 
     def _residual(self) -> np.ndarray:
         """Return Exudyn's residual [M a - f, rates - dp, G v] at the present iterate."""
@@ -263,9 +256,23 @@ class _System:
         self.solver.ComputeNewtonResidual(self.mbs, self._settings)
         return self.solver.GetSystemResidual()
 
-    def _finished(self, x: np.ndarray, out: np.ndarray) -> tuple[str, int, np.ndarray]:
-        plant = self.plant
-        beyond = trapezoidal.finish(plant.P, plant.E, plant.inertia, x, self._q, self._v, self._p, out)
-        if beyond < 0:
-            return "", 0, out
-        return statics.stroke_message(plant.crane, out[beyond]), beyond, out
+    def inspect(self, x: np.ndarray, w: np.ndarray, time: float) -> dict[str, np.ndarray]:
+        """Return what Exudyn assembles for one crane; see `ExudynEngine.residual`."""
+        plant, width, rows = self.plant, self.plant.coordinates, self.plant.joint_rows
+        arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
+        start = (self._q[0], self._v[0], self._a[0], self._p[0], self._dp[0])
+        flag = trapezoidal.start(plant.P, plant.E, time, plant.inertia, x, w, arms, N, *start)
+        if flag != trapezoidal.ITERATING:
+            raise geometry.unreachable(plant.crane.name, x[0], x[1])
+        plant.inputs[...] = w
+        self.mbs.systemData.SetTime(time)
+        out = {"q": self._q[0].copy(), "v": self._v[0].copy(), "a": self._a[0].copy(), "dp": self._dp[0].copy()}
+        self._a[:], self._dp[:] = 0.0, 0.0
+        residual = np.array(self._residual())
+        out |= {"force": -residual[:width] / self._scale, "pressure_rates": residual[width : width + 4]}
+        out |= {"joint": residual[width + 4 :], "mass": np.array(self.solver.GetSystemMassMatrix())[:width, :width]}
+        self.solver.ComputeNewtonJacobian(self.mbs, self._settings)
+        jacobian = np.array(self.solver.GetSystemJacobian())
+        return out | {
+            "joint_jacobian": jacobian[:width, width + 4 : width + 4 + rows].T
+        }  # beside G^T: the joint forces

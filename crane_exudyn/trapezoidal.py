@@ -21,17 +21,23 @@ from .compiled import njit
 from .effects import hooks
 from .parameters import FLUID
 
-# what the kernels return beside a measure of the last correction (>= 0)
-UNREACHABLE, SINGULAR = -1.0, -2.0
+# status of a crane in a step
+DONE, ITERATING, UNREACHABLE, SINGULAR, DIVERGED = 0, 1, -1, -2, -3
 #: increments of Newton's method count in these units: rad/s and Pa
 RATE_UNIT, PRESSURE_UNIT = 1.0, 1e7
+#: Newton stops when the error left is below this fraction of the units above: 1e-9 rad/s, 0.01 Pa
+TOLERANCE = 1e-9
 #: finite differences of forces and flows: m/s, rad/s and Pa
 _DV, _DP = 1e-7, 20.0
 
 
 @njit
 def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp):
-    """Fill q, v, a, p, dp of one crane from its state x (8 or 10,): joints closed, accelerations and rates consistent."""
+    """Fill q, v, a, p, dp of one crane from its state x (8 or 10,): joints closed, accelerations and rates consistent.
+
+    Returns:
+        ITERATING, or UNREACHABLE or SINGULAR.
+    """
     width, nu = q.size, N.shape[0]
     theta = x[8] if width > 12 else 0.0
     if not red.close_position(P, E, inertia, x[0], x[1], theta, arms, q):
@@ -49,11 +55,11 @@ def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp):
     s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
     hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, dp)
     hyd.hold_at_vapour_pressure(P, p, dp)
-    return 0.0
+    return ITERATING
 
 
 @njit
-def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0):
+def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0, status, last):
     """Fill the (n, .) arrays of the end of the step with a first guess: a1 = a0 and dp1 = dp0.
 
     Args:
@@ -61,17 +67,19 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0):
         start_inertia: (5, 4) masses at the start of the step.
         x, w: states (n, nx) and inputs (n, 4) at the start of the step.
         p0, dp0: (n, 4), filled with pressures and rates at the start.
+        status, last: (n,), set for the first iteration.
 
     Returns:
-        (flag, crane): 0.0, or UNREACHABLE or SINGULAR and which crane it is.
+        False if a crane's status tells that it has no start.
     """
     width = q.shape[1]
     arms, N = np.zeros((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
     floor = P[FLUID + hyd.VAPOUR]
+    good = True
     for k in range(x.shape[0]):
-        flag = start(P, E, t, start_inertia, x[k], w[k], arms, N, q[k], v[k], a[k], p0[k], dp0[k])
-        if flag < 0.0:
-            return flag, k
+        status[k] = start(P, E, t, start_inertia, x[k], w[k], arms, N, q[k], v[k], a[k], p0[k], dp0[k])
+        last[k] = math.inf
+        good = good and status[k] == ITERATING
         for j in range(width):
             v1 = v[k, j] + h * a[k, j]
             q[k, j] += 0.5 * h * (v[k, j] + v1)
@@ -79,7 +87,7 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0):
         for j in range(4):
             p[k, j] = max(p0[k, j] + h * dp0[k, j], floor)
             dp[k, j] = 2.0 / h * (p[k, j] - p0[k, j]) - dp0[k, j]
-    return 0.0, 0
+    return good
 
 
 @njit
@@ -139,17 +147,20 @@ def _joint_tangents(E, v):
 
 
 @njit
-def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0):
-    """Improve the end of the step by one Newton iteration for all cranes, given Exudyn's residual there.
+def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0, status, last):
+    """Improve the end of the step by one Newton iteration for every crane that needs it, given Exudyn's residual there.
+
+    A crane that has converged is left alone, so that its result does not depend on its neighbours.
 
     Args:
         h: step in s.
         scale: factor that Exudyn's solver has put on the ODE2 rows.
         residual: Exudyn's [M a - f, rates - dp, G v] of all cranes, joint forces left out.
         q, v, a, p, dp: (n, .) end of the step, improved in place;  p0, dp0: (n, 4) its start.
+        status: (n,) updated;  last: (n,) size of each crane's last increment in RATE_UNIT and PRESSURE_UNIT.
 
     Returns:
-        (size of the largest increment in RATE_UNIT and PRESSURE_UNIT, crane), or SINGULAR and which crane it is.
+        how many cranes need a further iteration.
     """
     n, width = q.shape
     nu = width // 2 - 4
@@ -159,8 +170,10 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0):
     D, d, work, g = np.zeros((2, nu)), np.zeros(width), np.zeros(width), np.zeros(red.N_JOINT_ROWS + 1)
     A, b = np.zeros((size, size)), np.zeros(size)
     rates, Fv, Fp, Rv, Rp = np.zeros(4), np.zeros(2), np.zeros((2, 4)), np.zeros((4, 2)), np.zeros((4, 4))
-    largest, worst = 0.0, 0
+    active = 0
     for k in range(n):
+        if status[k] != ITERATING:
+            continue
         qk, vk, pk = q[k], v[k], p[k]
         red.arms_of(P, inertia, qk, arms)
         red.null_space(arms, N)
@@ -185,11 +198,21 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0):
             b[nu + j] = -residual[n * width + 4 * k + j] - Rv[j, 0] * d1 - Rv[j, 1] * d2
         _hold_floor(P, h, rates, pk, p0[k], dp0[k], nu, A, b)
         if not red.solve(A, b):
-            return SINGULAR, k
+            status[k] = SINGULAR
+            continue
         change = _apply(P, h, N, d, b, qk, vk, a[k], pk, dp[k], p0[k], dp0[k])
-        if not change <= largest:
-            largest, worst = change, k
-    return largest, worst
+        status[k], last[k] = _judge(change, last[k]), change
+        active += status[k] == ITERATING
+    return active
+
+
+@njit
+def _judge(size, last):
+    """Return the status after an increment: the error left is about its size times the last contraction."""
+    if not size < math.inf:
+        return DIVERGED
+    contracted = size < last < math.inf and size * size / last <= TOLERANCE
+    return DONE if size <= TOLERANCE or contracted else ITERATING
 
 
 @njit
@@ -250,15 +273,18 @@ def _apply(P, h, N, d, change, q, v, a, p, dp, p0, dp0):
 
 
 @njit
-def finish(P, E, inertia, x, q, v, p, out):
-    """Fill out (n, nx) with the independent states at the end of the step; return the first crane beyond its stroke or -1.
+def finish(P, E, inertia, x, q, v, p, status, out):
+    """Fill out (n, nx) with the independent states at the end of the step, of the cranes that are DONE.
 
-    The codes of `stroke_end` tell which cylinder and end it is.
+    Returns:
+        the first crane that is beyond its stroke, or -1.
     """
     width = q.shape[1]
     arms = np.zeros((red.N_ARMS, 2))
     beyond = -1
     for k in range(q.shape[0]):
+        if status[k] != DONE:
+            continue
         out[k, 0], out[k, 1] = q[k, 2], q[k, 11] - q[k, 2]
         out[k, 2], out[k, 3] = v[k, 2], v[k, 11] - v[k, 2]
         out[k, 4:8] = p[k]
