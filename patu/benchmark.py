@@ -1,0 +1,36 @@
+"""`patu benchmark`: speed and memory, as ratios measured in one run."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
+from .output import Printer, progress, write_json
+
+
+def command(
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--only", metavar="PART", help="start_up, open_loop, filters, diagnose or memory; may be repeated."
+        ),
+    ] = None,
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Measure speed and memory: both engines open loop, the filter and where its time goes, the naive way, a diagnosis.
+
+    Everything is measured in this one run, so the ratios hold for this machine as it is now; kernels are compiled first.
+    """
+    chosen = load_crane(crane, effects)
+    from validation.benchmark import run
+
+    with progress("Measuring") as done:
+        results = run(only, chosen, done)
+    document = results.document()
+    write_json(json, document)
+    rows = [(name, m["value"], m["unit"], m["ratio"], m["ratio_to"] or "") for name, m in document.items()]
+    Printer(json).table("", ("quantity", "value", "unit", "ratio", "to"), rows)
