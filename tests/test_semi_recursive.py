@@ -167,7 +167,10 @@ def test_velocity_forces_follow_from_the_mass_matrix(engine: SemiRecursiveEngine
 
 @pytest.mark.parametrize("length", [0.0, 0.8])
 def test_power_of_the_cylinders_is_the_rate_of_mechanical_energy(crane: Crane, length: float) -> None:
-    """d/dt (kinetic + potential) = F1 s1' + F2 s2' - damping, with and without a pendulum."""
+    """d/dt (kinetic + potential) = F1 s1' + F2 s2' + drag . v, with and without a pendulum.
+
+    The drag on the hanging mass is -damping theta' / L across the rod.
+    """
     damping = 7.0
     changed = crane.with_effect("payload_swing", {"length": length, "damping": damping}) if length else crane
     engine = SemiRecursiveEngine(changed)
@@ -202,7 +205,12 @@ def test_power_of_the_cylinders_is_the_rate_of_mechanical_energy(crane: Crane, l
             y[:2] += sign * dt * rates[:2]
             y[8:9] += sign * dt * rates[2:]
             energies.append(energy(y, rates + sign * dt * accelerations[: len(rates)]))
-        power = t["F1"] * t["ds1"] + t["F2"] * t["ds2"] - (damping * x[9] ** 2 if length else 0.0)
+        power = t["F1"] * t["ds1"] + t["F2"] * t["ds2"]
+        if length:
+            across = np.array([math.cos(x[8]), math.sin(x[8])])
+            arms = [np.array([t["x_E"] - t[f"x_{r}"], t["y_E"] - t[f"y_{r}"]]) for r in ("O", "A")]
+            v = sum(rate * np.array([-r[1], r[0]]) for rate, r in zip(x[2:4], arms, strict=True))
+            power -= damping * x[9] / length * (v @ across + length * x[9])
         assert (energies[0] - energies[1]) / (2 * dt) == pytest.approx(power, rel=1e-4, abs=0.05)
 
 

@@ -527,7 +527,8 @@ class Swing(NamedTuple):
     """What a payload on a pendulum adds to the balance of [z1 z4], and its own balance.
 
     The payload is a point mass on a massless rod that hangs from E. Its angle (absolute, 0 = straight down) has the inertia
-    m L^2 and is eliminated from the 3 x 3 system: what E feels is the mass along the rod, and across it the damping.
+    m L^2 and is eliminated from the 3 x 3 system. The rod can only pull or push along itself, so what E feels is the mass along
+    the rod; the damping is a drag on the mass, -d theta' / L across the rod, whose moment about E is -d theta'.
     """
 
     M11: float
@@ -550,11 +551,11 @@ def swing(z, m, mass, length, damping, g, theta, dtheta):
     J1, J4 = (z.E - z.O) * 1j, (z.E - z.A) * 1j
     across1, across4, down1, down4 = dot(J1, across), dot(J4, across), dot(J1, down), dot(J4, down)
     weight, pull = mass * dot(g, down), -mass * dot(velocity_product, down)
-    brake = damping * dtheta / length
-    own = dot(g - velocity_product, across) - (brake / mass if mass > 0.0 else 0.0)
+    drag = damping * dtheta / length
+    own = dot(g - velocity_product, across) - (drag / mass if mass > 0.0 else 0.0)
     return Swing(
         mass * down1 * down1, mass * down1 * down4, mass * down4 * down4, down1 * weight, down4 * weight,
-        down1 * pull + across1 * brake, down4 * pull + across4 * brake, across1, across4, own,
+        down1 * pull, down4 * pull, across1, across4, own,
     )  # fmt: skip
 
 

@@ -1,0 +1,82 @@
+"""`patu crosscheck`: the two engines against each other, quantity by quantity."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, ReportOption, load_crane
+from .output import Printer, progress, write_json
+
+if TYPE_CHECKING:
+    from validation.crosscheck import CrossCheck, Quantity
+
+_COLUMNS = ("quantity", "unit", "largest difference", "relative", "tolerance", "ok", "where; why that much")
+
+
+def command(
+    crane: CraneOption = DEFAULT_CRANE,
+    states: Annotated[int, typer.Option(min=10, help="Random states for the quantities.")] = 200,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Length of the runs, s.")] = 25.0,
+    quick: Annotated[bool, typer.Option("--quick", help="50 states and runs of 6 s.")] = False,
+    seed: Annotated[int, typer.Option(help="Of the random states, cranes and joystick inputs.")] = 1,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write pictures there.")] = None,
+    report: ReportOption = None,
+    effects: EffectsOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Compare the Exudyn engine with the semi-recursive one: every quantity, the static start, every effect, trajectories.
+
+    Exit status 1 if anything is out of its tolerance; the first such line is nearest to the cause.
+    """
+    chosen = load_crane(crane, effects)
+    from validation.crosscheck import crosscheck, save_figures
+
+    if quick:
+        states, seconds = min(states, 50), min(seconds, 6.0)
+    with progress("Comparing the engines", json) as step:
+        result = crosscheck(chosen, states=states, seconds=seconds, seed=seed, progress=step)
+    write_json(json, result.to_json())
+    printer = Printer(json)
+    printer.table(
+        f"Cross-check of {chosen.name}: Exudyn and semi-recursive", _COLUMNS, [_row(q) for q in result.quantities]
+    )
+    for path in save_figures(result, output) if output else ():
+        printer.line(f"Picture: {path}")
+    if report:
+        printer.line(f"Report: {_write_report(report, result, seed)}")
+    printer.line(verdict(result))
+    raise typer.Exit(0 if result.ok else 1)
+
+
+def verdict(result: CrossCheck) -> str:
+    """Return the answer in one or two sentences."""
+    count = len(result.quantities)
+    if result.ok:
+        return f"The engines agree in all {count} quantities."
+    names = ", ".join(q.name for q in result.failures[:5]) + (", …" if len(result.failures) > 5 else "")
+    return f"The engines differ in {len(result.failures)} of {count} quantities, first in {result.failures[0].name}: {names}."
+
+
+def _row(q: Quantity) -> tuple[object, ...]:
+    why = f"{q.place}; {q.reason}" if q.place else q.reason
+    return q.name, q.unit, f"{q.max_abs:.2e}", f"{q.relative:.1e}", f"{q.tolerance:.0e}", q.ok, why
+
+
+def _write_report(directory: Path, result: CrossCheck, seed: int) -> Path:
+    from validation.crosscheck import by_name, figure_of
+    from validation.report import Picture, Table, write_report
+
+    pictures = [
+        Picture(figure_of(runs), f"{name}: both engines on top of each other, and their difference at each step")
+        for name, runs in by_name(result.runs).items()
+    ]
+    table = Table(
+        _COLUMNS, [_row(q) for q in result.quantities], note="A relative tolerance is of the quantity's largest value."
+    )
+    return write_report(
+        directory, f"Cross-check of {result.crane}", verdict(result), [("Trajectories", pictures), ("Quantities", [table])],
+        seed=seed, mood="good" if result.ok else "bad",
+    )  # fmt: skip

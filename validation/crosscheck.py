@@ -1,0 +1,499 @@
+"""Cross-check of the two engines: every intermediate quantity first, then the static start, then trajectories.
+
+The engines share the crane file and the effects' definitions, and no equation. What one gets wrong the other must get wrong
+in the same way to hide it. Quantities are compared in the order in which one follows from another, so that the first that
+differs names the fault.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.inputs import paper_cycle
+from crane_exudyn.parameters import POINT_NAMES
+
+from . import crosscheck_cases as cases
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Engine(Protocol):
+    """What a cross-check needs of an engine."""
+
+    crane: Crane
+
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+
+    def static_start(self, z1: float, z4: float, less_loaded: Any = 20e5) -> np.ndarray: ...
+
+    def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float = 1e-3) -> np.ndarray: ...
+
+    def terms(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]: ...
+
+
+Make = Callable[[Crane], Engine]
+Progress = Callable[[float], None]
+
+#: inner step at which trajectories are judged, and the falling steps (of inputs sampled at the first) for the order
+FINE_STEP = 1e-4
+ORDER_STEPS = (4e-3, 2e-3, 1e-3)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Quantities that are judged alike.
+
+    Attributes:
+        text, unit: what they are.
+        names: of the terms.
+        tolerance: largest accepted difference relative to the quantity's largest value over the states.
+        reason: why that much.
+        floor: smallest value that the difference is taken relative to, in SI: rounding of what the quantity is a sum of.
+        angle: whether values that differ by full turns are equal.
+    """
+
+    text: str
+    unit: str
+    names: tuple[str, ...]
+    tolerance: float
+    reason: str
+    floor: float = 0.0
+    angle: bool = False
+
+
+ROUNDING = "closed forms on both sides: rounding, with room for poses near a singular one"
+
+
+def _numbered(prefix: str, numbers: Sequence[int]) -> tuple[str, ...]:
+    return tuple(f"{prefix}{i}" for i in numbers)
+
+
+_CHAMBERS, _PAIR, _JOINTS = (1, 2, 3, 4), (1, 2), (1, 4)
+#: in the order in which one quantity follows from another
+GROUPS: tuple[Group, ...] = (
+    Group("joints", "m", tuple(f"{a}_{p}" for p in POINT_NAMES for a in "xy"), 1e-9, ROUNDING, 1.0),
+    Group("bracket angles", "rad", ("phi_bracket_1", "phi_bracket_2", "z2", "z3"), 1e-9, ROUNDING, 1.0, angle=True),
+    Group("loop Jacobian", "-", ("dz2_dz4", "dz3_dz4"), 1e-9, ROUNDING, 1.0),
+    Group("cylinder lengths", "m", _numbered("s", _PAIR), 1e-9, ROUNDING),
+    Group("cylinder rates", "m/s", _numbered("ds", _PAIR), 1e-9, ROUNDING, 1e-2),
+    Group("chamber volumes", "m^3", _numbered("V", _CHAMBERS), 1e-9, ROUNDING),
+    Group("bulk moduli", "Pa", _numbered("Be", _CHAMBERS), 1e-9, ROUNDING),
+    Group("supply pressures", "Pa", ("pp", "pt"), 1e-9, "supply and flow are balanced by iteration to rounding", 1e5),
+    Group("port flows", "m^3/s", _numbered("Q", _CHAMBERS), 1e-9, "a square root of a balanced pressure drop", 1e-5),
+    Group("leakages", "m^3/s", _numbered("leak", _CHAMBERS), 1e-9, ROUNDING, 1e-7),
+    Group("friction forces", "N", _numbered("Fmu", _PAIR), 1e-9, ROUNDING, 10.0),
+    Group("cylinder forces", "N", _numbered("F", _PAIR), 1e-9, ROUNDING, 1e3),
+    Group("pressure rates", "Pa/s", _numbered("dp", _CHAMBERS), 1e-9, ROUNDING, 1e6),
+    Group("mass matrix", "kg m^2", ("M11", "M12", "M22"), 1e-9, ROUNDING),
+    Group("gravity forces", "N m", _numbered("Qg", _JOINTS), 1e-9, ROUNDING, 10.0),
+    Group("velocity forces", "N m", _numbered("Qv", _JOINTS), 1e-9, ROUNDING, 10.0),
+    Group("hydraulic forces", "N m", _numbered("Qh", _JOINTS), 1e-9, ROUNDING, 100.0),
+    Group("joint and tip forces", "N m", _numbered("Qj", _JOINTS), 1e-9, ROUNDING, 10.0),
+    Group(
+        "accelerations",
+        "rad/s^2",
+        _numbered("ddz", _JOINTS),
+        1e-8,
+        "the mass matrix is inverted: its condition more",
+        0.1,
+    ),
+)
+#: terms of a payload on a pendulum that each engine may split differently between M and Q; their sum, ddz, is compared
+SPLIT_BY_PENDULUM = ("M11", "M12", "M22", "Qg1", "Qg4", "Qv1", "Qv4", "Qj1", "Qj4")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One line of the result.
+
+    Attributes:
+        name: of the quantity; of another crane or an effect with that name before a colon.
+        max_abs: largest difference, SI.
+        relative: the same, relative to the quantity's size; this is what the tolerance is for unless `absolute`.
+        tolerance, reason: how much is accepted, and why.
+        place: where the difference is largest, in words.
+        absolute: whether the tolerance is for max_abs.
+    """
+
+    name: str
+    unit: str
+    max_abs: float
+    relative: float
+    tolerance: float
+    reason: str
+    place: str = ""
+    absolute: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """Whether the difference is within tolerance; what is not a number never is."""
+        return bool((self.max_abs if self.absolute else self.relative) <= self.tolerance)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trajectory of both engines: states (n, nx) at time (n,) with one inner step."""
+
+    name: str
+    step: float
+    time: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+
+
+@dataclass
+class CrossCheck:
+    """The whole result; `quantities` in the order of comparison."""
+
+    crane: str
+    quantities: list[Quantity] = field(default_factory=list)
+    runs: list[Run] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """Whether everything is within its tolerance."""
+        return all(q.ok for q in self.quantities)
+
+    @property
+    def failures(self) -> list[Quantity]:
+        """What is out of tolerance; the first is nearest to the cause."""
+        return [q for q in self.quantities if not q.ok]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the machine-readable result."""
+        return {
+            "crane": self.crane,
+            "quantities": {
+                q.name: {"max_abs": q.max_abs, "relative": q.relative, "tolerance": q.tolerance, "ok": q.ok,
+                         "unit": q.unit, "reason": q.reason}
+                for q in self.quantities
+            },
+            "ok": self.ok,
+        }  # fmt: skip
+
+    def __repr__(self) -> str:
+        verdict = "agree" if self.ok else "differ first in " + self.failures[0].name
+        return f"<CrossCheck of {self.crane}: {len(self.quantities)} quantities, the engines {verdict}>"
+
+
+# -- quantities ------------------------------------------------------------------------------------------------------
+
+
+def compare_terms(first: Engine, second: Engine, states: cases.States, *, skip: Sequence[str] = ()) -> list[Quantity]:
+    """Return one Quantity a term, over all states, in the order of `GROUPS`."""
+    rows = [
+        (_terms(first, x, w, t), _terms(second, x, w, t))
+        for x, w, t in zip(states.x, states.w, states.time, strict=True)
+    ]
+    out = []
+    for group in GROUPS:
+        for name in group.names:
+            if name not in skip:
+                values = np.array([(a.get(name, math.nan), b.get(name, math.nan)) for a, b in rows])
+                out.append(_judge(group, name, values, states))
+    return out
+
+
+def _terms(engine: Engine, x: np.ndarray, w: np.ndarray, time: float) -> dict[str, float]:
+    """Return the terms with the loop Jacobian; where an engine does not give that itself, by differences of its angles."""
+    t = dict(engine.terms(x, w, time))
+    for angle in ("z2", "z3"):
+        if f"d{angle}_dz4" not in t:
+            t |= _loop_jacobian(engine, x, w, time)
+    return t
+
+
+def _loop_jacobian(engine: Engine, x: np.ndarray, w: np.ndarray, time: float) -> dict[str, float]:
+    """Return dz2/dz4 and dz3/dz4 by differences of fourth order of the engine's own angles; rounding 1e-13, rule h^4."""
+    h, sides = 2e-3, {}
+    for k in (-2, -1, 1, 2):
+        y = x.copy()
+        y[1] += k * h
+        sides[k] = engine.terms(y, w, time)
+
+    def derivative(name: str) -> float:
+        near = math.remainder(sides[1][name] - sides[-1][name], math.tau)
+        far = math.remainder(sides[2][name] - sides[-2][name], math.tau)
+        return (8.0 * near - far) / (12.0 * h)
+
+    return {f"d{a}_dz4": derivative(a) for a in ("z2", "z3")}
+
+
+def _judge(group: Group, name: str, values: np.ndarray, states: cases.States) -> Quantity:
+    difference = values[:, 0] - values[:, 1]
+    if group.angle:
+        difference = np.remainder(difference + math.pi, math.tau) - math.pi
+    size = np.abs(difference)
+    worst = int(np.argmax(np.where(np.isnan(size), np.inf, size)))
+    scale = max(float(np.nanmax(np.abs(values), initial=0.0)), group.floor, 1e-300)
+    place = f"z1 = {math.degrees(states.x[worst, 0]):.1f}°, z4 = {math.degrees(states.x[worst, 1]):.1f}°"
+    worst_size = float(size[worst])
+    return Quantity(name, group.unit, worst_size, worst_size / scale, group.tolerance, group.reason, place)
+
+
+def worst_of(name: str, quantities: Sequence[Quantity]) -> Quantity:
+    """Return one line for many: the first that is out of tolerance, or else the one that uses most of its own."""
+    failing = [q for q in quantities if not q.ok]
+    worst = failing[0] if failing else max(quantities, key=lambda q: q.relative / q.tolerance)
+    return replace(worst, name=name, place=f"{worst.name}, {worst.place}")
+
+
+def compare_static_starts(first: Engine, second: Engine, states: cases.States) -> list[Quantity]:
+    """Return the four pressures of the static start, compared over the poses of the states."""
+    pressures = []
+    for x in states.x:
+        z1, z4 = float(x[0]), float(x[1])
+        pressures.append([e.static_start(z1, z4)[4:8] for e in (first, second)])
+    values = np.array(pressures)
+    reason = "balance of moments, solved in closed form: rounding"
+    group = Group("static start", "Pa", (), 1e-9, reason, 1e5)
+    out = []
+    for i in range(4):
+        q = _judge(group, f"static start: p{i + 1}", values[:, :, i], states)
+        out.append(q)
+    return out
+
+
+def acts(engine: Engine, states: cases.States) -> bool:
+    """Whether the effects of an engine's crane change any term at any of the states."""
+    from .semi_recursive import SemiRecursiveEngine
+
+    neutral = SemiRecursiveEngine(engine.crane.nominal())
+    for x, w, t in zip(states.x, states.w, states.time, strict=True):
+        with_it, without = engine.terms(x, w, t), neutral.terms(x[:8], w, t)
+        if any(with_it[n] != without[n] for g in GROUPS for n in g.names if n in with_it and n in without):
+            return True
+    return False
+
+
+# -- trajectories ----------------------------------------------------------------------------------------------------
+
+
+def compare_runs(
+    name: str, first: Engine, second: Engine, time: np.ndarray, w: np.ndarray, step: float, progress: Progress
+) -> tuple[list[Quantity], list[Run]]:
+    """Return quantities and runs of both engines from the static start of the crane file.
+
+    The difference must fall with the square of the step, and at `step` be below 1e-6 rad and 1e-4 of the pressures' ranges.
+    """
+    crane = first.crane
+    x0 = second.static_start(crane.initial.z1, crane.initial.z4, crane.initial.less_loaded_pressure)
+
+    def run(t: np.ndarray, inputs: np.ndarray, h: float) -> Run:
+        return Run(name, h, t, first.simulate(x0, t, inputs, step=h), second.simulate(x0, t, inputs, step=h))
+
+    coarse = round(ORDER_STEPS[0] / (time[1] - time[0]))
+    runs = [run(time[::coarse], w[::coarse], h) for h in ORDER_STEPS]
+    progress(0.15)
+    fine = run(time, w, step)
+    progress(1.0)
+    orders = _orders(runs, crane["fluid.vapour_pressure"])
+    return [*orders, *_final_differences(fine, second.state_names)], [*runs, fine]
+
+
+def _orders(runs: Sequence[Run], vapour: float) -> list[Quantity]:
+    """Return how far the order in the step is from 2, for angles and pressures, until a chamber first boils.
+
+    At vapour pressure the rate of a pressure jumps; no rule keeps its order over such a moment.
+    """
+    boiling = np.flatnonzero((runs[0].second[:, 4:8] <= vapour).any(axis=1))
+    end = int(boiling[0]) if boiling.size else len(runs[0].time)
+    until = f"until t = {runs[0].time[end - 1]:.2f} s"
+    out = []
+    for text, columns in (("angles", slice(0, 2)), ("pressures", slice(4, 8))):
+        sizes = [float(np.sqrt(np.mean((r.first - r.second)[:end, columns] ** 2))) for r in runs]
+        order = math.log(sizes[0] / sizes[-1]) / math.log(runs[0].step / runs[-1].step) if sizes[-1] > 0.0 else math.nan
+        reason = f"found {order:.2f}; kinks of the laws (laminar flow, closing spools) leave some room"
+        off = abs(order - 2.0)
+        name = f"{runs[0].name}: order of {text}"
+        out.append(Quantity(name, "-", off, off / 2.0, 0.2, reason, until, absolute=True))
+    return out
+
+
+def _final_differences(run: Run, names: Sequence[str]) -> list[Quantity]:
+    """Return the largest differences of angles (absolute) and pressures (relative to their range) along a run."""
+    out = []
+    difference = np.abs(run.first - run.second)
+    reach = np.ptp(run.second, axis=0)
+    for i, name in enumerate(names):
+        angle = name in ("z1", "z4", "theta")
+        if not angle and not name.startswith("p"):
+            continue
+        worst = int(np.argmax(np.where(np.isnan(difference[:, i]), np.inf, difference[:, i])))
+        size, range_ = float(difference[worst, i]), max(float(reach[i]), 1e-12)
+        reason = f"two forms of one rule: error of order 2 in the step of {1e3 * run.step:g} ms"
+        place = f"t = {run.time[worst]:.2f} s"
+        out.append(
+            Quantity(f"{run.name}: {name}", "rad", size, size / range_, 1e-6, reason, place, absolute=True)
+            if angle
+            else Quantity(f"{run.name}: {name}", "Pa", size, size / range_, 1e-4, reason + ", of the range", place)
+        )
+    return out
+
+
+# -- all of it -------------------------------------------------------------------------------------------------------
+
+
+def crosscheck(
+    crane: Crane,
+    *,
+    states: int = 200,
+    seconds: float = 25.0,
+    step: float = FINE_STEP,
+    seed: int = 1,
+    make_first: Make | None = None,
+    make_second: Make | None = None,
+    progress: Progress = lambda fraction: None,
+) -> CrossCheck:
+    """Return the comparison of the Exudyn engine (first) with the semi-recursive one (second) on a crane and its kin.
+
+    Args:
+        crane: with its effects.
+        states: random states for the crane itself; a fifth of that for each effect and each other crane.
+        seconds: length of the runs.
+        step: inner step at which trajectories are judged.
+        seed: of everything random.
+        make_first, make_second: other engines.
+        progress: is called with the fraction done.
+    """
+    make_first, make_second = make_first or _exudyn, make_second or _semi_recursive
+    rng = np.random.default_rng(seed)
+    result = CrossCheck(crane.name)
+    first, second = make_first(crane), make_second(crane)
+    drawn = cases.random_states(crane, states, rng)
+    skip = SPLIT_BY_PENDULUM if len(second.state_names) > 8 else ()
+    result.quantities += compare_terms(first, second, drawn, skip=skip)
+    result.quantities += compare_static_starts(first, second, drawn)
+    progress(0.03)
+    fewer = max(10, states // 5)
+    for name, other in cases.other_cranes(crane.nominal(), rng).items():
+        result.quantities.append(_other(name, make_first(other), make_second(other), fewer, rng))
+    result.quantities += _effects(
+        crane.nominal(), make_first, make_second, fewer, rng, lambda f: progress(0.05 + 0.15 * f)
+    )
+    for k, (name, time, commands) in enumerate(manoeuvres(crane, second, seconds, rng)):
+        w = cases.spool_inputs(crane, time, commands)
+        part, begin = 0.4, 0.2 + 0.4 * k
+        found, runs = compare_runs(
+            name,
+            first,
+            second,
+            time,
+            w,
+            step,
+            lambda f, b=begin, p=part: progress(b + p * f),  # type: ignore[misc]
+        )
+        result.quantities += found
+        result.runs += runs
+    return result
+
+
+def _exudyn(crane: Crane) -> Engine:
+    from crane_exudyn.engine import ExudynEngine
+
+    return ExudynEngine(crane)
+
+
+def _semi_recursive(crane: Crane) -> Engine:
+    from .semi_recursive import SemiRecursiveEngine
+
+    return SemiRecursiveEngine(crane)
+
+
+def _other(name: str, first: Engine, second: Engine, count: int, rng: np.random.Generator) -> Quantity:
+    drawn = cases.random_states(second.crane, count, rng)
+    return worst_of(name, [*compare_terms(first, second, drawn), *compare_static_starts(first, second, drawn)])
+
+
+def _effects(
+    crane: Crane, make_first: Make, make_second: Make, count: int, rng: np.random.Generator, progress: Progress
+) -> list[Quantity]:
+    """Return the worst quantity of every effect at every place; an effect whose probe changes nothing is a failure."""
+    out = []
+    probes = cases.effect_probes(crane)
+    for k, (key, probe) in enumerate(probes.items()):
+        out.append(check_effect(key, make_first(probe), make_second(probe), count, rng))
+        progress((k + 1) / len(probes))
+    return out
+
+
+def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.random.Generator) -> Quantity:
+    """Return the worst quantity of two engines whose crane has an effect, over `count` states drawn for the crane without it.
+
+    An effect that changes no quantity at any of these states would prove nothing, so it is out of tolerance.
+    """
+    nominal = second.crane.nominal()
+    drawn = cases.random_states(nominal if "end_stop" not in key else cases.without_short_strokes(nominal), count, rng)
+    swings = len(second.state_names) > 8
+    if swings:
+        drawn = cases.States(np.column_stack([drawn.x, rng.normal(0.0, 0.4, (count, 2))]), drawn.w, drawn.time)
+    worst = worst_of(key, compare_terms(first, second, drawn, skip=SPLIT_BY_PENDULUM if swings else ()))
+    if worst.ok and not acts(second, drawn):
+        reason = "the effect changed no quantity at any state, so nothing was compared"
+        return Quantity(key, "-", math.nan, math.nan, worst.tolerance, reason)
+    return worst
+
+
+def manoeuvres(
+    crane: Crane, engine: Engine, seconds: float, rng: np.random.Generator
+) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Return (name, time, commands) of the paper's cycle and of random joystick inputs."""
+    time = np.arange(round(seconds / cases.SAMPLE) + 1) * cases.SAMPLE
+    x0 = engine.static_start(crane.initial.z1, crane.initial.z4, crane.initial.less_loaded_pressure)
+    return [("paper's cycle", time, paper_cycle(time)), ("random joystick", *cases.joystick(crane, x0, seconds, rng))]
+
+
+# -- pictures --------------------------------------------------------------------------------------------------------
+
+
+def figure_of(runs: Sequence[Run]) -> Figure:
+    """Return a figure of one manoeuvre: both engines on top of each other, and below each their difference at every step."""
+    from . import plots
+
+    columns = {"z1": 0, "z4": 1, "p1": 4, "p2": 5, "p3": 6, "p4": 7}
+    last = runs[-1]
+    made = plots.figure(len(columns), 2, height=1.5, width=11.0)
+    for row, (name, i) in enumerate(columns.items()):
+        left, right = made.axes[2 * row], made.axes[2 * row + 1]
+        plots.draw_lines(
+            left, last.time, {"Exudyn": last.first[:, i], "semi-recursive": last.second[:, i]}, channel=name
+        )
+        for k, run in enumerate(runs):
+            unit = plots.shown(name)
+            t, y = plots.thin(run.time, np.abs(run.first - run.second)[:, i] * unit.factor)
+            right.semilogy(t, np.maximum(y, 1e-16), label=f"difference, {1e3 * run.step:g} ms", **plots.look("", k))
+            right.set_ylabel(f"/ {unit.unit}")
+    for axes in made.axes[-2:]:
+        axes.set_xlabel("time / s")
+    plots.legend_above(made)
+    return made
+
+
+def save_figures(result: CrossCheck, directory: Path) -> list[Path]:
+    """Write one picture a manoeuvre to `directory` and return their paths."""
+    from . import plots
+
+    directory.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, runs in by_name(result.runs).items():
+        path = directory / f"crosscheck-{name.replace(' ', '-').replace(chr(39), '')}.png"
+        plots.save(figure_of(runs), path)
+        paths.append(path)
+    return paths
+
+
+def by_name(runs: Sequence[Run]) -> Mapping[str, list[Run]]:
+    """Return the runs of each manoeuvre."""
+    found: dict[str, list[Run]] = {}
+    for run in runs:
+        found.setdefault(run.name, []).append(run)
+    return found
