@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
-from .output import Printer, progress, write_json
+from .output import Printer, announce_compilation, progress, write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,6 +40,7 @@ def command(
     begin = perf_counter()
     chosen = load_crane(crane, effects)
     output.mkdir(parents=True, exist_ok=True)
+    announce_compilation()
     from validation.paper import run_case
 
     printer.line(f"The paper's experiment on {chosen.name}, {engine} engine: 25 s at 1 kHz, 17 sigma points …")
@@ -118,6 +119,7 @@ def states_figure(case: Case) -> Figure:
 
 def errors_figure(case: Case) -> Figure:
     """Return the error of each state over time and the interval that should hold it 95 % of the time."""
+    import numpy as np
 
     from validation import plots
     from validation.paper import STATES
@@ -133,6 +135,9 @@ def errors_figure(case: Case) -> Figure:
             channel=name,
             band=(-half[:, i], half[:, i]),
         )
+        settled = case.experiment.time > 0.5  # the start, off by degrees, would leave the rest a flat line
+        most = plots.shown(name).factor * max(np.abs(errors[settled, i]).max(), half[settled, i].max())
+        axes.set_ylim(-1.15 * most, 1.15 * most)
     return _finished(made)
 
 

@@ -10,6 +10,8 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
+from .output import announce_compilation
+
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
     from crane_exudyn.recording import Recording
@@ -87,6 +89,7 @@ def load_recording(path: Path, entries: Sequence[str] | None = None) -> Recordin
 
 def make_engine(name: EngineName, crane: Crane) -> Any:
     """Return the engine that `--engine` names, holding `crane`."""
+    announce_compilation()
     if name == "exudyn":
         from crane_exudyn.engine import ExudynEngine
 

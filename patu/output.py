@@ -113,3 +113,11 @@ def progress(text: str, json: str | None = None) -> Iterator[Callable[[float], N
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=1.0)
         yield lambda fraction: bar.update(task, completed=min(fraction, 1.0))
+
+
+def announce_compilation() -> None:
+    """Say on standard error that the first run after an installation or a change takes longer, if this is one."""
+    from crane_exudyn.compiled import CACHE_FOLDER
+
+    if not CACHE_FOLDER.is_dir():
+        print("First run: the equations are compiled once, which takes about half a minute.", file=sys.stderr)
