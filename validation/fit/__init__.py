@@ -1,0 +1,1 @@
+"""Fitting a crane's parameters, effects and start to a recording."""

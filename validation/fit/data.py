@@ -1,0 +1,126 @@
+"""What a recording offers to a fit: samples on a uniform simulation grid, in units of their noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+from crane_exudyn.recording import Recording
+
+#: channels that a fit can predict, in the order of its outputs
+CHANNELS = ("z1", "z4", "z4_abs", "dz1", "dz4", "dz4_abs", "p1", "p2", "p3", "p4", "s1", "s2")
+_STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One channel's samples: where they lie on the grid (index and fraction of a step), values in SI, noise std in SI."""
+
+    channel: str
+    index: np.ndarray
+    fraction: np.ndarray
+    values: np.ndarray
+    noise: float
+
+
+@dataclass(frozen=True)
+class FitData:
+    """A recording prepared for simulation with a fixed step.
+
+    Attributes:
+        time: (N,) uniform grid in s, from the first to the last sample.
+        step: its step in s.
+        commands: (N, 2) spool commands on the grid.
+        supply: (N, 2) measured pump and tank pressure in Pa, NaN where not recorded.
+        samples: one entry a measured channel.
+    """
+
+    name: str
+    time: np.ndarray
+    step: float
+    commands: np.ndarray
+    supply: np.ndarray
+    samples: tuple[Samples, ...]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the measured channels."""
+        return tuple(s.channel for s in self.samples)
+
+    @cached_property
+    def count(self) -> int:
+        """Number of samples over all channels."""
+        return sum(len(s.values) for s in self.samples)
+
+    @classmethod
+    def of(cls, recording: Recording, crane: Crane, *, step: float | None = None, rate: float = 200.0) -> FitData:
+        """Return the data of a recording, averaged down to at most `rate` samples a second and channel.
+
+        The commands are those that the crane's valve calibration makes of the recording. Noise standard deviations are the crane
+        file's or, where it names none, estimated from the data.
+
+        Raises:
+            CraneError: commands or sensors are missing.
+        """
+        times, commands = recording.commands(crane)
+        sensors = [c for c in CHANNELS if recording.has(c)]
+        if not sensors:
+            raise CraneError(f"{recording.name}: no sensor channel. At least one of {', '.join(CHANNELS)} is needed.")
+        start = min(recording.channels[c].time[0] for c in sensors)
+        end = max(recording.channels[c].time[-1] for c in sensors)
+        step = step or _grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
+        grid = start + step * np.arange(int(np.floor((end - start) / step + 1e-6)) + 2)
+        noise = recording.noise()
+        samples = tuple(
+            _samples(c, recording.channels[c].time, recording.channels[c].values, crane.sensors.get(c, noise.get(c)), grid, rate)
+            for c in sensors
+        )
+        on_grid = np.column_stack([np.interp(grid, times, commands[:, i]) for i in range(2)])
+        return cls(recording.name, grid, step, on_grid, _supply(recording, grid), samples)
+
+    def part(self, start: int, end: int) -> FitData:
+        """Return the stretch of grid points start … end (inclusive)."""
+        kept = []
+        for s in self.samples:
+            inside = (s.index >= start) & (s.index < end)
+            kept.append(Samples(s.channel, s.index[inside] - start, s.fraction[inside], s.values[inside], s.noise))
+        cut = slice(start, end + 1)
+        return FitData(self.name, self.time[cut], self.step, self.commands[cut], self.supply[cut], tuple(kept))
+
+
+def _grid_step(interval: float) -> float:
+    """Return a simulation step of at most 2.5 ms that divides the sampling interval where it can."""
+    for step in sorted(_STEPS, reverse=True):
+        if step <= 2.5e-3 and abs(interval / step - round(interval / step)) < 1e-6:
+            return step
+    return 2.5e-3 if interval > 2.5e-3 else 1e-3
+
+
+def _samples(channel: str, time: np.ndarray, values: np.ndarray, noise: float | None, grid: np.ndarray, rate: float) -> Samples:
+    if not noise or not np.isfinite(noise):
+        raise CraneError(f"Channel {channel}: its noise cannot be estimated from the data. Give sensors.{channel} in the crane file.")
+    block = max(1, int(np.floor(1.0 / (rate * np.median(np.diff(time))) + 1e-6))) if len(time) > 1 else 1
+    if block > 1:
+        whole = len(time) // block * block
+        time = time[:whole].reshape(-1, block).mean(axis=1)
+        values = values[:whole].reshape(-1, block).mean(axis=1)
+        noise = noise / np.sqrt(block)
+    place = (time - grid[0]) / (grid[1] - grid[0])
+    index = np.minimum(np.floor(place + 1e-9).astype(np.int64), len(grid) - 2)
+    fraction = np.clip(place - index, 0.0, 1.0)
+    return Samples(channel, index, fraction, values, float(noise))
+
+
+def _supply(recording: Recording, grid: np.ndarray) -> np.ndarray:
+    columns = []
+    for name in ("pp", "pt"):
+        if recording.has(name):
+            channel = recording.channels[name]
+            columns.append(np.interp(grid, channel.time, channel.values))
+        else:
+            columns.append(np.full(len(grid), np.nan))
+    return np.column_stack(columns)

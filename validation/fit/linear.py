@@ -1,0 +1,272 @@
+"""A fit's model made linear: windows of the recording swept with sensitivities, summed up to normal equations.
+
+The recording is cut into windows. Each begins with a state of its own (a knot), and neighbouring windows are held together by a
+penalty on the jump between them, so that a model that lacks something stays near the machine instead of drifting away. One
+window is an open-loop run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+
+from ..semi_recursive import sensitivity
+from .data import FitData, Samples
+from .model import SENSOR_PLACE, Model, affine, lagged, model_of, output_rows
+from .variables import Variable, lateness, with_variables
+
+#: size of a jump between two windows that is taken as one standard deviation: angles, rates, pressures, pendulum
+JUMP = np.array([3e-3, 3e-3, 2e-2, 2e-2, 1e5, 1e5, 1e5, 1e5, 3e-2, 3e-2])
+THREADS = 2
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of the grid with the samples that lie in it."""
+
+    start: int
+    data: FitData
+
+
+@dataclass
+class Linear:
+    """Normal equations of one linearised fit: knots x (K, nx) in units of JUMP, variables u (m,).
+
+    Hxx (K, nx, nx), Hxo (K-1, nx, nx) between knot k and k+1, Hxu (K, nx, m), Huu (m, m); gx, gu are the gradients.
+    squares, counts: sum of squared residuals in noise units and number of samples, by channel. window_error (K,): RMS residual of
+    each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`.
+    """
+
+    Hxx: np.ndarray
+    Hxo: np.ndarray
+    Hxu: np.ndarray
+    Huu: np.ndarray
+    gx: np.ndarray
+    gu: np.ndarray
+    squares: dict[str, float]
+    counts: dict[str, int]
+    window_error: np.ndarray
+    window_cost: np.ndarray
+    jump_cost: np.ndarray
+    failed: bool = False
+
+    @property
+    def error(self) -> float:
+        """RMS residual over all channels, in noise units."""
+        return float(np.sqrt(sum(self.squares.values()) / max(1, sum(self.counts.values()))))
+
+    @property
+    def cost(self) -> float:
+        """Minus twice the log-likelihood of residuals and jumps, up to a constant."""
+        return float(self.window_cost.sum() + self.jump_cost.sum())
+
+
+def robust(squares: float, number: int) -> tuple[float, float]:
+    """Return cost and weight of a group of residuals with that sum of squares (noise units).
+
+    Up to what noise makes (squares = number) the cost is the sum of squares; beyond, it grows with the logarithm only, which is the
+    likelihood of a group whose own error level is unknown. So what a model cannot explain anywhere in a short stretch is counted
+    once, instead of bending all parameters.
+    """
+    excess = max(squares - number, 0.0)
+    return min(squares, number) + number * float(np.log1p(excess / number)), 1.0 / (1.0 + excess / number)
+
+
+def cut(data: FitData, seconds: float) -> list[Window]:
+    """Return windows of about `seconds` each."""
+    steps = len(data.time) - 1
+    number = max(1, round(steps * data.step / seconds))
+    edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
+    return [Window(int(a), data.part(int(a), int(b))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What compiled code needs to differentiate by m variables: perturbed vectors and input signals."""
+
+    P: np.ndarray
+    E: np.ndarray
+    W: np.ndarray
+    W_index: np.ndarray
+    size: np.ndarray
+    dynamic: np.ndarray  # which columns change the motion (the others only what sensors show)
+    own: np.ndarray  # which columns are answered with a tangent of their own (a pendulum that the base lacks)
+
+
+def columns_of(crane: Crane, variables: Sequence[Variable], u: np.ndarray, base: Model, data: FitData) -> Columns:
+    """Return the perturbed vectors of every variable; the step points into the range that the variable may take."""
+    moved, sizes = [], []
+    for j, variable in enumerate(variables):
+        size = variable.difference if u[j] + variable.difference <= variable.upper else -variable.difference
+        shifted = u.copy()
+        shifted[j] += size
+        moved.append(model_at(crane, variables, shifted, data))
+        sizes.append(size)
+    return pack(base, moved, np.array(sizes))
+
+
+def model_at(crane: Crane, variables: Sequence[Variable], u: np.ndarray, data: FitData) -> Model:
+    """Return the model that the values u of the variables describe."""
+    return model_of(with_variables(crane, variables, u), data, lateness(variables, u))
+
+
+def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
+    """Return columns from models that differ from the base by a step each; equal inputs are stored once."""
+    signals, index = [base.W], []
+    for model in moved:
+        same = next((i for i, w in enumerate(signals) if w is model.W or np.array_equal(w, model.W, equal_nan=True)), None)
+        if same is None:
+            signals.append(model.W)
+        index.append(len(signals) - 1 if same is None else same)
+    P = np.array([m.P for m in moved]).reshape(len(moved), base.P.size)
+    E = np.array([m.E for m in moved]).reshape(len(moved), base.E.size)
+    silent = _sensor_slots()
+    dynamic = (P != base.P).any(axis=1) | (np.array(index) != 0)
+    different = E != base.E
+    different[:, silent] = False
+    own = np.array([m.nx > base.nx for m in moved], dtype=bool)
+    signal_index = np.array(index, dtype=np.int64)
+    return Columns(P, E, np.array(signals), signal_index, sizes, dynamic | different.any(axis=1), own)
+
+
+def _sensor_slots() -> list[int]:
+    from crane_exudyn.effects.registry import known, slot
+
+    return [
+        slot(effect.name, place) + i
+        for effect in known()
+        if set(effect.hooks()) <= {"measurement", "lag"}
+        for place in effect.places
+        for i in range(len(effect.parameters))
+    ]
+
+
+@dataclass
+class Swept:
+    """One window swept: residuals and their derivative in noise units, by channel; end state and its derivative."""
+
+    residuals: list[np.ndarray]
+    jacobians: list[np.ndarray]
+    end: np.ndarray
+    end_jacobian: np.ndarray
+    failed: bool
+
+
+def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...]) -> Swept:
+    """Return residuals of one window and their derivative by its first state and by all variables."""
+    data = window.data
+    rows = slice(window.start, window.start + len(data.time))
+    moving = np.flatnonzero(columns.dynamic)
+    swept = sensitivity.sweep(
+        x0[None], np.zeros(1), columns.W[:, rows], data.step, float(data.time[0]), base.P, base.E,
+        columns.P[moving], columns.E[moving], columns.size[moving], columns.W_index[moving], own=columns.own[moving],
+    )  # fmt: skip
+    X, S, status = swept.X, swept.S, swept.status
+    nx, m = len(x0), len(columns.size)
+    full = np.zeros((len(X), nx, nx + m))
+    full[:, :, :nx] = S[:, :, :nx]
+    full[:, :, nx + moving] = S[:, :, nx:]
+    Y, C = output_rows(channels, X, base.P)
+    G = np.einsum("ijk,ikl->ijl", C, full)
+    residuals, jacobians = [], []
+    for j, sample in enumerate(data.samples):
+        z, dz = _shown(channels[j], Y[:, j], G[:, j], base.E, columns, data.step, nx)
+        residuals.append((sample.values - _at(z, sample)) / sample.noise)
+        jacobians.append(_at(dz, sample) / sample.noise)
+    return Swept(residuals, jacobians, X[-1], full[-1], status != 0 or not np.isfinite(X[-1]).all())
+
+
+def _at(values: np.ndarray, sample: Samples) -> np.ndarray:
+    low, high = values[sample.index], values[sample.index + 1]
+    share = sample.fraction.reshape(-1, *[1] * (values.ndim - 1))
+    return low + share * (high - low)
+
+
+def _shown(
+    channel: str, y: np.ndarray, g: np.ndarray, E: np.ndarray, columns: Columns, step: float, nx: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the sensor shows and its derivative by everything, sensor parameters included."""
+    from crane_exudyn.effects import hooks
+
+    place = SENSOR_PLACE.get(channel)
+    if place is None:
+        return y, g
+    tau = hooks.lag(E, place)
+    z, dz = (lagged(y, tau, step), lagged(g, tau, step)) if tau > 0.0 else (y, g.copy())
+    gain, offset = affine(E, place)
+    dz *= gain
+    for j in np.flatnonzero((columns.E != E).any(axis=1)):
+        other = hooks.lag(columns.E[j], place)
+        gain_j, offset_j = affine(columns.E[j], place)
+        if other != tau or gain_j != gain or offset_j != offset:
+            z_j = lagged(y, other, step) if other > 0.0 else y
+            dz[:, nx + j] += (gain_j * z_j + offset_j - gain * z - offset) / columns.size[j]
+    return gain * z + offset, dz
+
+
+def normal_equations(windows: Sequence[Window], knots: np.ndarray, base: Model, columns: Columns, stiffness: float) -> Linear:
+    """Return the linearised fit.
+
+    Args:
+        windows: K windows.
+        knots: first states (K, nx) in SI.
+        base, columns: the model and its perturbed kin.
+        stiffness: how many times smaller than JUMP a jump between two windows is expected to be.
+    """
+    K, nx, m = len(windows), knots.shape[1], len(columns.size)
+    scale = JUMP[:nx]
+    linear = Linear(
+        np.zeros((K, nx, nx)), np.zeros((max(K - 1, 0), nx, nx)), np.zeros((K, nx, m)), np.zeros((m, m)),
+        np.zeros((K, nx)), np.zeros(m), {}, {}, np.zeros(K), np.zeros(K), np.zeros(max(K - 1, 0)),
+    )  # fmt: skip
+    channels = windows[0].data.channels
+    with ThreadPoolExecutor(THREADS) as pool:
+        swept = pool.map(lambda k: sweep_window(windows[k], knots[k], base, columns, channels), range(K))
+        for k, part in enumerate(swept):
+            linear.failed |= part.failed
+            if linear.failed:
+                return linear
+            _add_data(linear, k, part, channels, scale)
+            if k + 1 < K:
+                _add_jump(linear, k, part, knots[k + 1], scale, stiffness)
+    return linear
+
+
+def _add_data(linear: Linear, k: int, part: Swept, channels: tuple[str, ...], scale: np.ndarray) -> None:
+    nx = len(scale)
+    for channel, r in zip(channels, part.residuals, strict=True):
+        linear.squares[channel] = linear.squares.get(channel, 0.0) + float(r @ r)
+        linear.counts[channel] = linear.counts.get(channel, 0) + len(r)
+    r, J = np.concatenate(part.residuals), np.concatenate(part.jacobians)
+    squares, number = float(r @ r), max(1, len(r))
+    linear.window_error[k] = np.sqrt(squares / number)
+    linear.window_cost[k], weight = robust(squares, number)
+    J[:, :nx] *= scale
+    H, g = weight * (J.T @ J), -weight * (J.T @ r)
+    linear.Hxx[k] += H[:nx, :nx]
+    linear.Hxu[k] += H[:nx, nx:]
+    linear.Huu += H[nx:, nx:]
+    linear.gx[k] += g[:nx]
+    linear.gu += g[nx:]
+
+
+def _add_jump(linear: Linear, k: int, part: Swept, after: np.ndarray, scale: np.ndarray, stiffness: float) -> None:
+    nx = len(scale)
+    jump = (part.end - after) * stiffness / scale
+    linear.jump_cost[k], weight = robust(float(jump @ jump), nx)
+    J = part.end_jacobian * (stiffness / scale)[:, None]
+    Jx, Ju = J[:, :nx] * scale, J[:, nx:]
+    linear.Hxx[k] += weight * (Jx.T @ Jx)
+    linear.Hxx[k + 1] += weight * stiffness**2 * np.eye(nx)
+    linear.Hxo[k] -= weight * stiffness * Jx.T
+    linear.Hxu[k] += weight * (Jx.T @ Ju)
+    linear.Hxu[k + 1] -= weight * stiffness * Ju
+    linear.Huu += weight * (Ju.T @ Ju)
+    linear.gx[k] += weight * (Jx.T @ jump)
+    linear.gx[k + 1] -= weight * stiffness * jump
+    linear.gu += weight * (Ju.T @ jump)

@@ -1,0 +1,147 @@
+"""A crane as the fit sees it: vectors for compiled code, spool positions on the grid, and what the sensors would show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import hooks
+from crane_exudyn.effects.base import SENSORS
+from crane_exudyn.inputs import SpoolPath
+
+from .data import FitData
+
+#: which sensor place an output channel belongs to; z4_abs is what the outer boom's sensor may show instead of z4
+SENSOR_PLACE = {**{name: i for i, name in enumerate(SENSORS)}, "z4_abs": SENSORS.index("z4")}
+_ROWS = {
+    "z1": {0: 1.0}, "z4": {1: 1.0}, "z4_abs": {0: 1.0, 1: 1.0},
+    "dz1": {2: 1.0}, "dz4": {3: 1.0}, "dz4_abs": {2: 1.0, 3: 1.0},
+    "p1": {4: 1.0}, "p2": {5: 1.0}, "p3": {6: 1.0}, "p4": {7: 1.0},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Model:
+    """Vectors of one crane for one recording: P, E, and the inputs W (N, 4) on the recording's grid."""
+
+    crane: Crane
+    P: np.ndarray
+    E: np.ndarray
+    W: np.ndarray
+
+    @property
+    def nx(self) -> int:
+        """Number of states: 8, or 10 with a pendulum."""
+        return 10 if hooks.pendulum(self.E)[0] > 0.0 else 8
+
+
+def model_of(crane: Crane, data: FitData, late: float = 0.0) -> Model:
+    """Return the model of a crane driven by the commands of a recording, `late` seconds after their stamps."""
+    E = crane.effect_vector()
+    return Model(crane, crane.parameter_vector(), E, np.column_stack([spool_path(crane, data, late), data.supply]))
+
+
+def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:
+    """Return spool positions (N, 2) on the grid; equal commands and valves are computed once."""
+    E = crane.effect_vector()
+    key = tuple((crane[f"valves.{name}.time_constant"], hooks.delay(E, c), hooks.backlash(E, c)) for c, name in enumerate(("lift", "tilt")))
+    return _spool_path(_Driven(crane, data), (*key, late))
+
+
+class _Driven:
+    """A crane and a recording, equal when the commands are the same: the key of the small store of spool paths."""
+
+    def __init__(self, crane: Crane, data: FitData) -> None:
+        self.crane, self.data = crane, data
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Driven) and self._key() == other._key()
+
+    def _key(self) -> tuple[object, ...]:
+        commands = [e for e in self.crane.effects if "command" in type(e).__dict__]
+        return id(self.data.commands), len(self.data.time), tuple(e.key for e in commands)
+
+
+@lru_cache(maxsize=256)
+def _spool_path(driven: _Driven, key: tuple[object, ...]) -> np.ndarray:
+    data = driven.data
+    early = data.time - float(key[-1])  # type: ignore[arg-type]
+    commands = np.column_stack([np.interp(early, data.time, data.commands[:, i]) for i in range(2)])
+    return SpoolPath(driven.crane).run(data.time, commands)
+
+
+def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what perfect sensors show and how it depends on the state.
+
+    Args:
+        channels: m channel names.
+        X: states (n, nx).
+        P: parameter vector.
+
+    Returns:
+        outputs (n, m) and their derivative (n, m, nx).
+    """
+    n, nx = X.shape
+    Y, C = np.zeros((n, len(channels))), np.zeros((n, len(channels), nx))
+    for j, channel in enumerate(channels):
+        if channel in _ROWS:
+            for state, factor in _ROWS[channel].items():
+                C[:, j, state] = factor
+                Y[:, j] += factor * X[:, state]
+        else:
+            cylinder, state = (0, 0) if channel == "s1" else (1, 1)
+            Y[:, j], C[:, j, state] = cylinder_length(cylinder, X[:, state], P)
+    return Y, C
+
+
+def cylinder_length(cylinder: int, angle: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return pin-to-pin length and its derivative by the angle: cylinder 0 with z1, cylinder 1 with z4."""
+    from validation.semi_recursive.kernel import cylinder_lengths
+
+    h = 1e-6
+    low, high = cylinder_lengths(cylinder, angle - h, P), cylinder_lengths(cylinder, angle + h, P)
+    return cylinder_lengths(cylinder, angle, P), (high - low) / (2.0 * h)
+
+
+def shown(channels: tuple[str, ...], Y: np.ndarray, E: np.ndarray, step: float) -> np.ndarray:
+    """Return what the sensors of a crane with effects E show of true outputs Y (n, m): first the lag, then scale and bias."""
+    Z = Y.copy()
+    for j, channel in enumerate(channels):
+        place = SENSOR_PLACE.get(channel)
+        if place is None:
+            continue
+        tau = hooks.lag(E, place)
+        if tau > 0.0:
+            Z[:, j] = lagged(Z[:, j], tau, step)
+        gain, offset = affine(E, place)
+        if gain != 1.0 or offset != 0.0:
+            Z[:, j] = gain * Z[:, j] + offset
+    return Z
+
+
+def affine(E: np.ndarray, place: int) -> tuple[float, float]:
+    """Return gain and offset of a sensor: its measurement hooks taken as a straight line through y = 0 and y = 1."""
+    offset = hooks.measurement(E, place, 0.0)
+    return hooks.measurement(E, place, 1.0) - offset, offset
+
+
+def lagged(y: np.ndarray, tau: float, step: float) -> np.ndarray:
+    """Return y (n,) or columns (n, …) after a first-order lag, which has followed the first slope for ever."""
+    from scipy.signal import lfilter
+
+    q = np.exp(-step / tau)
+    # exact for a signal that is linear between samples
+    b1 = 1.0 - tau / step * (1.0 - q)
+    b0 = tau / step * (1.0 - q) - q
+    slope = (y[1] - y[0]) / step if len(y) > 1 else 0.0 * y[0]
+    start = y[0] - tau * slope
+    out = np.empty_like(y)
+    state = (start - b1 * y[0])[None]  # so that the first output is `start`
+    out[:] = lfilter([b1, b0], [1.0, -q], y, axis=0, zi=state)[0]
+    return out

@@ -1,0 +1,237 @@
+"""Gauss-Newton on the windows of a recording: knots eliminated, variables within bounds, unexplained stretches weighted down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from crane_exudyn.crane import Crane
+
+from .data import FitData
+from .linear import JUMP, Columns, Linear, Window, columns_of, model_at, normal_equations
+from .model import Model
+from .variables import Variable, lateness, with_variables
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Normal equations of the variables alone, knots eliminated: H (m, m), g (m,); and how the knots follow."""
+
+    H: np.ndarray
+    g: np.ndarray
+    knots_by_u: np.ndarray  # (K, nx, m)
+    knots_step: np.ndarray  # (K, nx)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted crane.
+
+    Attributes:
+        crane: nominal parameters and effects as fitted.
+        u: values of the variables; cov: their covariance given the data, (m, m).
+        knots: first states of the windows (K, nx), SI.
+        errors: RMS residual by channel in noise units; error: over all samples.
+        prior_cost: half the sum of squares of what the prior says about u.
+    """
+
+    crane: Crane
+    variables: tuple[Variable, ...]
+    u: np.ndarray
+    cov: np.ndarray
+    knots: np.ndarray
+    errors: dict[str, float]
+    error: float
+    prior_cost: float
+    converged: bool
+    windows: tuple[Window, ...] = field(repr=False)
+    linear: Linear = field(repr=False)
+    origin: Crane | None = field(default=None, repr=False)
+
+    @property
+    def late(self) -> float:
+        """Seconds by which the commands were found to come after their stamps."""
+        return lateness(self.variables, self.u)
+
+    def std(self, name: str) -> float:
+        """Return the standard deviation of the variable `name` in units of u."""
+        i = [v.name for v in self.variables].index(name)
+        return float(math.sqrt(max(self.cov[i, i], 0.0)))
+
+
+def prior_start(knots: np.ndarray) -> np.ndarray:
+    """Return weights (nx,) of a weak prior that holds the first state near its guess (in units of JUMP)."""
+    wide = np.array([0.1, 0.1, 0.1, 0.1, 50e5, 50e5, 50e5, 50e5, 0.3, 0.3])[: knots.shape[1]]
+    return (JUMP[: knots.shape[1]] / wide) ** 2
+
+
+def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
+    """Eliminate the knots of the normal equations by block elimination along time."""
+    K, nx, m = linear.Hxu.shape
+    weak = prior_start(knots)
+    H = linear.Hxx + np.diag(weak)
+    g = linear.gx + weak * (knots - guess) / JUMP[:nx]
+    right = np.concatenate([linear.Hxu, g[:, :, None]], axis=2)
+    factors, off = [], linear.Hxo
+    for k in range(K):
+        if k:
+            link = cho_solve(factors[k - 1], off[k - 1])
+            H[k] -= off[k - 1].T @ link
+            right[k] -= link.T @ right[k - 1]
+        H[k] += 1e-9 * np.eye(nx)
+        factors.append(cho_factor(H[k]))
+    solution = np.empty_like(right)
+    for k in reversed(range(K)):
+        after = off[k] @ solution[k + 1] if k + 1 < K else 0.0
+        solution[k] = cho_solve(factors[k], right[k] - after)
+    HB = np.einsum("kij,kil->jl", linear.Hxu, solution)
+    return Reduced(linear.Huu - HB[:, :m], linear.gu - HB[:, m], -solution[:, :, :m], -solution[:, :, m])
+
+
+def with_prior(reduced: Reduced, variables: Sequence[Variable], u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return Hessian and gradient with the Gaussian priors of the variables added."""
+    weight = np.array([0.0 if math.isinf(v.prior) else v.prior**-2 for v in variables])
+    return reduced.H + np.diag(weight), reduced.g + weight * u
+
+
+def bounded_step(H: np.ndarray, g: np.ndarray, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float) -> np.ndarray:
+    """Return the step of least quadratic cost with u + step within bounds (active-set on the damped system)."""
+    m = len(u)
+    A = H + np.diag(damping * np.maximum(np.diag(H), 1e-12) + 1e-10)
+    step, fixed = np.zeros(m), np.zeros(m, dtype=bool)
+    for _ in range(3 * m + 1):
+        free = ~fixed
+        step[free] = np.linalg.lstsq(A[np.ix_(free, free)], -(g + A @ (step * fixed))[free], rcond=None)[0] if free.any() else 0.0
+        low, high = u + step < lower - 1e-15, u + step > upper + 1e-15
+        out = (low | high) & free
+        if not out.any():
+            return step
+        worst = int(np.argmax(np.where(out, np.maximum(lower - u - step, u + step - upper), -np.inf)))
+        step[worst] = (lower if low[worst] else upper)[worst] - u[worst]
+        fixed[worst] = True
+    return step
+
+
+@dataclass
+class _Point:
+    """Where an iteration stands."""
+
+    u: np.ndarray
+    knots: np.ndarray
+    linear: Linear
+
+
+def fit(
+    crane: Crane,
+    data: FitData,
+    windows: Sequence[Window],
+    knots: np.ndarray,
+    variables: Sequence[Variable] = (),
+    u: np.ndarray | None = None,
+    *,
+    stiffness: float = 1.0,
+    iterations: int = 8,
+    tolerance: float = 0.05,
+) -> Fit:
+    """Return the crane fitted to the windows, from knots (K, nx) and variable values u.
+
+    The cost is that of the residuals of every window and of the jumps between them (`linear.robust`), plus priors.
+    """
+    lower = np.array([v.lower for v in variables])
+    upper = np.array([v.upper for v in variables])
+    u = np.clip(np.zeros(len(variables)) if u is None else np.asarray(u, dtype=float), lower, upper)
+    knots = fitting_knots(knots, model_at(crane, variables, u, data))
+    guess = knots.copy()
+    point = _evaluate(crane, data, windows, knots.copy(), variables, u, stiffness)
+    converged = False
+    for _ in range(iterations):
+        if point.linear.failed:
+            break
+        reduced = reduce(point.linear, guess, point.knots)
+        H, g = with_prior(reduced, variables, point.u)
+        moved = _step(crane, data, windows, variables, point, reduced, H, g, (lower, upper), stiffness, guess)
+        if moved is None:
+            converged = True
+            break
+        gain = _cost(point, variables, guess) - _cost(moved, variables, guess)
+        point = moved
+        if gain < tolerance:
+            converged = True
+            break
+    return _finish(crane, variables, windows, point, guess, converged)
+
+
+def _evaluate(
+    crane: Crane, data: FitData, windows: Sequence[Window], knots: np.ndarray, variables: Sequence[Variable], u: np.ndarray, stiffness: float
+) -> _Point:
+    base = model_at(crane, variables, u, data)
+    columns: Columns = columns_of(crane, variables, u, base, data)
+    linear = normal_equations(windows, fitting_knots(knots, base), base, columns, stiffness)
+    return _Point(u, fitting_knots(knots, base), linear)
+
+
+def fitting_knots(knots: np.ndarray, base: Model) -> np.ndarray:
+    """Return knots with as many states as the model has: a pendulum begins at rest, hanging."""
+    if knots.shape[1] == base.nx:
+        return knots
+    wide = np.zeros((len(knots), base.nx))
+    n = min(base.nx, knots.shape[1])
+    wide[:, :n] = knots[:, :n]
+    return wide
+
+
+def _cost(point: _Point, variables: Sequence[Variable], guess: np.ndarray) -> float:
+    if point.linear.failed:
+        return math.inf
+    prior = sum((x / v.prior) ** 2 for x, v in zip(point.u, variables, strict=True) if math.isfinite(v.prior))
+    nx = guess.shape[1]
+    away = (point.knots[:, :nx] - guess) / JUMP[:nx]
+    weak = float((prior_start(guess) * away**2).sum())
+    return 0.5 * (point.linear.cost + weak + prior)
+
+
+def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffness, guess):  # type: ignore[no-untyped-def]
+    """Return the next point with a lower cost, or None if there is none."""
+    before = _cost(point, variables, guess)
+    damping = 0.0
+    for _ in range(6):
+        du = bounded_step(H, g, point.u, *bounds, damping) if len(point.u) else np.zeros(0)
+        dx = reduced.knots_step + reduced.knots_by_u @ du
+        share = 1.0 / (1.0 + damping)
+        knots = point.knots + share * dx * JUMP[: dx.shape[1]]
+        knots[:, 4:8] = np.maximum(knots[:, 4:8], 0.0)
+        trial = _evaluate(crane, data, windows, knots, variables, point.u + share * du, stiffness)
+        if _cost(trial, variables, guess) < before:
+            return trial
+        damping = 4.0 * damping if damping else 0.3
+    return None
+
+
+def _finish(crane: Crane, variables: Sequence[Variable], windows: Sequence[Window], point: _Point, guess: np.ndarray, converged: bool) -> Fit:
+    linear, m = point.linear, len(point.u)
+    cov = np.full((m, m), math.nan)
+    if m and not linear.failed:
+        reduced = reduce(linear, guess, point.knots)
+        H, _ = with_prior(reduced, variables, point.u)
+        cov = np.linalg.pinv(H + 1e-12 * np.eye(m), hermitian=True)
+    errors = {c: math.sqrt(linear.squares[c] / max(1, linear.counts[c])) for c in linear.squares}
+    prior = 0.5 * sum((x / v.prior) ** 2 for x, v in zip(point.u, variables, strict=True) if math.isfinite(v.prior))
+    return Fit(
+        with_variables(crane, variables, point.u), tuple(variables), point.u, cov, point.knots, errors,
+        linear.error if not linear.failed else math.inf, prior, converged, tuple(windows), linear, crane,
+    )  # fmt: skip
+
+
+def reknot(fit: Fit, data: FitData, windows: Sequence[Window]) -> np.ndarray:
+    """Return first states of other windows that begin where windows of the fit begin."""
+    starts = [w.start for w in fit.windows]
+    return np.array([fit.knots[int(np.argmin(np.abs(np.array(starts) - w.start)))] for w in windows])
+
+
+def frozen(fit: Fit) -> Fit:
+    """Return the fit with its values taken over as the crane's own, no variable left."""
+    return replace(fit, variables=(), u=np.zeros(0), cov=np.zeros((0, 0)))

@@ -1,0 +1,128 @@
+"""From short windows to one open-loop run: the way by which a fit finds its minimum without getting lost.
+
+In short windows the model stays near the machine even when it lacks something, and the cost is nearly quadratic; the long run has
+the full power of the data, and false minima. Each stage starts where the one before ended.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+
+from ..semi_recursive import kernel
+from .data import FitData
+from .linear import Window, cut
+from .model import model_of, output_rows, shown
+from .solve import Fit, fit, reduce, reknot
+from .start import knots_of
+from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
+
+#: windows of the stages in s, and iterations; the last stage is one window (or windows of this length in very long recordings)
+SHORT, LONG = 0.25, 60.0
+#: share of a direction's prior variance that the data must remove for the direction to be kept in a fit
+INFORMED = 0.2
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Window length in s, expected smallness of jumps between windows, iterations."""
+
+    seconds: float
+    stiffness: float
+    iterations: int
+
+
+LOOSE, TIGHT, STIFF = Stage(SHORT, 1.0, 6), Stage(SHORT, 10.0, 6), Stage(SHORT, 100.0, 8)
+STAGES = (LOOSE, TIGHT, STIFF)
+WHOLE = Stage(LONG, 1.0, 10)
+
+
+def staged(
+    crane: Crane,
+    data: FitData,
+    variables: Sequence[Variable],
+    u: np.ndarray,
+    before: Fit | np.ndarray,
+    stages: Sequence[Stage] = STAGES,
+) -> Fit:
+    """Return the fit after all stages, from variable values u and the knots of an earlier fit (or knots for the first stage)."""
+    result: Fit | None = before if isinstance(before, Fit) else None
+    for stage in stages:
+        windows = cut(data, stage.seconds)
+        knots = before if not isinstance(before, Fit) and result is None else reknot(result, data, windows)  # type: ignore[arg-type]
+        result = fit(crane, data, windows, knots, variables, u, stiffness=stage.stiffness, iterations=stage.iterations)  # type: ignore[arg-type]
+        u = result.u
+    assert result is not None
+    return result
+
+
+def first_knots(crane: Crane, data: FitData, seconds: float = SHORT) -> np.ndarray:
+    """Return guessed first states of windows of that length."""
+    return knots_of(crane, data, cut(data, seconds))
+
+
+def informed_directions(result: Fit) -> list[NominalDirection]:
+    """Return the combinations of nominal parameters that a fit of all of them found the data to speak about.
+
+    The others stay at their nominal values: the data could not move them, so they need not be carried along.
+    """
+    nominal = [v for v in result.variables if isinstance(v, NominalDirection)]
+    gaussian = [i for i, v in enumerate(nominal) if math.isfinite(v.prior)]
+    free = [v for v in nominal if not math.isfinite(v.prior)]
+    reduced = reduce(result.linear, result.knots, result.knots)
+    others = [i for i in range(len(nominal)) if i not in gaussian]
+    H = reduced.H[np.ix_(gaussian, gaussian)]
+    if others:
+        cross = reduced.H[np.ix_(gaussian, others)]
+        H = H - cross @ np.linalg.pinv(reduced.H[np.ix_(others, others)], hermitian=True) @ cross.T
+    values, vectors = np.linalg.eigh(0.5 * (H + H.T))
+    keep = values / (1.0 + values) > INFORMED
+    timing = [v for v in result.variables if isinstance(v, Timing)]
+    return [*timing, *free, *principal([nominal[i] for i in gaussian], vectors[:, keep])]
+
+
+def residuals(crane: Crane, data: FitData, x0: np.ndarray, late: float = 0.0) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return per channel the sample times and the residuals in noise units of an open-loop run from x0 (nx,)."""
+    model = model_of(crane, data, late)
+    X, status, last = kernel.simulate(np.asarray(x0, dtype=float), model.W, data.step, float(data.time[0]), model.P, model.E)
+    if status != kernel.OK:
+        X[last + 1 :] = X[last]
+    Y, _ = output_rows(data.channels, X, model.P)
+    Z = shown(data.channels, Y, model.E, data.step)
+    found = {}
+    for j, s in enumerate(data.samples):
+        predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
+        found[s.channel] = (data.time[s.index] + s.fraction * data.step, (s.values - predicted) / s.noise)
+    return found
+
+
+def rms(parts: dict[str, tuple[np.ndarray, np.ndarray]]) -> float:
+    """Return the root mean square over all samples of all channels."""
+    return math.sqrt(sum(float(r @ r) for _, r in parts.values()) / sum(len(r) for _, r in parts.values()))
+
+
+def start_fitted(crane: Crane, data: FitData, windows: Sequence[Window] | None = None) -> Fit:
+    """Return the fit of the start alone: the crane as it is, its first state chosen to explain the recording best."""
+    return staged(crane, data, (), np.zeros(0), first_knots(crane, data), (LOOSE, TIGHT, STIFF, WHOLE))
+
+
+def timing_of(data: FitData) -> Timing:
+    """Return the variable for the commands' lateness: about a quarter of a sampling interval, 2 ms at most."""
+    gap = max(float(np.median(np.diff(s.index + s.fraction))) * data.step for s in data.samples if len(s.values) > 1)
+    return Timing(min(max(0.25 * gap, 0.5e-3), 2e-3))
+
+
+def all_parameters(crane: Crane, data: FitData, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
+    """Return the fit of all uncertain nominal parameters in windows."""
+    variables = [*uncertain_parameters(crane), timing_of(data)]
+    return staged(crane, data, variables, np.zeros(len(variables)), first_knots(crane, data), stages)
+
+
+def at_origin(result: Fit) -> Fit:
+    """Return the fit with knots only, for use as a starting point of other variables."""
+    return replace(result)

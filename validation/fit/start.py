@@ -1,0 +1,79 @@
+"""First guesses of a machine's state along a recording, from the measurements alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+
+from ..semi_recursive.engine import SemiRecursiveEngine
+from .data import FitData, Samples
+from .linear import Window
+
+#: seconds to either side over which an angle and its rate, or a pressure, are averaged
+_ANGLE_SPAN, _PRESSURE_SPAN = 0.12, 0.03
+
+
+def knots_of(crane: Crane, data: FitData, windows: Sequence[Window]) -> np.ndarray:
+    """Return guessed states (K, 8) at the start of each window.
+
+    Angles and rates come from a straight line through the samples around, pressures from their mean; a pressure that is not
+    measured is the one that balances the load at rest.
+    """
+    samples = {s.channel: s for s in data.samples}
+    engine = SemiRecursiveEngine(crane.nominal())
+    return np.array([_state(crane, engine, data, samples, data.time[w.start]) for w in windows])
+
+
+def _state(crane: Crane, engine: SemiRecursiveEngine, data: FitData, samples: dict[str, Samples], t: float) -> np.ndarray:
+    z1, dz1 = _angle(crane, data, samples, "z1", t)
+    z4, dz4 = _angle(crane, data, samples, "z4", t)
+    if "z4" not in samples and "z4_abs" in samples:
+        absolute, rate = _line(data, samples["z4_abs"], t)
+        z4, dz4 = absolute - z1, rate - dz1
+    rest = engine.static_start(z1, z4)[:8]
+    pressures = [_mean(data, samples.get(f"p{i}"), t) for i in (1, 2, 3, 4)]
+    for c in range(2):
+        _complete(crane, ("lift", "tilt")[c], pressures, rest, c)
+    return np.array([z1, z4, dz1, dz4, *(max(p or 0.0, 0.0) for p in pressures)])
+
+
+def _complete(crane: Crane, name: str, pressures: list[float | None], rest: np.ndarray, c: int) -> None:
+    """Fill in the pressures of cylinder c that are not measured from the balance at rest."""
+    bore, rod = crane[f"cylinders.{name}.bore"], crane[f"cylinders.{name}.rod"]
+    Aa, Ab = np.pi / 4 * bore**2, np.pi / 4 * (bore**2 - rod**2)
+    a, b = 2 * c, 2 * c + 1
+    force = rest[4 + a] * Aa - rest[4 + b] * Ab
+    pa, pb = pressures[a], pressures[b]
+    if pa is None and pb is None:
+        pressures[a], pressures[b] = float(rest[4 + a]), float(rest[4 + b])
+    elif pa is None and pb is not None:
+        pressures[a] = (force + pb * Ab) / Aa
+    elif pb is None and pa is not None:
+        pressures[b] = (pa * Aa - force) / Ab
+
+
+def _angle(crane: Crane, data: FitData, samples: dict[str, Samples], name: str, t: float) -> tuple[float, float]:
+    if name in samples:
+        return _line(data, samples[name], t)
+    return (crane.initial.z1 if name == "z1" else crane.initial.z4), 0.0
+
+
+def _near(data: FitData, sample: Samples, t: float, span: float) -> tuple[np.ndarray, np.ndarray]:
+    times = data.time[sample.index] + sample.fraction * data.step
+    near = np.abs(times - t) <= span
+    if near.sum() < 4:
+        near = np.zeros(len(times), dtype=bool)
+        near[np.argsort(np.abs(times - t))[:4]] = True
+    return times[near] - t, sample.values[near]
+
+
+def _line(data: FitData, sample: Samples, t: float) -> tuple[float, float]:
+    slope, value = np.polyfit(*_near(data, sample, t, _ANGLE_SPAN), 1)
+    return float(value), float(slope)
+
+
+def _mean(data: FitData, sample: Samples | None, t: float) -> float | None:
+    return None if sample is None else float(np.mean(_near(data, sample, t, _PRESSURE_SPAN)[1]))

@@ -1,0 +1,1 @@
+"""The search for what a model lacks: screening all effects, fitting the likely ones, weighing them."""

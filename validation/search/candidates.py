@@ -1,0 +1,76 @@
+"""Which effects could be tried on a recording, and from which parameter values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.effects.base import SENSORS, Effect
+
+from ..fit.data import FitData
+from ..fit.variables import sensor_scale
+
+#: seconds between the moments at which an effect with a time of its own is tried
+_MOMENTS = 0.5
+
+
+@dataclass(frozen=True)
+class Start:
+    """One effect at one place with parameter values (SI) to begin from; two_sided: it may act with either sign."""
+
+    key: str
+    values: Mapping[str, float] = field(default_factory=dict)
+    two_sided: bool = False
+
+
+def starts(crane: Crane, data: FitData, *, moments: float = _MOMENTS) -> list[Start]:
+    """Return the starts of every effect at every place that the recording could show and the crane does not have yet."""
+    found = []
+    for effect in registry.known():
+        for place in effect.places:
+            key = f"{effect.name}@{place}" if place else effect.name
+            if crane.effect(key) is None and _can_show(effect, place, data):
+                found += [Start(key, values, _two_sided(effect)) for values in _values(effect, key, data, moments)]
+    return found
+
+
+def _can_show(effect: type[Effect], place: str, data: FitData) -> bool:
+    """Whether a sensor's effect stands at a sensor that was recorded; other effects always may show."""
+    if not set(effect.hooks()) <= {"measurement", "lag"} or place not in SENSORS:
+        return True
+    return place in data.channels or (place == "z4" and "z4_abs" in data.channels)
+
+
+def _two_sided(effect: type[Effect]) -> bool:
+    first = effect.parameters[0]
+    return math.isfinite(first.neutral) and first.lower < first.neutral
+
+
+def _values(effect: type[Effect], key: str, data: FitData, moments: float) -> list[dict[str, float]]:
+    if effect.probes:
+        return [dict(p) for p in effect.probes]
+    first = effect.parameters[0]
+    size = sensor_scale(key) * 0.5 if first.unit == "channel" else first.typical
+    timed = next((p.name for p in effect.parameters if p.shape and p.unit == "s"), None)
+    if timed is None:
+        return [{first.name: size}]
+    begin, end = float(data.time[0]), float(data.time[-1])
+    times = np.arange(begin + moments, end - moments, max(moments, (end - begin) / 120.0))
+    return [{first.name: size, timed: float(t)} for t in (begin, *times)]
+
+
+def scaled(start: Start, amplitude: float) -> dict[str, float]:
+    """Return the start's values with its acting parameters scaled by an amplitude (1 = as they are), within their range."""
+    effect, _ = registry.split_key(start.key)
+    values = {}
+    for p in effect.parameters:
+        value = start.values.get(p.name, p.neutral)
+        if not p.shape:
+            value = value / max(amplitude, 1e-6) if math.isinf(p.neutral) else p.neutral + amplitude * (value - p.neutral)
+        values[p.name] = min(max(value, p.lower), p.upper)
+    return values
