@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, ReportOption, load_crane
-from .output import Printer, progress, write_json
+from .output import Printer, announce_compilation, progress, write_json
 
 if TYPE_CHECKING:
     from validation.crosscheck import CrossCheck, Quantity
@@ -32,6 +32,7 @@ def command(
     Exit status 1 if anything is out of its tolerance; the first such line is nearest to the cause.
     """
     chosen = load_crane(crane, effects)
+    announce_compilation()
     from validation.crosscheck import crosscheck, save_figures
 
     if quick:

@@ -10,7 +10,7 @@ import pytest
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
-from validation.semi_recursive import SemiRecursiveEngine
+from validation.semi_recursive import SemiRecursiveEngine, kernel
 
 DEGREE = math.pi / 180.0
 CLOSED = np.array([0.0, 0.0, np.nan, np.nan])
@@ -99,6 +99,15 @@ def test_rates_are_the_derivatives_of_positions(engine: SemiRecursiveEngine) -> 
         for angle in ("z2", "z3"):
             difference = math.remainder(a[angle] - b[angle], math.tau) / (2 * eps)
             assert difference == pytest.approx(there[f"d{angle}_dz4"] * x[3], abs=1e-8)
+
+
+def test_lengths_of_many_angles_are_those_of_the_states(engine: SemiRecursiveEngine, crane: Crane) -> None:
+    x = random_states(20)
+    rows = [engine.terms(row, CLOSED) for row in x]
+    P = crane.parameter_vector()
+    for cylinder in (0, 1):
+        expected = [t[f"s{cylinder + 1}"] for t in rows]
+        np.testing.assert_allclose(kernel.cylinder_lengths(cylinder, x[:, cylinder].copy(), P), expected, rtol=1e-14)
 
 
 # -- dynamics ----------------------------------------------------------------------------------------------------------

@@ -150,6 +150,6 @@ def test_a_failing_window_is_flagged_and_the_others_go_on(crane: Crane, start: n
     wild = start.copy()
     wild[2:4] = 1e9, -1e9
     result = swept(crane, start, inputs, [], [], x0_knots=np.array([start, wild, start]), knot_index=knots)
-    assert (result.status, result.index) == (kernel.NOT_CONVERGED, 100)
+    assert (result.status, result.failed) == (kernel.NOT_CONVERGED, 100)
     assert np.isfinite(result.X[:101]).all() and np.isfinite(result.X[200:]).all()
     assert np.isnan(result.X[101:200]).all() and np.isnan(result.X_end[1]).all()

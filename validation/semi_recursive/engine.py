@@ -80,7 +80,9 @@ class SemiRecursiveEngine:
         """
         x = np.zeros(len(self.state_names))
         x[:2] = z1, z4
-        angle = _held(float(z1), float(z4), np.broadcast_to(np.float64(less_loaded), 2).copy(), self._P, self._E, x)
+        angle = _held(
+            float(z1), float(z4), np.broadcast_to(np.asarray(less_loaded, dtype=float), 2).copy(), self._P, self._E, x
+        )
         if len(x) > 8:
             x[8] = angle
         if not np.all(np.isfinite(x)):

@@ -695,6 +695,14 @@ def held_pressures(c, s, F, less_loaded, P, E):
 
 
 @njit
+def pin_to_pin(cylinder, angle, P):
+    """Return the length of the lift cylinder (0) at z1 or of the tilt cylinder (1) at z4; each depends on its angle alone."""
+    z = positions(angle, 0.0, P) if cylinder == 0 else positions(0.0, angle, P)
+    along = z.G - z.F if cylinder == 0 else z.C - z.H
+    return math.sqrt(square(along))
+
+
+@njit
 def chamber_lengths(x, P, E, out):
     """Write the chamber lengths la, lb of the lift and the tilt cylinder (4,) to out; negative: beyond the stroke's end."""
     z = positions(x[0], x[1], P)

@@ -16,9 +16,9 @@ import numpy as np
 
 from crane_exudyn.compiled import njit
 
-from .equations import FLOOR, free_rhs, rhs
+from .equations import FLOOR, free_rhs, pin_to_pin, rhs
 
-__all__ = ["NOT_CONVERGED", "OK", "propagate_batch", "rhs", "simulate"]
+__all__ = ["NOT_CONVERGED", "OK", "cylinder_lengths", "propagate_batch", "rhs", "simulate", "simulate_substeps"]
 
 #: status of a run
 OK, NOT_CONVERGED = 0, 1
@@ -286,3 +286,12 @@ def propagate_batch(states, W0, W1, t0, dt, n, P, E):
                 x[:] = math.nan
                 return out, NOT_CONVERGED, row
     return out, OK, -1
+
+
+@njit
+def cylinder_lengths(cylinder, angles, P):
+    """Return pin-to-pin lengths (n,) m of the lift cylinder (0) at angles z1 (n,) or of the tilt cylinder (1) at angles z4 (n,)."""
+    out = np.empty(angles.size)
+    for i in range(angles.size):
+        out[i] = pin_to_pin(cylinder, angles[i], P)
+    return out

@@ -36,7 +36,7 @@ class Sweep(NamedTuple):
         X_end, S_end: (K, nx), (K, nx, M): where each window arrives at the next knot (the last one: at the last sample).
         Phi: (N, nx, nx), Phi[k + 1] = dx_{k+1}/dx_k; empty unless asked for. Phi[0] is the identity.
         status: 0, or 1 if some step did not converge; the rest of that window is NaN in X and 0 in S.
-        index: sample before the first step that failed, or -1.
+        failed: sample before the first step that failed, or -1.
     """
 
     X: np.ndarray
@@ -45,7 +45,7 @@ class Sweep(NamedTuple):
     S_end: np.ndarray
     Phi: np.ndarray
     status: int
-    index: int
+    failed: int
 
 
 @njit(cache=False)
