@@ -1,0 +1,181 @@
+"""Commands that run the crane: simulate, demo and benchmark, as a user would type them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crane_exudyn import Crane, Recording, simulate
+from crane_exudyn.simulation import inner_grid
+from patu import main
+from validation import benchmark
+from validation.semi_recursive import SemiRecursiveEngine
+
+FAST = ("--engine", "semi-recursive")
+
+
+@pytest.fixture
+def patu(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run one command line that must succeed, and return what it printed."""
+
+    def call(*words: str) -> str:
+        with pytest.raises(SystemExit) as leaving:
+            main.run(words)
+        captured = capsys.readouterr()
+        assert leaving.value.code == 0, captured.err
+        return captured.out
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of two seconds: at rest at z1 = 15°, z4 = -50°, then lifting; 200 Hz, two angles, p1 and p4."""
+    crane = Crane.load("patu655")
+    engine = SemiRecursiveEngine(crane)
+    time = np.arange(401) * 0.005
+    u1 = np.where(time >= 0.5, 0.4, 0.0)
+    start = engine.static_start(np.radians(15.0), np.radians(-50.0), 12e5)
+    inputs = Recording.from_arrays("lift", time, {"u1": u1, "u2": 0 * time})
+    run = simulate(crane, inputs, start=start, engine=engine)
+    file = tmp_path_factory.mktemp("lift") / "lift.csv"
+    run.recording().select(["u1", "u2", "z1", "z4", "p1", "p4"]).save(file)
+    return file
+
+
+# -- simulate --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ["exudyn", "semi-recursive"])
+def test_simulate_follows_a_recording_on_either_engine(
+    patu: Callable[..., str], lift: Path, tmp_path: Path, engine: str
+) -> None:
+    out = patu(
+        "simulate", "--inputs", str(lift), "--start-from-recording", "--engine", engine, "-o", str(tmp_path / "run.csv")
+    )
+    assert "driven by lift" in out and str(tmp_path / "run.csv") in out
+    measured, run = Recording.load(lift), Recording.load(tmp_path / "run.csv")
+    np.testing.assert_array_equal(run["z1"].time, measured["z1"].time)
+    for name, size in (("z1", 1.0), ("z4", 1.0), ("p1", 1e6), ("p4", 1e6)):
+        # same model, same start, same commands: what is left is the difference of two engines' solvers
+        np.testing.assert_allclose(run[name].values, measured[name].values, atol=1e-4 * size)
+    assert run.has("p2", "p3", "s1", "s2", "z4_abs", "dz1", "u1")
+    assert np.ptp(run["z1"].values) > np.radians(5.0)
+
+
+def test_unmeasured_pressures_follow_from_the_balance(patu: Callable[..., str], lift: Path, tmp_path: Path) -> None:
+    """The recording has p1 and p4 only; the less loaded chambers were at 12 bar, not at the crane file's 20 bar."""
+    patu("simulate", "--inputs", str(lift), "--start-from-recording", *FAST, "-o", str(tmp_path / "run.csv"))
+    run = Recording.load(tmp_path / "run.csv")
+    assert run["p2"].values[0] == pytest.approx(12e5, rel=1e-3)
+    assert run["p3"].values[0] == pytest.approx(12e5, rel=1e-3)
+
+
+def test_simulate_starts_as_the_crane_file_says(patu: Callable[..., str], lift: Path) -> None:
+    document = json.loads(patu("simulate", "--inputs", str(lift), *FAST, "--json", "-"))
+    assert document["channels"]["z1"]["first"] == pytest.approx(np.radians(10.0))
+    assert document["channels"]["z4"]["first"] == pytest.approx(np.radians(-40.0))
+    assert document["channels"]["p2"]["first"] == pytest.approx(20e5)
+    assert document["engine"] == "semi-recursive" and document["instants"] == 401
+
+
+def test_simulate_without_inputs_is_the_papers_cycle(patu: Callable[..., str], tmp_path: Path) -> None:
+    patu("simulate", *FAST, "-o", str(tmp_path / "cycle.parquet"))
+    run = Recording.load(tmp_path / "cycle.parquet")
+    time, commands = run.commands()
+    assert (time[0], time[-1]) == (0.0, 25.0)
+    for at, expected in ((1.0, (0, 0)), (3.0, (0.5, 0)), (8.0, (0, 0.35)), (13.0, (0, -0.35)), (20.0, (-0.5, 0))):
+        np.testing.assert_array_equal(commands[round(at * 1000)], expected)
+
+
+def test_measured_supply_pressure_drives_the_model(lift: Path) -> None:
+    """Half the pump pressure: the boom lifts more slowly, and the pressure is among the channels of the run."""
+    crane = Crane.load("patu655")
+    engine = SemiRecursiveEngine(crane)
+    inputs = Recording.load(lift).select(["u1", "u2"])
+    time = inputs["u1"].time
+    supply = Recording.from_arrays("pp", time, {"pp": np.full(len(time), 70e5)})
+    weak = simulate(crane, Recording("weak", {**inputs.channels, **supply.channels}), engine=engine)
+    strong = simulate(crane, inputs, engine=engine)
+    assert weak["z1"][-1] < strong["z1"][-1]
+    assert weak["pp"].tolist() == [70e5] * len(time)
+    assert "pp" not in strong.channels()
+
+
+def test_the_inner_grid_keeps_every_instant() -> None:
+    time = np.array([0.0, 0.0025, 0.003, 0.01])
+    grid, rows = inner_grid(time, 1e-3)
+    np.testing.assert_allclose(grid[rows], time, atol=1e-15)
+    assert np.diff(grid).max() <= 1e-3 * (1 + 1e-9)
+    assert len(grid) == 1 + 3 + 1 + 7
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [(("--start-from-recording",), "--inputs"), (("--step", "0"), "--step 0"), (("--engine", "other"), "other")],
+)
+def test_options_that_make_no_sense_are_refused(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, ...], part: str
+) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main.run(["simulate", *words])
+    assert leaving.value.code == 2
+    assert part in capsys.readouterr().err
+
+
+# -- demo ------------------------------------------------------------------------------------------------------------
+
+
+def test_demo_prints_the_table_and_leaves_plots_states_and_report(patu: Callable[..., str], tmp_path: Path) -> None:
+    out = patu("demo", "-o", str(tmp_path / "a" / "demo"), *FAST, "--json", str(tmp_path / "demo.json"))
+    document = json.loads((tmp_path / "demo.json").read_text())
+    case = document["cases"][0]
+    assert (case["model_error"], case["inputs"], case["engine"]) == (0.15, 1, "semi-recursive")
+    assert case["published"]["p3"] == 5.92
+    for state, error in case["pn_rmse"].items():
+        assert error < case["pn_rmse_open_loop"][state]  # the filter is worth having, state by state
+        assert f"{error:.4g}" in out
+    files = {p.name: p for p in (tmp_path / "a" / "demo").iterdir()}
+    assert set(files) == {"states.png", "errors.png", "states.csv", "report.html"}
+    assert all(files[name].read_bytes().startswith(b"\x89PNG") for name in ("states.png", "errors.png"))
+    assert all(str(path) in out for path in files.values())
+    assert "5.92" in files["report.html"].read_text()
+
+
+# -- benchmark -------------------------------------------------------------------------------------------------------
+
+
+def test_benchmark_json_has_ratios_of_one_run(patu: Callable[..., str]) -> None:
+    document = json.loads(patu("benchmark", "--only", "open_loop", "--only", "memory", "--json", "-"))
+    assert document["real_time"] == {"value": 25.0, "unit": "s", "ratio_to": None, "ratio": None}
+    for entry in document.values():
+        if entry["ratio_to"]:
+            assert entry["ratio"] == pytest.approx(entry["value"] / document[entry["ratio_to"]]["value"])
+    assert document["open_loop.semi_recursive"]["ratio_to"] == "open_loop.exudyn"
+    assert document["memory.process"]["value"] > 10.0
+
+
+def test_the_split_of_a_step_adds_up_and_leaves_no_clock_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    from crane_exudyn import engine as module
+
+    monkeypatch.setattr(benchmark, "STRETCH", 0.05)
+    monkeypatch.setattr(benchmark, "NAIVE_STRETCH", 0.003)
+    before = (module.trapezoidal.predict, module._System._residual)
+    results = benchmark.run(["filters"])
+    assert (module.trapezoidal.predict, module._System._residual) == before
+    step = "filter.exudyn.step"
+    parts = [results.measures[f"{step}.{p}"].value for p in ("restore", "exudyn_residual", "newton", "filter_algebra")]
+    assert min(parts) > 0.0
+    assert sum(parts) == pytest.approx(results.measures[step].value)
+    assert results.measures["filter.naive.realtime_factor"].value > 0.0
+
+
+def test_an_unknown_benchmark_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main.run(["benchmark", "--only", "open_lop"])
+    assert leaving.value.code == 2
+    assert '"open_loop"' in capsys.readouterr().err
