@@ -1,0 +1,115 @@
+"""What is written into pictures: title, time, which crane is which, colour scales, names beside arrows."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .render import Scene
+
+_INK, _SOFT, _MARK = (25, 27, 30), (85, 90, 96), (176, 0, 98)
+
+
+def write_on(picture: np.ndarray, scene: Scene, time: float) -> np.ndarray:
+    """Return the picture (height, width, 3) with the scene's texts at a time in s."""
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image, "RGBA")
+    unit = max(image.height / 720.0, 0.7)  # sizes below are pixels of a picture 720 high; small ones stay legible
+    _heading(draw, scene, time, unit)
+    if len(scene.trajectories) > 1:
+        _legend(draw, scene, unit)
+    if scene.colour is not None:
+        _scales(draw, scene, time, unit, image.size)
+    for mark in scene.marks:
+        _mark(draw, scene, mark, time, unit)
+    return np.asarray(image)
+
+
+@cache
+def _font(size: int, bold: bool = False) -> Any:
+    """Return DejaVu Sans, which comes with matplotlib and so is there on every machine."""
+    import matplotlib
+    from PIL import ImageFont
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, size)
+
+
+def _heading(draw: Any, scene: Scene, time: float, unit: float) -> None:
+    title = scene.title or scene.crane.name
+    draw.text((28 * unit, 20 * unit), title, font=_font(round(24 * unit), True), fill=_INK)
+    z1, z4 = scene.trajectories[0].at(time)
+    words = f"t = {time:6.2f} s    z1 = {math.degrees(z1):6.1f}°    z4 = {math.degrees(z4):6.1f}°"
+    draw.text((28 * unit, 54 * unit), words.replace("-", "−"), font=_font(round(17 * unit)), fill=_SOFT)
+
+
+def _legend(draw: Any, scene: Scene, unit: float) -> None:
+    for i, trajectory in enumerate(scene.trajectories):
+        y = (90 + 28 * i) * unit
+        plain = i == 0 and scene.colour is not None
+        color = (255, 255, 255) if plain else tuple(round(255 * c) for c in scene.ghost_color(i))
+        draw.rectangle((28 * unit, y, 62 * unit, y + 16 * unit), fill=color, outline=_INK, width=max(1, round(unit)))
+        how = " (coloured)" if plain else ""
+        draw.text((72 * unit, y - 3 * unit), trajectory.label + how, font=_font(round(17 * unit)), fill=_INK)
+
+
+def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, int]) -> None:
+    """Draw one bar for each quantity, with the present values written beside it."""
+    rows: list[tuple[str, float, str, tuple[str, ...]]] = [("pressure", 1e-5, "bar", ("p1", "p2", "p3", "p4"))]
+    if scene.colour == "residual":
+        rows.append(("angle", math.degrees(1.0), "°", ("z1", "z4")))
+    for i, (name, factor, symbol, channels) in enumerate(rows):
+        x = size[0] - (330 + 350 * i) * unit
+        y = size[1] - 78 * unit
+        panel = (x - 16 * unit, y - 32 * unit, x + 318 * unit, y + 62 * unit)
+        draw.rounded_rectangle(panel, radius=8 * unit, fill=(255, 255, 255, 200))
+        end = scene.scales[name] * factor
+        _bar(draw, scene, (x, y, x + 300 * unit, y + 14 * unit))
+        heading = f"{name} / {symbol}" if scene.colour == "pressure" else f"{name} residual / {symbol}"
+        draw.text((x, y - 25 * unit), heading, font=_font(round(16 * unit)), fill=_INK)
+        for fraction in (0.0, 0.5, 1.0):
+            at = (x + 300 * unit * fraction, y + 17 * unit)
+            draw.text(at, f"{end * fraction:g}", font=_font(round(14 * unit)), fill=_INK, anchor="ma")
+        values = [(c, scene.value(c, time) * factor) for c in channels]
+        words = "   ".join(f"{c} {v:.1f}" for c, v in values if not math.isnan(v))
+        draw.text((x, y + 36 * unit), words, font=_font(round(14 * unit)), fill=_SOFT)
+
+
+def _bar(draw: Any, scene: Scene, box: tuple[float, float, float, float]) -> None:
+    from matplotlib import colormaps
+
+    from .render import MAPS
+
+    left, top, right, bottom = box
+    steps = 60
+    for k in range(steps):
+        r, g, b, _ = colormaps[MAPS[scene.colour or "pressure"]]((k + 0.5) / steps)
+        at = left + (right - left) * k / steps
+        color = (round(255 * r), round(255 * g), round(255 * b))
+        draw.rectangle((at, top, left + (right - left) * (k + 1) / steps, bottom), fill=color)
+    draw.rectangle(box, outline=_INK, width=1)
+
+
+def _mark(draw: Any, scene: Scene, mark: str, time: float, unit: float) -> None:
+    """Write the name of a marked place beside the tail of its arrow, on a white ground."""
+    tip, direction = scene.mark_at(mark, time)
+    tail = tip - 0.57 * np.asarray(direction) / math.hypot(*direction)
+    (x, y), (x_tip, y_tip) = scene.project(np.array([[*tail, 0.3], [*tip, 0.3]]))
+    font = _font(round(19 * unit), True)
+    words = mark if mark not in ("lift", "tilt") else f"{mark} cylinder"
+    pad = 6 * unit
+    x += (draw.textlength(words, font=font) / 2.0 + pad) * (x - x_tip) / math.hypot(x - x_tip, y - y_tip)
+    y += 20 * unit * (y - y_tip) / math.hypot(x - x_tip, y - y_tip)
+    box = draw.textbbox((x, y), words, font=font, anchor="mm")
+    draw.rounded_rectangle(
+        (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), radius=6 * unit, fill=(255, 255, 255, 225),
+        outline=_MARK, width=max(1, round(1.5 * unit)),
+    )  # fmt: skip
+    draw.text((x, y), words, font=font, fill=_MARK, anchor="mm")

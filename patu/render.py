@@ -1,0 +1,132 @@
+"""`patu render`: pictures and films of a run, through Exudyn's renderers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from crane_exudyn.errors import CraneError
+
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapOption, load_crane, load_recording
+from .output import Printer, progress, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from crane_exudyn.crane import Crane
+    from crane_exudyn.render import Scene, Trajectory
+
+#: what a --ghost without a name is called, in order
+_GHOST_NAMES = ("simulated", "estimated", "third", "fourth")
+
+
+def command(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(metavar="REC", help="Recording or result with z1 and z4; none: the crane at its start."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help=".png, .jpg, .gif or .mp4")
+    ] = None,
+    ghost: Annotated[
+        list[str] | None,
+        typer.Option("--ghost", metavar="[NAME=]FILE", help="Another run in the same scene; repeatable."),
+    ] = None,
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    mapping: MapOption = None,
+    label: Annotated[str, typer.Option(help="What the run itself is called.")] = "measured",
+    time: Annotated[float | None, typer.Option(help="Time of the picture in s; the last if left out.")] = None,
+    start: Annotated[float | None, typer.Option("--from", help="Start of the film in s.")] = None,
+    end: Annotated[float | None, typer.Option("--to", help="End of the film in s.")] = None,
+    fps: Annotated[float, typer.Option(help="Pictures a second of film.")] = 12.0,
+    speed: Annotated[float, typer.Option(help="Seconds of the run in a second of film.")] = 1.0,
+    colour: Annotated[
+        Literal["pressure", "residual"] | None,
+        typer.Option(help="Colour by pressure, or by what differs from --ghost."),
+    ] = None,
+    mark: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber or joint: lift, p4, A; repeatable."),
+    ] = None,
+    view: Annotated[Literal["side", "oblique"] | None, typer.Option(help="Where it is seen from.")] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size in pixels.")] = "1280x720",
+    title: Annotated[str | None, typer.Option(help="Written at the top; the recording's name if left out.")] = None,
+    renderer: Annotated[
+        Literal["raytracer", "opengl"],
+        typer.Option(help="Exudyn's ray tracer, or its OpenGL window (on Xvfb without a screen)."),
+    ] = "raytracer",
+    save_solution: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write an Exudyn solution file, as its SolutionViewer opens.")
+    ] = None,
+    open_viewer: Annotated[bool, typer.Option("--open", help="Open Exudyn's SolutionViewer (needs a screen).")] = False,
+    json: JsonOption = None,
+) -> None:
+    """Draw the crane of a run: one picture, a film, or Exudyn's live viewer.
+
+    Other runs given with --ghost stand in the same scene, so that one sees where a model leaves the measurement.
+    """  # fmt: skip
+    if output is None and save_solution is None and not open_viewer:
+        raise CraneError("Nothing to do: give -o FILE.png (or .gif, .mp4), --save-solution FILE or --open.")
+    from crane_exudyn.render import Scene, need_screen
+
+    if open_viewer:
+        need_screen("--open")
+    described = load_crane(crane, effects)
+    runs = _runs(described, recording, label, ghost or (), mapping)
+    scene = Scene(
+        described, runs, colour=colour, marks=mark or (), size=_size(size), view=view,
+        title=title if title is not None else recording.name if recording else described.name,
+    )  # fmt: skip
+    if output is not None:
+        with progress(f"drawing {output.name}", json) as done:
+            scene.save(output, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer, progress=done)
+    _hand_over(scene, save_solution, open_viewer)
+    written = [str(p) for p in (output, save_solution) if p is not None]
+    write_json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
+    for path in written:
+        Printer(json).line(f"wrote {path}")
+
+
+def _runs(
+    crane: Crane, recording: Path | None, label: str, ghosts: Sequence[str], mapping: Sequence[str] | None
+) -> list[Trajectory]:
+    """Return the trajectories of the run itself and of its ghosts."""
+    from crane_exudyn.render import Trajectory
+
+    if recording is None:
+        return [Trajectory.at_rest(crane)]
+    runs = [Trajectory.from_recording(load_recording(recording, mapping), label)]
+    for entry, default in zip(ghosts, _GHOST_NAMES, strict=False):
+        name, equals, path = entry.partition("=")
+        if not equals:
+            name, path = default, entry
+        runs.append(Trajectory.from_recording(load_recording(Path(path), mapping), name))
+    if len(ghosts) > len(_GHOST_NAMES):
+        raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(_GHOST_NAMES)}.")
+    return runs
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Return (width, height) in pixels of "1280x720"."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 160 <= int(width) <= 4096 and 120 <= int(height) <= 4096):
+        raise CraneError(f"--size {text!r} is not WIDTHxHEIGHT between 160x120 and 4096x4096, such as 1280x720.")
+    return int(width), int(height)
+
+
+def _hand_over(scene: Scene, save_solution: Path | None, open_viewer: bool) -> None:
+    """Write the solution file, and open Exudyn's viewer with it (or with a temporary one)."""
+    if save_solution is not None:
+        scene.save_solution(save_solution)
+    if not open_viewer:
+        return
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = save_solution or Path(folder) / "run.txt"
+        if save_solution is None:
+            scene.save_solution(path)
+        scene.view_solution(path)
