@@ -150,7 +150,9 @@ def draw_lines(
             t, y = thin(own, np.asarray(y, dtype=float) * unit.factor)
             axes.plot(t, y, label=label, **look(label, i))
         if channel:
-            axes.set_ylabel(unit.label.replace(" / ", "\n/ "))
+            *words, symbol = unit.name.split(" ")
+            axes.set_title(" ".join(words), loc="left", fontsize=9, color="#444444", pad=3.0)
+            axes.set_ylabel(f"{symbol} / {unit.unit}" if unit.unit else symbol)
 
 
 def thin(time: np.ndarray, *columns: np.ndarray, most: int = 4000) -> tuple[np.ndarray, ...]:
@@ -195,10 +197,8 @@ def mark_intervals(axes: Axes, marks: Sequence[tuple[float, float, str]], *, tex
         for start, end, words in marks:
             axes.axvspan(start, end, facecolor="#f3e3b3", edgecolor="#b08d2a", hatch="///", alpha=0.5, lw=0, zorder=0)
             if text:
-                at = ((start + end) / 2, 0.97)
-                axes.annotate(
-                    words, at, xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=8, zorder=9
-                )
+                at = ((start + end) / 2, 1.02)
+                axes.annotate(words, at, xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=8)
 
 
 def legend_above(made: Figure) -> None:

@@ -210,14 +210,17 @@ def _table(table: Table) -> dict[str, Any]:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) or (hasattr(value, "item") and getattr(value, "ndim", 1) == 0)
+    return (isinstance(value, int | float) and not isinstance(value, bool)) or (
+        hasattr(value, "item") and getattr(value, "ndim", 1) == 0
+    )
 
 
 def _title_of(figure: Any) -> str:
     """Return the title that a bare figure carries, or what its axes say, as the text for those who cannot see it."""
     title = figure.get_suptitle() if hasattr(figure, "get_suptitle") else ""
-    labels = [a.get_ylabel().replace("\n", " ") for a in getattr(figure, "axes", ())]
-    return title or "Plot of " + ", ".join(dict.fromkeys(label for label in labels if label))
+    axes = getattr(figure, "axes", ())
+    labels = [" ".join(filter(None, (a.get_title(loc="left"), a.get_ylabel() or a.get_xlabel()))) for a in axes]
+    return title or ", ".join(dict.fromkeys(label for label in labels if label)) or "Figure"
 
 
 _MAGIC = ((b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"GIF8", "image/gif"), (b"<", "image/svg+xml"))
