@@ -40,6 +40,8 @@ _COLUMNS = {"z1": 0, "z4": 1, "p1": 4, "p4": 7}
 #: start of the models off the real system's: +2° in z1, -3° in z4, +3 bar in each pressure
 START_ERROR = np.array([np.radians(2.0), np.radians(-3.0), 0.0, 0.0, 3e5, 3e5, 3e5, 3e5])
 _PUMP_ERROR, _PAYLOAD, _JOINT_ERROR = 20e5, 10.0, 5e-3
+#: growth of the unknowns' standard deviation in parts of that at the start, per √s
+_DRIFT = 0.01
 
 
 def _pulses(time: np.ndarray, pulses: Sequence[tuple[int, float, float, float]]) -> np.ndarray:
@@ -86,17 +88,15 @@ def wrong_crane(crane: Crane, model_error: float) -> Crane:
 def unknowns(crane: Crane) -> tuple[Augment, ...]:
     """Return what the estimator's own means estimate along with the state, for an estimation model.
 
-    Everything that the experiment's setting says may be wrong, as a constant: payload, pump, masses and inertias of the booms,
-    coordinates of the joints. The brackets are left out: 5 % of 20 kg are below what the sensors can tell.
+    Everything that the experiment's setting says may be wrong: payload, pump, masses and inertias of the booms, coordinates of
+    the joints. The brackets are left out: 5 % of 20 kg are below what the sensors can tell; for such rests every quantity
+    drifts by a hundredth of its uncertainty per √s, so that the filter never becomes surer than its model is right.
     """
     masses = [f"bodies.{b}.{q}" for b in ("lift_boom", "outer_boom") for q in ("mass", "inertia")]
     joints = [f"joints.{j}.{axis}" for j in "ABCD" for axis in "xy"]
-    return (
-        Augment("payload.mass", 100.0),
-        Augment("supply.pump_pressure", _PUMP_ERROR),
-        *(Augment(name, 0.15 * crane[name]) for name in masses),
-        *(Augment(name, _JOINT_ERROR) for name in joints),
-    )
+    std = {"payload.mass": 100.0, "supply.pump_pressure": _PUMP_ERROR}
+    std |= {name: 0.15 * crane[name] for name in masses} | dict.fromkeys(joints, _JOINT_ERROR)
+    return tuple(Augment(name, value, drift=_DRIFT * value) for name, value in std.items())
 
 
 @dataclass(frozen=True)
@@ -277,3 +277,87 @@ def run_case(
     estimate = filter_.run(experiment.signals, keep_covariance=True, progress=progress)
     seconds = clock.perf_counter() - begin
     return Case(model_error, inputs, tuning, used, experiment, open_loop, estimate, seconds)
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """All cases as documents, and the cases of `shown` (15 % error, first input set) whole, for figures, by tuning."""
+
+    documents: tuple[dict[str, Any], ...]
+    shown: dict[str, Case]
+    seconds: float
+
+    @property
+    def realtime_factor(self) -> float:
+        """Smallest real-time factor of the 17-point filter over all cases of the paper's tuning."""
+        return min((d["realtime_factor"] for d in self.documents if d["tuning"] == "paper"), default=float("nan"))
+
+    def document(self) -> dict[str, Any]:
+        """Return the result as JSON."""
+        return {"cases": list(self.documents), "realtime_factor": self.realtime_factor, "seconds": self.seconds}
+
+
+def reproduce(
+    model_errors: Sequence[float] = MODEL_ERRORS,
+    inputs: Sequence[int] = tuple(INPUT_SETS),
+    engine: str = "exudyn",
+    seed: int = 0,
+    *,
+    tunings: Sequence[str] = ("paper", "own"),
+    crane: Crane | None = None,
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> Reproduction:
+    """Return the paper's table: every model error with every input set, by every tuning.
+
+    Args:
+        jobs: processes; one input set is one piece of work, since its cases share the real system.
+    """
+    from joblib import Parallel, delayed
+
+    begin = clock.perf_counter()
+    crane = crane if crane is not None else Crane.load("patu655")
+    work = [(error, i) for i in inputs for error in model_errors]
+    calls = (delayed(_both_tunings)(error, i, engine, seed, tuple(tunings), crane) for error, i in work)
+    documents: list[dict[str, Any]] = []
+    shown: dict[str, Case] = {}
+    for k, (found, cases) in enumerate(Parallel(n_jobs=jobs, return_as="generator")(calls)):
+        documents += found
+        shown |= cases
+        if progress is not None:
+            progress((k + 1) / len(work))
+    order = {t: k for k, t in enumerate(tunings)}
+    documents.sort(key=lambda d: (order[d["tuning"]], d["inputs"], d["model_error"]))
+    return Reproduction(tuple(documents), shown, clock.perf_counter() - begin)
+
+
+def _both_tunings(
+    error: float, inputs: int, engine: str, seed: int, tunings: tuple[str, ...], crane: Crane
+) -> tuple[list[dict[str, Any]], dict[str, Case]]:
+    """Return the documents of one error and input set, and the cases themselves where figures show them."""
+    experiment = real_system(crane, inputs, engine, seed)
+    open_loop = simulation_model(wrong_crane(crane, error), experiment, engine)
+    documents, shown = [], {}
+    for tuning in tunings:
+        case = run_case(
+            error, inputs, engine, seed, tuning=tuning, crane=crane, experiment=experiment, open_loop=open_loop
+        )
+        documents.append(case.document())
+        if (error, inputs) == (0.15, 1):
+            shown[tuning] = case
+    return documents, shown
+
+
+def pressure_floor(std: float = SENSOR_STD["p1"], variance: float | None = None) -> float:
+    """Return the error (Pa) that a sensor's noise alone leaves in a pressure which the filter takes for a random walk.
+
+    With a variance q a step (the paper's σ_p²) and a sensor variance r the stationary Riccati equation gives
+    P⁻ = (q + √(q² + 4 q r))/2 and the gain K = P⁻/(P⁻ + r). Even if the model predicted every step exactly, the error would
+    obey e' = (1 - K) e + K ν, whose variance is r K/(2 - K).
+    """
+    from ukf.noise import PAPER_PRESSURE
+
+    q, r = PAPER_PRESSURE if variance is None else variance, std**2
+    prior = 0.5 * (q + np.sqrt(q * q + 4 * q * r))
+    gain = prior / (prior + r)
+    return float(np.sqrt(r * gain / (2.0 - gain)))
