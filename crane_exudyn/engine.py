@@ -218,11 +218,13 @@ class _System:
         self.mbs.Assemble()
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
         self._settings.timeIntegration.startTime, self._settings.timeIntegration.endTime = time, time + 1.0
-        self.solver = mechanism.exu.MainSolverImplicitSecondOrder()
+        self.solver = mechanism.new_solver()
         if not self.solver.InitializeSolver(self.mbs, self._settings):
             raise CraneError(f"{crane.name}: Exudyn cannot initialise its solver: {self.solver.GetErrorString()}")
         self.solver.it.currentStepSize = 1.0  # Exudyn scales the rows of ODE2 by beta h^2; h is not used otherwise
         self._scale = 0.25
+        data = self.mbs.systemData
+        data.SetAECoordinates(np.zeros(size * self.plant.joint_rows))  # the start left joint forces there
         width = self.plant.coordinates
         self._q, self._v, self._a = np.zeros((size, width)), np.zeros((size, width)), np.zeros((size, width))
         self._p, self._dp, self._p0, self._dp0 = (np.zeros((size, 4)) for _ in range(4))

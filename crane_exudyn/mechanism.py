@@ -363,6 +363,11 @@ def main_system() -> tuple[Any, Any]:
     return container, container.AddSystem()
 
 
+def new_solver() -> Any:
+    """Return Exudyn's implicit second-order solver, to be stepped by hand (its type stub lacks `self`, hence Any)."""
+    return exu.MainSolverImplicitSecondOrder()
+
+
 def settings(step: float, duration: float, *, sparse: bool = False) -> Any:
     """Return Exudyn simulation settings for the implicit trapezoidal rule with index-2 constraints, as the engine uses.
 

@@ -267,6 +267,15 @@ def extra_forces(P, E, t, inertia, q, v, p, arms, f):
 
 
 @njit
+def dot(a, b):
+    """Return the scalar product, summed in order: the result must not depend on where the arrays lie in memory."""
+    total = 0.0
+    for j in range(a.size):
+        total += a[j] * b[j]
+    return total
+
+
+@njit
 def mass_times(inertia, a, out):
     """Fill out with M a for the diagonal mass matrix of centre-of-mass coordinates."""
     for b in range(4):
@@ -284,7 +293,7 @@ def reduced_mass(inertia, N, work, M):
     for i in range(n):
         mass_times(inertia, N[i], work)
         for k in range(n):
-            M[i, k] = np.dot(N[k], work)
+            M[i, k] = dot(N[k], work)
 
 
 @njit
@@ -332,7 +341,7 @@ def accelerations(P, E, t, inertia, N, arms, q, v, p, work, f, M, udd, a):
     reduced_mass(inertia, N, work, M)
     mass_times(inertia, a, work)
     for i in range(N.shape[0]):
-        udd[i] = np.dot(N[i], f) - np.dot(N[i], work)
+        udd[i] = dot(N[i], f) - dot(N[i], work)
     regular = solve(M, udd)
     for j in range(a.size):
         for i in range(N.shape[0]):

@@ -223,7 +223,7 @@ def _fill_system(E, h, inertia, N, D, v, Fv, Fp, Rv, Rp, work, A):
     for i in range(nu):
         red.mass_times(inertia, N[i], work)
         for m in range(nu):
-            A[m, i] = 2.0 / h * np.dot(N[m], work) - D[0, m] * Fv[0] * D[0, i] - D[1, m] * Fv[1] * D[1, i]
+            A[m, i] = 2.0 / h * red.dot(N[m], work) - D[0, m] * Fv[0] * D[0, i] - D[1, m] * Fv[1] * D[1, i]
         for j in range(4):
             A[i, nu + j] = -D[0, i] * Fp[0, j] - D[1, i] * Fp[1, j]
             A[nu + j, i] = Rv[j, 0] * D[0, i] + Rv[j, 1] * D[1, i]

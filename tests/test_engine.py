@@ -1,0 +1,278 @@
+"""The Exudyn engine: same answers as Exudyn's own solver, pure steps, isolation, reduction, errors."""
+
+import numpy as np
+import pytest
+
+from crane_exudyn import mechanism
+from crane_exudyn.crane import Crane
+from crane_exudyn.engine import ExudynEngine
+from crane_exudyn.errors import CraneError
+from crane_exudyn.geometry import pose
+from crane_exudyn.naive import SolveDynamicEngine
+
+CRANE = Crane.load("patu655")
+SWINGING = CRANE.with_effect("payload_swing", {"length": 1.2, "damping": 8.0})
+RUBBING = (
+    CRANE.with_effect("seal_friction@lift", {"dFc": 800.0, "dFs": 1200.0, "vs": 5e-3})
+    .with_effect("pump_droop", {"R": 4e9})
+    .with_effect("return_back_pressure", {"R": 2e9})
+    .with_effect("internal_leakage@tilt", {"k": 5e-12})
+    .with_effect("entrained_air", {"alpha": 0.005})
+    .with_effect("structural_compliance@lift", {"stiffness": 1e7})
+    .with_effect("counterbalance_valve@tilt", {"setting": 150e5, "ratio": 4.0})
+    .with_effect("joint_coulomb_friction@A", {"T": 80.0})
+    .with_effect("tip_contact_force", {"F": 300.0, "T": 0.0})
+    .with_effect("base_tilt", {"gamma": 0.04})
+)
+INPUTS = np.array([[0.3, -0.2, np.nan, np.nan], [0.31, -0.21, 95e5, 2e5]])
+
+
+def moving_states(n, seed=0, nx=8):
+    """Return n states (n, nx) of a moving crane, all different."""
+    rng = np.random.default_rng(seed)
+    mean = np.array([0.3, -0.8, 0.1, -0.1, 55e5, 30e5, 25e5, 45e5, 0.1, 0.2])[:nx]
+    spread = np.array([0.1, 0.2, 0.1, 0.1, 5e5, 5e5, 5e5, 5e5, 0.1, 0.1])[:nx]
+    return mean + spread * rng.uniform(-1, 1, (n, nx))
+
+
+ENGINE = ExudynEngine(CRANE)
+
+
+@pytest.mark.parametrize("crane", [CRANE, SWINGING, RUBBING], ids=["nominal", "swinging", "many effects"])
+def test_equals_exudyns_own_solver(crane):
+    """One step for a batch, against one SolveDynamic a state; both solve to about 1e-9 rad/s and 0.01 Pa."""
+    engine = ExudynEngine(crane)
+    states = moving_states(5, nx=len(engine.state_names))
+    ours = engine.propagate(states, INPUTS, 1e-3, 0.5)
+    theirs = SolveDynamicEngine(crane).propagate(states, INPUTS, 1e-3, 0.5)
+    moved = np.abs(theirs - states)[:, :8].max(axis=0)
+    assert np.all(moved > 1e-5)
+    assert ours[:, :4] == pytest.approx(theirs[:, :4], abs=2e-9)
+    assert ours[:, 4:8] == pytest.approx(theirs[:, 4:8], abs=0.02)
+    assert ours[:, 8:] == pytest.approx(theirs[:, 8:], abs=2e-9)
+
+
+def test_step_repeats_bit_for_bit_whatever_came_between():
+    states = moving_states(4)
+    first = ENGINE.propagate(states, INPUTS, 1e-3)
+    ENGINE.propagate(moving_states(4, seed=9), -INPUTS, 2e-3, 7.0)
+    ENGINE.propagate(moving_states(1, seed=8), INPUTS, 1e-3)
+    assert np.array_equal(ENGINE.propagate(states, INPUTS, 1e-3), first)
+    assert np.array_equal(ExudynEngine(CRANE, size=4).propagate(states, INPUTS, 1e-3), first)
+
+
+def test_restored_state_continues_bit_for_bit():
+    time = np.arange(0.0, 0.0605, 1e-3)
+    inputs = np.column_stack([0.3 * np.sin(20 * time), 0.2 * np.cos(9 * time), time * np.nan, time * np.nan])
+    whole = ENGINE.simulate(moving_states(1)[0], time, inputs)
+    again = ENGINE.simulate(whole[30], time[30:], inputs[30:])
+    assert np.array_equal(again, whole[30:])
+
+
+def test_simulation_is_a_chain_of_steps():
+    time = np.array([0.0, 1e-3, 2e-3])
+    inputs = np.array([[0.1, 0.2, np.nan, np.nan], [0.2, 0.1, np.nan, np.nan], [0.3, 0.0, np.nan, np.nan]])
+    start = moving_states(1)
+    whole = ENGINE.simulate(start[0], time, inputs)
+    one = ENGINE.propagate(start, inputs[:2], time[1] - time[0])
+    two = ENGINE.propagate(one, inputs[1:], time[2] - time[1], time[1])
+    assert np.array_equal(whole[2], two[0])
+
+
+@pytest.mark.parametrize("crane", [CRANE, RUBBING], ids=["nominal", "many effects"])
+def test_cranes_of_a_batch_do_not_touch_each_other(crane):
+    """Every row has the bits that it has alone, whoever the neighbours are."""
+    engine = ExudynEngine(crane, size=7)
+    states = moving_states(7)
+    inputs = INPUTS[:, None, :] * np.linspace(0.2, 1.0, 7)[None, :, None]
+    batch = engine.propagate(states, inputs, 1e-3)
+    alone = np.array([engine.propagate(states[k : k + 1], inputs[:, k], 1e-3)[0] for k in range(7)])
+    assert np.array_equal(batch, alone)
+    states[3] = moving_states(1, seed=5)
+    changed = engine.propagate(states, inputs, 1e-3)
+    assert np.array_equal(np.delete(changed, 3, axis=0), np.delete(batch, 3, axis=0))
+
+
+def test_two_engines_share_nothing():
+    heavy = ExudynEngine(CRANE.with_parameters({"payload.mass": 300.0}))
+    states = moving_states(2)
+    before = ENGINE.propagate(states, INPUTS, 1e-3)
+    other = heavy.propagate(states, INPUTS, 1e-3)
+    assert np.abs(other - before)[:, 2].max() > 1e-4
+    assert np.array_equal(ENGINE.propagate(states, INPUTS, 1e-3), before)
+
+
+def test_arguments_are_not_changed():
+    states, inputs = moving_states(2), INPUTS.copy()
+    kept = states.copy()
+    ENGINE.propagate(states, inputs, 1e-3)
+    assert np.array_equal(states, kept)
+    assert np.array_equal(inputs, INPUTS, equal_nan=True)
+
+
+def test_inner_step_of_simulate():
+    time, inputs = np.array([0.0, 0.004]), INPUTS[[0, 0]]
+    coarse = ENGINE.simulate(moving_states(1)[0], time, inputs, step=1e-3)
+    fine_grid = np.linspace(0.0, 0.004, 5)
+    fine = ENGINE.simulate(moving_states(1)[0], fine_grid, INPUTS[[0] * 5])
+    assert coarse[-1] == pytest.approx(fine[-1], rel=1e-12)
+
+
+@pytest.mark.parametrize("crane", [CRANE, SWINGING, RUBBING], ids=["nominal", "swinging", "many effects"])
+def test_reduction_agrees_with_what_exudyn_assembles(crane):
+    """Null space, reduced mass, forces and rates against Exudyn's joint Jacobian, mass matrix and right-hand sides."""
+    engine = ExudynEngine(crane)
+    for state in moving_states(4, seed=2, nx=len(engine.state_names)):
+        w = np.array([0.4, -0.3, 90e5, 1e5])
+        exu, ours = engine.residual(state, w, 0.7), engine.terms(state, w, 0.7)
+        basis = null_space_of_rates(exu, ours)
+        assert exu["joint"] == pytest.approx(0.0, abs=1e-13)
+        reduced = basis.T @ exu["mass"] @ basis
+        assert ours["M11"] == pytest.approx(reduced[0, 0], rel=1e-10)
+        assert ours["M12"] == pytest.approx(reduced[0, 1], rel=1e-10)
+        assert ours["M22"] == pytest.approx(reduced[1, 1], rel=1e-10)
+        applied = basis.T @ exu["force"]
+        assert ours["Qg1"] + ours["Qh1"] + ours["Qj1"] == pytest.approx(applied[0], rel=1e-9)
+        assert ours["Qg4"] + ours["Qh4"] + ours["Qj4"] == pytest.approx(applied[1], rel=1e-9)
+        # what is left of the balance when the accelerations are put in lies in the space of the joint forces
+        rest = exu["mass"] @ exu["a"] - exu["force"]
+        assert basis.T @ rest == pytest.approx(0.0, abs=1e-8 * np.abs(exu["force"]).max())
+        rates = [ours[f"dp{i}"] for i in (1, 2, 3, 4)]
+        assert exu["pressure_rates"] == pytest.approx(rates, rel=1e-9)
+
+
+def null_space_of_rates(exu, ours):
+    """Return the basis (nq, 2 or 3) of the null space of Exudyn's G whose columns are dz1, dz4 (and dtheta) of one."""
+    _, s, vt = np.linalg.svd(exu["joint_jacobian"])
+    raw, q = vt[len(s) :].T, exu["q"]
+    rates = [raw[2], raw[11] - raw[2]]
+    if len(q) > 12:  # rate of the rod from E to the payload
+        tip = np.array([ours["x_E"], ours["y_E"]])
+        rod, arm = q[12:] - tip, tip - q[9:11]
+        relative = raw[12:] - raw[9:11] - np.outer([-arm[1], arm[0]], raw[11])
+        rates.append((rod[0] * relative[1] - rod[1] * relative[0]) / (rod @ rod))
+    return raw @ np.linalg.inv(np.array(rates))
+
+
+def test_balance_of_the_terms():
+    """M zdd = Qg + Qh + Qv + Qj and (34), put together from the named terms."""
+    t = ExudynEngine(RUBBING).terms(moving_states(1)[0], np.array([0.4, -0.3, np.nan, np.nan]), 0.5)
+    left = t["M11"] * t["ddz1"] + t["M12"] * t["ddz4"], t["M12"] * t["ddz1"] + t["M22"] * t["ddz4"]
+    for axis, value in zip("14", left, strict=True):
+        assert value == pytest.approx(sum(t[f"Q{part}{axis}"] for part in "ghvj"), rel=1e-9)
+    area_a, area_b = np.pi / 4 * 0.1**2, np.pi / 4 * (0.1**2 - 0.056**2)
+    rate = t["Be3"] / t["V3"] * (t["Q3"] + t["leak3"] - area_a * t["ds2"])
+    assert t["dp3"] == pytest.approx(rate, rel=1e-9)
+    rate = t["Be4"] / t["V4"] * (area_b * t["ds2"] - t["Q4"] + t["leak4"])
+    assert t["dp4"] == pytest.approx(rate, rel=1e-9)
+    assert t["pp"] == pytest.approx(100e5 - 4e9 * (t["Q1"] - t["Q4"]), rel=1e-9)  # extending lift, retracting tilt
+    assert t["pt"] == pytest.approx(1e5 + 2e9 * (t["Q2"] - t["Q3"]), rel=1e-9)
+
+
+def test_every_effect_is_off_at_its_neutral_values():
+    from crane_exudyn.effects import registry
+
+    states = moving_states(3)
+    plain = ENGINE.propagate(states, INPUTS, 1e-3, 1.0)
+    crane = CRANE
+    for key in registry.all_keys():
+        effect, _ = registry.split_key(key)
+        crane = crane.with_effect(key, {p.name: p.neutral for p in effect.parameters})
+    assert np.array_equal(ExudynEngine(crane).propagate(states, INPUTS, 1e-3, 1.0), plain)
+
+
+def test_payload_change_takes_place_at_its_time():
+    crane = CRANE.with_effect("payload_change", {"dm": 60.0, "T": 0.0205})
+    heavy = ExudynEngine(CRANE.with_parameters({"payload.mass": CRANE["payload.mass"] + 60.0}))
+    engine = ExudynEngine(crane)
+    start, time = engine.static_start(0.2, -0.7), np.arange(0.0, 0.0505, 1e-3)
+    inputs = np.tile([0.0, 0.0, np.nan, np.nan], (time.size, 1))
+    run = engine.simulate(start, time, inputs)
+    assert run[20] == pytest.approx(start, rel=1e-9, abs=1e-9)
+    assert run[50, 2] < -1e-3
+    assert np.array_equal(run[22:], heavy.simulate(run[22], time[22:], inputs[22:]))
+
+
+def test_own_exudyn_script_with_inputs_of_time():
+    """`mechanism.build` in a user's own system, solved by SolveDynamic, follows the engine."""
+    engine = ExudynEngine(CRANE)
+    start, time = engine.static_start(0.2, -0.7), np.arange(0.0, 0.2005, 1e-3)
+
+    def inputs(t):
+        return np.array([0.2 * np.sin(10.0 * t), 0.0, np.nan, np.nan])
+
+    _container, mbs = mechanism.main_system()
+    plant = mechanism.build(mbs, CRANE, states=start, inputs=inputs)
+    mbs.Assemble()
+    assert mbs.SolveDynamic(mechanism.settings(1e-3, 0.2))
+    angle = mbs.GetNodeOutput(plant.nodes[0]["lift_boom"], mechanism.exu.OutputVariableType.Coordinates)[2]
+    ours = engine.simulate(start, time, np.array([inputs(t) for t in time]))
+    assert abs(ours[-1, 0] - start[0]) > 0.01
+    assert angle == pytest.approx(ours[-1, 0], abs=2e-6)  # Exudyn does not re-close the loop after each step
+
+
+def test_changing_payload_is_refused_where_masses_are_fixed():
+    _container, mbs = mechanism.main_system()
+    mechanism.build(mbs, CRANE.with_effect("payload_change", {"dm": 10.0, "T": 0.005}))
+    mbs.Assemble()
+    with pytest.raises(Exception, match="fixed masses"):
+        mbs.SolveDynamic(mechanism.settings(1e-3, 0.02))
+
+
+def test_wrong_shapes_are_refused():
+    with pytest.raises(CraneError, match=r"states have shape \(8,\), expected \(n, 8\)"):
+        ENGINE.propagate(moving_states(1)[0], INPUTS, 1e-3)
+    with pytest.raises(CraneError, match=r"inputs have shape \(4,\), expected \(2, 4\)"):
+        ENGINE.propagate(moving_states(1), INPUTS[0], 1e-3)
+    with pytest.raises(CraneError, match="dt = 0 s"):
+        ENGINE.propagate(moving_states(1), INPUTS, 0.0)
+    with pytest.raises(CraneError, match="time does not increase from sample 1"):
+        ENGINE.simulate(moving_states(1)[0], np.array([0.0, 1.0, 1.0]), np.zeros((3, 4)))
+    with pytest.raises(CraneError, match="a state has 8 numbers"):
+        ENGINE.terms(np.zeros(10), np.zeros(4))
+
+
+def test_unreachable_pose_in_a_step_is_named_with_its_time():
+    short = ExudynEngine(CRANE.with_parameters({"joints.D_bracket.x": -0.3}))
+    state = moving_states(1)
+    state[0, 1] = 1.1
+    with pytest.raises(CraneError, match=r"t = 1\.5 s: the pose z1 = .* z4 = 63\.03 deg cannot be reached"):
+        short.propagate(state, INPUTS, 1e-3, 1.5)
+
+
+def test_end_of_stroke_is_named():
+    time = np.arange(0.0, 4.0, 2e-3)
+    inputs = np.tile([1.0, 0.0, np.nan, np.nan], (time.size, 1))
+    with pytest.raises(CraneError, match=r"lift cylinder is fully extended \(length 1\.35.* at t = .* end_stop"):
+        ENGINE.simulate(ENGINE.static_start(0.9, -0.7), time, inputs, step=2e-3)
+
+
+def test_end_stop_holds_the_cylinder():
+    """The stop of 1e8 N/m takes the pump's 78 kN and the boom's momentum within centimetres."""
+    engine = ExudynEngine(CRANE.with_effect("end_stop@lift", {"stiffness": 1e8, "damping": 1e5}))
+    time = np.arange(0.0, 3.0, 2e-3)
+    inputs = np.tile([1.0, 0.0, np.nan, np.nan], (time.size, 1))
+    run = engine.simulate(engine.static_start(0.9, -0.7), time, inputs, step=2e-3)
+    lengths = pose(CRANE, run[:, 0], run[:, 1]).lengths[:, 0]
+    assert 1.355 < lengths.max() < 1.375
+    assert run[:, 4].max() > 100e5
+
+
+def test_hopeless_equations_are_told_after_halving():
+    """NaN in a state must not pass for an answer."""
+    state = moving_states(1)
+    state[0, 4] = np.nan
+    with pytest.raises(CraneError, match=r"at t = 0\.2 s, z1 = 0\.3.*halvings"):
+        ENGINE.propagate(state, INPUTS, 1e-3, 0.2)
+
+
+def test_pressures_do_not_fall_below_vapour_pressure():
+    """A load that runs away faster than the pump fills: the rod side cavitates, and the step still converges."""
+    engine = ExudynEngine(CRANE.with_effect("tip_contact_force", {"F": -20e3, "T": 0.0}))
+    time = np.arange(0.0, 1.0, 1e-3)
+    start = ENGINE.static_start(0.5, -0.7)
+    run = engine.simulate(start, time, np.tile([-1.0, 0.0, np.nan, np.nan], (time.size, 1)))
+    assert run[:, 4:].min() == 0.0
+    held = np.flatnonzero((run[:, 5] == 0.0) | (run[:, 6] == 0.0) | (run[:, 7] == 0.0))
+    assert held.size > 3
+    assert np.all(np.isfinite(run))
