@@ -16,6 +16,7 @@ import validation.semi_recursive.equations as equations_module
 import validation.semi_recursive.terms as terms_module
 from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
+from patu import main
 from validation import crosscheck as cc
 from validation import crosscheck_cases as cases
 from validation.semi_recursive import SemiRecursiveEngine
@@ -237,3 +238,20 @@ def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -
     pictures = cc.save_figures(result, tmp_path / "pictures")
     assert [p.name for p in pictures] == ["crosscheck-papers-cycle.png", "crosscheck-random-joystick.png"]
     assert all(p.stat().st_size > 10_000 for p in pictures)
+
+
+@pytest.mark.parametrize(("size", "status"), [(1e-12, 0), (1e-3, 1)])
+def test_the_command_answers_with_table_json_and_status(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, size: float, status: int
+) -> None:
+    lines = [cc.Quantity("s1", "m", 0.0, 0.0, 1e-9, "why"), cc.Quantity("F1", "N", size, size, 1e-9, "why", "z1 = 3°")]
+    monkeypatch.setattr(cc, "crosscheck", lambda crane, **options: cc.CrossCheck(crane.name, lines))
+    with pytest.raises(SystemExit) as leaving:
+        main.run(["crosscheck", "--quick", "--json", str(tmp_path / "x.json"), "--report", str(tmp_path / "report")])
+    assert leaving.value.code == status
+    said = capsys.readouterr().out
+    assert "F1" in said and "z1 = 3°" in said
+    assert ("differ in 1 of 2 quantities, first in F1" in said) == bool(status)
+    document = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
+    assert document["ok"] is (status == 0) and document["quantities"]["F1"]["max_abs"] == size
+    assert "F1" in (tmp_path / "report" / "report.html").read_text(encoding="utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import resource
 from itertools import pairwise
 
 import numpy as np
@@ -440,3 +441,14 @@ def test_bad_arguments_are_told(engine: SemiRecursiveEngine, change: dict[str, n
     arguments = {"x0": engine.static_start(0.2, -0.7), "time": np.arange(3.0), "inputs": np.tile(CLOSED, (3, 1))}
     with pytest.raises(CraneError, match=message):
         engine.simulate(**(arguments | change))
+
+
+def test_a_long_run_needs_no_more_memory_than_it_stores(engine: SemiRecursiveEngine) -> None:
+    """200 000 steps of which two samples are kept: the largest memory of the process stays where it was."""
+    x0 = engine.static_start(0.2, -0.7)
+    W = np.tile(CLOSED, (2, 1))
+    engine.simulate(x0, np.array([0.0, 1.0]), W)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    engine.simulate(x0, np.array([0.0, 200.0]), W)
+    grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown_kb < 2000  # all states would be 12 500

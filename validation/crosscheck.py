@@ -70,7 +70,7 @@ class Group:
     angle: bool = False
 
 
-ROUNDING = "closed forms: rounding, with room for poses near a singular one"
+ROUNDING = "rounding of closed forms"
 
 
 def _numbered(prefix: str, numbers: Sequence[int]) -> tuple[str, ...]:
@@ -87,8 +87,8 @@ GROUPS: tuple[Group, ...] = (
     Group("cylinder rates", "m/s", _numbered("ds", _PAIR), 1e-9, ROUNDING, 1e-2),
     Group("chamber volumes", "m^3", _numbered("V", _CHAMBERS), 1e-9, ROUNDING),
     Group("bulk moduli", "Pa", _numbered("Be", _CHAMBERS), 1e-9, ROUNDING),
-    Group("supply pressures", "Pa", ("pp", "pt"), 1e-9, "supply and flow are balanced by iteration to rounding", 1e5),
-    Group("port flows", "m^3/s", _numbered("Q", _CHAMBERS), 1e-9, "a square root of a balanced pressure drop", 1e-5),
+    Group("supply pressures", "Pa", ("pp", "pt"), 1e-9, "iterated to rounding", 1e5),
+    Group("port flows", "m^3/s", _numbered("Q", _CHAMBERS), 1e-9, "root of an iterated drop", 1e-5),
     Group("leakages", "m^3/s", _numbered("leak", _CHAMBERS), 1e-9, ROUNDING, 1e-7),
     Group("friction forces", "N", _numbered("Fmu", _PAIR), 1e-9, ROUNDING, 10.0),
     Group("cylinder forces", "N", _numbered("F", _PAIR), 1e-9, ROUNDING, 1e3),
@@ -103,7 +103,7 @@ GROUPS: tuple[Group, ...] = (
         "rad/s^2",
         _numbered("ddz", _JOINTS),
         1e-8,
-        "the mass matrix is inverted: its condition more",
+        "rounding times a condition",
         0.1,
     ),
 )
@@ -254,7 +254,7 @@ def compare_static_starts(first: Engine, second: Engine, states: cases.States) -
         z1, z4 = float(x[0]), float(x[1])
         pressures.append([e.static_start(z1, z4)[4:8] for e in (first, second)])
     values = np.array(pressures)
-    reason = "balance of moments, solved in closed form: rounding"
+    reason = ROUNDING
     group = Group("static start", "Pa", (), 1e-9, reason, 1e5)
     out = []
     for i in range(4):
