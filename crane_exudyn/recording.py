@@ -178,7 +178,8 @@ class Recording:
         return self
 
     def _unused(self) -> str:
-        return f" ({'; '.join(self.notes)}.)" if self.notes else ""
+        more = f"; and {len(self.notes) - 3} more" if len(self.notes) > 3 else ""
+        return f" ({'; '.join(self.notes[:3])}{more}.)" if self.notes else ""
 
     # -- taking data out -----------------------------------------------------------------------------------------
 

@@ -19,7 +19,12 @@ _NEWLINE = 10
 #: what plain numbers are written with; anything else is for the careful reader
 _PLAIN = b"0123456789+-.eEnNaA\n"
 #: spreadsheets and archives that people hand over by mistake, by their first bytes
-_NOT_TEXT = {b"PK": "an Excel or ZIP file", b"\xd0\xcf\x11\xe0": "an old Excel file", b"%PDF": "a PDF"}
+_NOT_TEXT = {
+    b"PK": "an Excel or ZIP file",
+    b"\xd0\xcf\x11\xe0": "an old Excel file",
+    b"%PDF": "a PDF",
+    b"\x89PNG": "a picture",
+}
 
 
 @dataclass(frozen=True)
@@ -270,6 +275,6 @@ def _number(field: str, name: str, layout: _Layout, line: int) -> float:
             " If this line holds units, put them into the header, as name[unit]." if line <= layout.skipped + 2 else ""
         )
         raise CraneError(
-            f"{layout.path}, line {line}, column {name}: found {field.strip()[:40]!r}, expected a number. "
+            f"{layout.path}, line {line}, column {name[:40]}: found {field.strip()[:40]!r}, expected a number. "
             f"Mend it, or leave the field empty for a missing sample.{hint}"
         ) from None

@@ -98,6 +98,7 @@ def test_loading_a_command_imports_no_engine() -> None:
         (("simulte",), ["'simulte'", '"simulate"']),
         (("effects", "dead_bnd"), ["'dead_bnd'", '"dead_band"']),
         (("effects", "--effects", "nowhere.py"), ["nowhere.py", "no such file"]),
+        (("effects", "--effects", "{good}"), ["good.csv", "no Python file"]),
         (("simulate", "--crane", "patu66"), ["'patu66'", "patu655"]),
         (("simulate", "--inputs", "nowhere.csv"), ["nowhere.csv", "no such file"]),
         (("simulate", "--inputs", "{folder}"), ["is a folder"]),

@@ -212,6 +212,13 @@ def test_unknown_columns_are_ignored_with_a_note(tmp_path: Path) -> None:
     assert recording.notes == ("column 'P1[bar]' was ignored, did you mean p1?", "column 'operator' was ignored")
 
 
+def test_a_message_names_only_the_first_unused_columns(tmp_path: Path) -> None:
+    others = [f"other{k}" for k in range(40)]
+    text = f"time[s],z1[deg],{','.join(others)}\n" + "".join(f"{t},1{',7' * 40}\n" for t in range(3))
+    with pytest.raises(CraneError, match=r"'other2' was ignored; and 37 more\.\)$"):
+        read(tmp_path, text).require()
+
+
 def test_requirements_of_an_estimate(tmp_path: Path) -> None:
     assert read(tmp_path, GOOD).require() is not None
     with pytest.raises(CraneError, match=r"lift.csv: u2 missing.*column of zeros"):

@@ -121,6 +121,8 @@ def load_file(path: str | Path) -> list[type[Effect]]:
     file = Path(path)
     if not file.is_file():
         raise CraneError(f"{file}: there is no such file. --effects wants a Python file that defines an Effect.")
+    if file.suffix != ".py":
+        raise CraneError(f"{file}: this is no Python file. --effects wants one, NAME.py, that defines an Effect.")
     spec = importlib.util.spec_from_file_location(f"user_effects_{file.stem}", file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
