@@ -15,6 +15,7 @@ from __future__ import annotations
 import gc
 import gzip
 import importlib
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ from .files import replacing
 from .tables import RawColumn, RawTable, read_text, split_header
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+Writer = Callable[[Path, Mapping[str, np.ndarray], int | None], None]
 _VALUES, _UNIT = ("values", "data", "Data"), ("unit", "units", "Unit")
 
 
@@ -258,19 +260,20 @@ def _mdf_signals(file: Any, wanted: Collection[str]) -> Iterator[Any]:
 # -- writers ---------------------------------------------------------------------------------------------------------
 
 
-def write_table(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
+def write_table(path: str | Path, columns: Mapping[str, np.ndarray], digits: int | None = None) -> None:
     """Write columns of equal length to .csv, .csv.gz, .parquet or .mat, whole or not at all.
 
     Args:
         path: its ending chooses the format.
         columns: "name[unit]" -> (n,) values; NaN is a missing sample.
+        digits: significant digits in text files; by default as many as read back the same number.
     """
     write = check_writable(path)
     with replacing(path) as temporary:
-        write(temporary, columns)
+        write(temporary, columns, digits)
 
 
-def check_writable(path: str | Path) -> Callable[[Path, Mapping[str, np.ndarray]], None]:
+def check_writable(path: str | Path) -> Writer:
     """Return the writer for the ending of `path`; commands ask this before they begin to work.
 
     Raises:
@@ -286,37 +289,43 @@ def check_writable(path: str | Path) -> Callable[[Path, Mapping[str, np.ndarray]
     raise CraneError(f"{target}: cannot write {target.suffix or 'a file without ending'!r}. Known: {known}.")
 
 
-def _csv_bytes(columns: Mapping[str, np.ndarray]) -> bytes:
-    """Return the columns as CSV; numbers in the shortest form that reads back the same, missing samples empty."""
-    fields = [["" if x != x else repr(x) for x in np.asarray(v, dtype=float).tolist()] for v in columns.values()]
+def _csv_bytes(columns: Mapping[str, np.ndarray], digits: int | None) -> bytes:
+    """Return the columns as CSV, missing samples empty."""
+    text: Callable[[float], str] = repr if digits is None else f"{{:.{digits}g}}".format
+    fields = [["" if x != x else text(x) for x in np.asarray(v, dtype=float).tolist()] for v in columns.values()]
     lines = [",".join(columns), *map(",".join, zip(*fields, strict=True))]
     return ("\n".join(lines) + "\n").encode()
 
 
-def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    path.write_bytes(_csv_bytes(columns))
+def _write_csv(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
+    path.write_bytes(_csv_bytes(columns, digits))
 
 
-def _write_csv_gz(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    path.write_bytes(gzip.compress(_csv_bytes(columns), compresslevel=5, mtime=0))
+def _write_csv_gz(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
+    path.write_bytes(gzip.compress(_csv_bytes(columns, digits), compresslevel=5, mtime=0))
 
 
-def _write_parquet(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({name: pa.array(np.asarray(v, dtype=float)) for name, v in columns.items()}), path)
 
 
-def _write_mat(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+def _write_mat(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
+    """Write one vector a column and the struct `units`; MATLAB's names have no dots, so payload.mass is payload_mass."""
     from scipy.io import savemat
 
-    named = {split_header(header): np.asarray(values, dtype=float) for header, values in columns.items()}
-    content: dict[str, Any] = {name: values.reshape(-1, 1) for (name, _), values in named.items()}
-    savemat(path, content | {"units": {name: unit or "-" for name, unit in named}}, do_compression=True)
+    content: dict[str, Any] = {}
+    units = {}
+    for header, values in columns.items():
+        name, unit = split_header(header)
+        name = re.sub(r"\W", "_", name)
+        content[name], units[name] = np.asarray(values, dtype=float).reshape(-1, 1), unit or "-"
+    savemat(path, content | {"units": units}, do_compression=True, long_field_names=True)
 
 
-_WRITERS: dict[str, Callable[[Path, Mapping[str, np.ndarray]], None]] = {
+_WRITERS: dict[str, Writer] = {
     ".csv": _write_csv,
     ".csv.gz": _write_csv_gz,
     ".parquet": _write_parquet,

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
 
 from crane_exudyn.errors import CraneError
 from crane_exudyn.formats import write_table
@@ -232,6 +232,16 @@ def test_every_format_written_reads_back_bit_for_bit(tmp_path: Path, ending: str
 def test_written_csv_has_si_units_and_empty_fields(tmp_path: Path) -> None:
     Recording.from_arrays("r", [0.0, 0.5], {"z1": [0.1, np.nan], "u1": [0.0, 1.0]}).save(tmp_path / "r.csv")
     assert (tmp_path / "r.csv").read_text() == "time[s],u1[-],z1[rad]\n0.0,0.0,0.1\n0.5,1.0,\n"
+
+
+def test_digits_and_names_that_matlab_does_not_take(tmp_path: Path) -> None:
+    columns = {"time[s]": np.arange(2.0), "payload.mass_high95[kg]": np.array([1 / 3, 2 / 3])}
+    write_table(tmp_path / "r.csv", columns, digits=4)
+    assert (tmp_path / "r.csv").read_text().splitlines()[1:] == ["0,0.3333", "1,0.6667"]
+    write_table(tmp_path / "r.mat", columns)
+    content = loadmat(tmp_path / "r.mat", squeeze_me=True)
+    np.testing.assert_array_equal(content["payload_mass_high95"], columns["payload.mass_high95[kg]"])
+    assert content["units"]["payload_mass_high95"].item() == "kg"
 
 
 def test_unknown_ending_and_missing_folder_are_refused(tmp_path: Path) -> None:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from crane_exudyn.files import replacing
+from crane_exudyn.formats import write_table
 
 if TYPE_CHECKING:
     from .estimate import Estimate
 
 
 def write_csv(estimate: Estimate, path: str | Path) -> None:
-    """Write one row an instant: time, inputs, each state with its 95 % limits, innovations with their std, NIS."""
+    """Write .csv, .csv.gz, .parquet or .mat, one row an instant: time, inputs, each state with its 95 % limits, innovations with their std, NIS."""
     names, columns = ["time[s]", "U_lift[dimensionless]", "U_tilt[dimensionless]"], [estimate.time]
     columns += [estimate.inputs[:, 0], estimate.inputs[:, 1]]
     low, high = estimate.interval()
@@ -29,12 +26,4 @@ def write_csv(estimate: Estimate, path: str | Path) -> None:
         columns += [estimate.innovation[:, i], estimate.innovation_std[:, i]]
     names.append("nis[dimensionless]")
     columns.append(estimate.nis)
-    _write(Path(path), names, np.column_stack(columns))
-
-
-def _write(path: Path, names: list[str], table: np.ndarray) -> None:
-    with replacing(path) as temporary:
-        opener = gzip.open if path.suffix == ".gz" else open
-        with opener(temporary, "wt", encoding="utf-8", newline="") as stream:
-            stream.write(",".join(names) + "\n")
-            np.savetxt(stream, table, delimiter=",", fmt="%.9g")
+    write_table(path, dict(zip(names, columns, strict=True)), digits=9)
