@@ -127,7 +127,8 @@ class Faulty(SemiRecursiveEngine):
     def terms_along(self, states: np.ndarray, inputs: np.ndarray, time: np.ndarray) -> dict[str, np.ndarray]:
         out = np.empty((len(states), len(terms_module.TERM_NAMES)))
         for x, w, t, row in zip(states, inputs, time, out, strict=True):
-            self._fill(x, self._balance(x, w, t, self._P, self._E), row)
+            self._fill(self._balance(x, w, t, self._P, self._E), row)
+            terms_module._hold_at_floor.py_func(x, 0.0, row)
         return dict(zip(terms_module.TERM_NAMES, out.T, strict=True))
 
 

@@ -41,7 +41,7 @@ def random_states(crane: Crane, count: int, rng: np.random.Generator) -> States:
     """Return `count` states at which the loop closes well and both cylinders are inside their strokes.
 
     Angles are uniform over what is feasible, rates normal with 0.3 rad/s, pressures uniform up to 1.5 times the pump's (in a third
-    of the states up to a tenth of that), spool positions uniform; half of the inputs carry measured supply pressures.
+    of the states up to a tenth of that, one in twenty at vapour pressure), spool positions uniform; half of the inputs carry measured supply pressures.
 
     Raises:
         CraneError: hardly any pose of this crane is feasible.
@@ -71,6 +71,7 @@ def _drawn(crane: Crane, nx: int, count: int, rng: np.random.Generator) -> np.nd
     x[:, 2:4] = rng.normal(0.0, 0.3, (count, 2))
     x[:, 4:8] = rng.uniform(0.2e5, 1.5 * crane["supply.pump_pressure"], (count, 4))
     x[rng.random(count) < 1.0 / 3.0, 4:8] *= 0.1
+    x[:, 4:8][rng.random((count, 4)) < 0.05] = crane["fluid.vapour_pressure"]
     x[:, 8:] = rng.normal(0.0, 0.4, (count, nx - 8))
     return x
 

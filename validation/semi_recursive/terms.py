@@ -7,7 +7,7 @@ import numpy as np
 from crane_exudyn.compiled import njit
 from crane_exudyn.parameters import POINT_NAMES
 
-from .equations import balance
+from .equations import FLOOR, balance
 
 #: names of the columns of `terms`
 TERM_NAMES: tuple[str, ...] = (
@@ -18,7 +18,7 @@ TERM_NAMES: tuple[str, ...] = (
     "M11", "M12", "M22", "Qg1", "Qg4", "Qv1", "Qv4", "Qh1", "Qh4", "Qj1", "Qj4", "ddz1", "ddz4", "ddtheta",
     "l1", "l2", "l3", "l4", "v_h1", "v_h2",
 )  # fmt: skip
-_COUNT = len(TERM_NAMES)
+_COUNT, _DP1 = len(TERM_NAMES), TERM_NAMES.index("dp1")
 
 
 @njit(cache=False)
@@ -27,7 +27,7 @@ def _angle(e):
 
 
 @njit(cache=False)
-def _fill(x, b, out):
+def _fill(b, out):
     z, m, c, d = b.z, b.m, b.c1, b.c2
     k = 0
     for r in (z.O, z.F, z.G, z.H, z.B, z.A, z.C, z.D_bracket, z.D, z.E):
@@ -45,6 +45,13 @@ def _fill(x, b, out):
         k += 1
 
 
+@njit(cache=False)
+def _hold_at_floor(x, floor, out):
+    for k in range(4):
+        if x[4 + k] <= floor and out[_DP1 + k] < 0.0:
+            out[_DP1 + k] = 0.0
+
+
 @njit
 def terms(X, W, time, P, E):
     """Return all terms (N, len(TERM_NAMES)) at states X (N, nx), inputs W (N, 4) and times (N,).
@@ -55,5 +62,6 @@ def terms(X, W, time, P, E):
     """
     out = np.empty((X.shape[0], _COUNT))
     for i in range(X.shape[0]):
-        _fill(X[i], balance(X[i], W[i], time[i], P, E), out[i])
+        _fill(balance(X[i], W[i], time[i], P, E), out[i])
+        _hold_at_floor(X[i], P[FLOOR], out[i])
     return out
