@@ -108,6 +108,16 @@ class Estimate:
         p = [v for v in self.whiteness.values() if np.isfinite(v)]
         return bool(low <= self.nis_mean <= high and min(p, default=1.0) >= 0.01 / max(len(p), 1))
 
+    @property
+    def verdict(self) -> str:
+        """In words, whether the filter's intervals can be believed."""
+        if self.consistent:
+            return "consistent"
+        low, high = self.nis_bounds
+        if self.nis_mean > high:
+            return "not consistent: intervals too narrow"
+        return "not consistent: intervals too wide" if self.nis_mean < low else "not consistent: innovations not white"
+
     def coverage(self, truth: np.ndarray, probability: float = 0.95) -> dict[str, float]:
         """Return the share of instants at which the true states (N, m), m <= n, are inside their intervals."""
         m = truth.shape[1]
@@ -154,11 +164,10 @@ class Estimate:
 
     def __repr__(self) -> str:
         low, high = self.nis_bounds
-        verdict = "consistent" if self.consistent else "NOT consistent"
         return (
             f"<Estimate of {', '.join(self.state_names)} by {self.method} at {self.time.size} instants, "
             f"{self.time[0]:.3f} … {self.time[-1]:.3f} s; NIS {self.nis_mean:.3g} (expected {low:.3g} … {high:.3g}): "
-            f"{verdict}; {len(self.events)} event(s)>"
+            f"{self.verdict}; {len(self.events)} event(s)>"
         )
 
 

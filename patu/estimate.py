@@ -1,0 +1,176 @@
+"""`patu estimate`: the filter over a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .options import (
+    DEFAULT_CRANE,
+    CraneOption,
+    EffectsOption,
+    EngineOption,
+    JsonOption,
+    MapOption,
+    OutputOption,
+    RecordingArgument,
+    load_crane,
+    load_recording,
+)
+from .output import Printer, announce_compilation, progress, write_json
+
+if TYPE_CHECKING:
+    from crane_exudyn.crane import Crane
+    from crane_exudyn.recording import Recording
+    from ukf.estimate import Estimate
+    from ukf.noise import ProcessNoise
+
+
+def command(
+    recording: RecordingArgument,
+    output: OutputOption = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the estimate: .png, .svg or .pdf.")
+    ] = None,
+    engine: EngineOption = "exudyn",
+    sensors: Annotated[
+        list[str] | None, typer.Option("--sensor", metavar="CHANNEL", help="Use only this sensor; repeatable.")
+    ] = None,
+    augment: Annotated[
+        list[str] | None,
+        typer.Option("--augment", metavar="NAME", help="Also estimate this, such as payload.mass; repeatable."),
+    ] = None,
+    method: Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|ekf", help="Which filter.")] = "ukf",
+    smooth: Annotated[bool, typer.Option("--smooth", help="Also smooth back over the recording (RTS).")] = False,
+    tune: Annotated[bool, typer.Option("--tune", help="First find the most likely process noise.")] = False,
+    step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Longest time step of the model.")] = 1e-3,
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    mapping: MapOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Estimate the whole state of the crane from a recording: states with 95 % intervals, innovations, consistency.
+
+    The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise of
+    the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
+    """
+    _check(output, plot, step)
+    chosen = load_crane(crane, effects)
+    measured = load_recording(recording, mapping).require(sensors=1)
+    std = sensor_noise(chosen, measured, sensors)
+    announce_compilation()
+    from ukf.estimator import Estimator
+
+    noise = _tuned(chosen, measured, std, augment or [], json) if tune else None
+    estimator = Estimator(chosen, engine, std, noise, method, augment or (), max_step=step)
+    with progress("Estimate") as done:
+        result = estimator.run(measured, smooth=smooth, progress=done)
+    best = result.smoothed if result.smoothed is not None else result
+    if output is not None:
+        best.to_csv(output)
+    if plot is not None:
+        save_plot(best, plot)
+    write_json(json, result.document() | {"recording": str(recording), "engine": engine})
+    tell(Printer(json), result, measured, [p for p in (output, plot) if p is not None])
+
+
+def _check(output: Path | None, plot: Path | None, step: float) -> None:
+    """Refuse what could not work before the work is done."""
+    from crane_exudyn.errors import CraneError
+
+    if not step > 0.0:
+        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
+    for path, endings in ((output, (".csv", ".csv.gz")), (plot, (".png", ".svg", ".pdf"))):
+        if path is None:
+            continue
+        if not str(path).endswith(endings):
+            raise CraneError(f"{path}: unknown ending. Use one of {', '.join(endings)}.")
+        if not path.resolve().parent.is_dir():
+            raise CraneError(
+                f"{path}: the folder {path.resolve().parent} does not exist. Create it, or give another path."
+            )
+
+
+def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
+    """Return {channel: standard deviation} of the chosen sensors: the crane file's, else what the recording shows."""
+    from crane_exudyn.errors import CraneError
+    from ukf.estimator import DEFAULT_STD
+
+    for name in only or ():
+        if name not in recording.sensors:
+            raise CraneError(
+                f"--sensor {name}: {recording.name} has no such sensor, only {', '.join(recording.sensors)}."
+            )
+    measured = recording.noise()
+    chosen = [n for n in recording.sensors if not only or n in only]
+    # a simulated recording has no noise; a filter that believes in none cannot be corrected
+    return {n: crane.sensors.get(n, max(measured[n], 0.02 * DEFAULT_STD[n])) for n in chosen}
+
+
+def _tuned(
+    crane: Crane, recording: Recording, std: dict[str, float], augment: list[str], json: str | None
+) -> ProcessNoise:
+    from ukf.tuning import tune
+
+    with progress("Tune") as done:
+        found = tune(crane, recording, std, augment=tuple(augment), progress=done)
+    Printer(json).line(repr(found).strip("<>"))
+    return found.noise
+
+
+def save_plot(estimate: Estimate, path: Path) -> None:
+    """Write the picture of an estimate, whole or not at all."""
+    from crane_exudyn.files import replacing
+
+    figure = estimate.plot()
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format=path.suffix.lstrip("."), dpi=130)
+
+
+def tell(printer: Printer, result: Estimate, recording: Any, paths: list[Path]) -> None:
+    """Print the final state with its interval, the consistency, what happened, and where the files are."""
+    from ukf.plots import display
+
+    best = result.smoothed if result.smoothed is not None else result
+    rows = []
+    for i, name in enumerate(best.state_names):
+        factor, unit = display(name, best.units.get(name, ""))
+        values, half = factor * best.mean[:, i], factor * 1.96 * best.std[-1, i]
+        rows.append(
+            (
+                f"{name} / {unit}" if unit else name,
+                *map(float, (values[0], values[-1], half, values.min(), values.max())),
+            )
+        )
+    printer.line(
+        f"{result.crane}, {result.method}, {recording.name}: {result.time.size} instants, "
+        f"{result.time[0]:g} to {result.time[-1]:g} s, sensors {', '.join(result.channel_names)}"
+    )
+    printer.table("", ("quantity", "first", "last", "± (95 %)", "min", "max"), rows)
+    consistency_lines(printer, result)
+    for event in result.events:
+        span = f"{event.start:.3f} s" if event.end == event.start else f"{event.start:.3f} to {event.end:.3f} s"
+        when = "" if event.start != event.start else f"{span}: "
+        printer.line(f"note: {when}{event.where}: {event.text} ({event.count} time(s))")
+    for path in paths:
+        printer.line(f"Written: {path}")
+
+
+def consistency_lines(printer: Printer, result: Estimate) -> None:
+    """Print NIS, whiteness, and what to make of them."""
+    low, high = result.nis_bounds
+    white = ", ".join(f"{n} {p:.2g}" for n, p in result.whiteness.items())
+    printer.line(f"NIS {result.nis_mean:.4g} (consistent: {low:.3g} to {high:.3g}); whiteness p: {white}")
+    if result.consistent:
+        printer.line("The filter is consistent with the recording: its intervals can be trusted.")
+    elif result.nis_mean > high:
+        printer.line(
+            "Not consistent: the model explains less than the filter believes, so the intervals are too narrow. "
+            "`patu compare` shows where it fails, --tune finds a noise that fits, --augment estimates what is unknown."
+        )
+    else:
+        printer.line(
+            "Not consistent: the intervals are wider or the innovations less white than they should be; try --tune."
+        )

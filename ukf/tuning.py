@@ -1,0 +1,131 @@
+"""Noise covariances from the data: those under which the innovations are most likely.
+
+The filter's innovations are independent normal variables if its covariances are right, so their log-likelihood,
+-½ Σ (νᵀ S⁻¹ ν + log det 2πS), measures how right they are. It is maximised over the logarithms of a few densities by
+Powell's method. Averaging over many samples makes it sharp, and it charges for boasting (small S) as well as for shyness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+
+from .estimator import Estimator, sensor_std
+from .noise import ProcessNoise
+from .signals import Signals
+
+#: the logarithms (base 10) that are searched, with their ranges
+ACCELERATION, PRESSURE = (-8.0, 1.0), (2.0, 13.0)
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The most likely noise: `noise`, the sensors' `std`, and the log-likelihood per sample before and after."""
+
+    noise: ProcessNoise
+    std: dict[str, float]
+    before: float
+    after: float
+    evaluations: int
+
+    def __repr__(self) -> str:
+        a, p = self.noise.acceleration, self.noise.pressure
+        return (
+            f"<Tuned: acceleration {a[0]:.2g}, {a[1]:.2g} rad²/s³; pressure lift {p[0]:.2g}, tilt {p[2]:.2g} Pa²/s; "
+            f"log-likelihood a sample {self.before:.4g} -> {self.after:.4g} in {self.evaluations} runs>"
+        )
+
+
+def tune(
+    crane: Crane,
+    recording: Any,
+    sensors: Mapping[str, float],
+    *,
+    engine: Any = "semi-recursive",
+    start: ProcessNoise | None = None,
+    augment: tuple[Any, ...] = (),
+    seconds: float = 10.0,
+    evaluations: int = 60,
+    progress: Callable[[float], None] | None = None,
+) -> Tuned:
+    """Return the noise under which the innovations of a recording are most likely.
+
+    Args:
+        crane: the model.
+        recording: a Recording or Signals.
+        sensors: channels with noise standard deviations (SI), kept as they are.
+        start: noise to begin with.
+        augment: quantities that are estimated along with the state.
+        seconds: how much of the recording is used, around its busiest part.
+        evaluations: most runs of the filter.
+        progress: called with the fraction done.
+    """
+    from scipy.optimize import minimize
+
+    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
+    piece = busiest(signals, seconds)
+    std = sensor_std(crane, sensors)
+    count = [0]
+
+    def cost(logs: np.ndarray) -> float:
+        count[0] += 1
+        if progress is not None:
+            progress(min(1.0, count[0] / evaluations))
+        filter_ = Estimator(crane, engine, std, noise_of(logs), augment=augment, gate=None)
+        estimate = filter_.run(piece)
+        restarts = sum(e.count for e in estimate.events if e.where == "filter")
+        return -estimate.log_likelihood / max(estimate.dof.sum(), 1.0) + 10.0 * restarts
+
+    first = logs_of(start or ProcessNoise())
+    before = cost(first)
+    limits = [ACCELERATION, ACCELERATION, PRESSURE, PRESSURE]
+    options = {"maxfev": evaluations, "xtol": 0.05, "ftol": 1e-4}
+    found = minimize(cost, first, method="Powell", bounds=limits, options=options)
+    best, after = (found.x, float(found.fun)) if found.fun < before else (first, before)
+    return Tuned(noise_of(best), std, -before, -after, count[0])
+
+
+def noise_of(logs: np.ndarray) -> ProcessNoise:
+    """Return the noise of [log10 acceleration z1, z4, log10 pressure lift, tilt]."""
+    a1, a4, lift, tilt = (float(v) for v in 10.0 ** np.asarray(logs, float))
+    return ProcessNoise((a1, a4), (lift, lift, tilt, tilt))
+
+
+def logs_of(noise: ProcessNoise) -> np.ndarray:
+    """Return [log10 acceleration z1, z4, log10 pressure lift, tilt] of a noise."""
+    return np.log10([*noise.acceleration, noise.pressure[0], noise.pressure[2]])
+
+
+def busiest(signals: Signals, seconds: float) -> Signals:
+    """Return the stretch of this length in which the commands change most; all of it if it is not longer."""
+    time = signals.command_time
+    if time[-1] - time[0] <= seconds:
+        return signals
+    change = np.concatenate([[0.0], np.abs(np.diff(signals.commands, axis=0)).sum(axis=1)])
+    total = np.cumsum(change)
+    ends = np.searchsorted(time, time + seconds, side="right") - 1
+    whole = time + seconds <= time[-1]
+    gained = np.where(whole, total[ends] - total, -1.0)
+    begin = float(time[int(np.argmax(gained))]) - 0.1 * seconds
+    return cut(signals, max(begin, float(time[0])), seconds)
+
+
+def cut(signals: Signals, begin: float, seconds: float) -> Signals:
+    """Return the signals between `begin` and `begin + seconds`; one command sample more on either side."""
+    time = signals.command_time
+    i = max(int(np.searchsorted(time, begin, side="right")) - 1, 0)
+    j = min(int(np.searchsorted(time, begin + seconds)) + 1, time.size)
+
+    def part(series: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        t, y = series
+        inside = (t >= begin) & (t <= begin + seconds)
+        return t[inside], y[inside]
+
+    sensors = {n: part(s) for n, s in signals.sensors.items()}
+    sensors = {n: s for n, s in sensors.items() if s[0].size}
+    return Signals(time[i:j], signals.commands[i:j], sensors, dict(signals.supply), signals.name, signals.notes)
