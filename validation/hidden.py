@@ -1,0 +1,507 @@
+"""Recordings with a hidden effect, for testing the diagnosis: random machines, manoeuvres, sensors and severities.
+
+`make_case(seed)` draws one machine and two manoeuvres, runs them on the Exudyn engine (the diagnosis searches on the other one)
+and returns what sensors would have recorded, with the answer. `python -m validation.hidden -o DIR` writes many as files.
+The semi-recursive engine only serves to try drafts: whether a manoeuvre stays within reach, whether an effect can be seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.effects.base import SENSORS
+from crane_exudyn.errors import CraneError
+from crane_exudyn.recording import Recording
+
+DURATION = 25.0
+KINDS = ("effect", "two", "none", "parameters", "unknown")
+RATES = (100, 200, 500, 1000)
+#: standard deviations of angles (rad) and pressures (Pa): a good rig's, and the paper's
+NOISES = ((math.radians(0.05), 0.3e5), (math.radians(1.0), 1.5e5))
+SENSOR_SETS = (("z1", "z4", "p1", "p2", "p3", "p4"), ("z1", "z4", "p1", "p4"))
+
+#: angles in degrees that manoeuvres keep to, and those that a run may reach before it is drawn again
+_PLANNED = ((-8.0, 58.0), (-112.0, -12.0))
+_ALLOWED = ((-20.0, 75.0), (-140.0, 8.0))
+#: rough speeds in deg/s at fully open spools, extending and retracting; plans need no more
+_SPEED = ((25.0, 31.0), (-55.0, -53.0))
+_STEP = 1e-3
+_MOST_DRAWS = 60
+
+Draw = Callable[[np.random.Generator, Mapping[str, Any]], dict[str, float]]
+
+
+@dataclass(frozen=True)
+class HiddenCase:
+    """A machine with a secret.
+
+    Attributes:
+        learn, check: two recordings of the machine.
+        answer: "verdict" and "effects" as a right diagnosis gives them; "parameters" of each effect; "machine" parameters that are
+            not nominal; "visibility": by how many noise standard deviations (RMS, best channel) each of these moves the learn
+            recording; and what else was drawn.
+    """
+
+    seed: int
+    learn: Recording
+    check: Recording
+    answer: dict[str, Any]
+
+
+# -- severities ------------------------------------------------------------------------------------------------------
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return 1.0 if rng.random() < 0.5 else -1.0
+
+
+def _seal(rng: np.random.Generator, _: Any) -> dict[str, float]:
+    coulomb = _log(rng, 150.0, 6000.0)
+    return {"dFc": coulomb, "dFs": coulomb * rng.uniform(1.0, 1.6), "vs": _log(rng, 2e-3, 2e-2)}
+
+
+def _counterbalance(rng: np.random.Generator, _: Any) -> dict[str, float]:
+    """A setting that the pilot can overcome with the pump's pressure, as valves are set."""
+    ratio = rng.uniform(1.5, 8.0)
+    return {"setting": rng.uniform(60e5, min(250e5, 20e5 + ratio * 60e5)), "ratio": ratio}
+
+
+def _payload(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
+    dm = _sign(rng) * _log(rng, 3.0, 200.0)
+    return {"dm": dm if dm > -0.8 * about["payload"] else -dm, "T": rng.uniform(3.0, 20.0)}
+
+
+def _bias(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
+    size = math.radians(_log(rng, 0.05, 5.0)) if about["place"][0] == "z" else _log(rng, 0.3e5, 20e5)
+    return {"b": _sign(rng) * size}
+
+
+#: how the parameters of each effect are drawn (SI), from hardly visible to plainly broken
+SEVERITIES: Mapping[str, Draw] = {
+    "internal_leakage": lambda r, _: {"k": _log(r, 1e-13, 2e-11)},
+    "external_leakage": lambda r, _: {"k": _log(r, 1e-13, 1e-11)},
+    "dead_band": lambda r, _: {"lower": _log(r, 0.003, 0.15), "upper": _log(r, 0.003, 0.15)},
+    "meter_out_restriction": lambda r, _: {"r": r.uniform(0.02, 0.8)},
+    "pressure_compensation": lambda r, _: {"dpc": _log(r, 3e5, 60e5)},
+    "command_delay": lambda r, _: {"T": _log(r, 0.005, 0.3)},
+    "spool_hysteresis": lambda r, _: {"b": _log(r, 0.002, 0.12)},
+    "counterbalance_valve": _counterbalance,
+    "entrained_air": lambda r, _: {"alpha": _log(r, 3e-4, 0.1)},
+    "pump_droop": lambda r, _: {"R": _log(r, 2e8, 3e10)},
+    "return_back_pressure": lambda r, _: {"R": _log(r, 2e8, 3e10)},
+    "seal_friction": _seal,
+    "pressure_dependent_friction": lambda r, _: {"mu": _log(r, 2e-5, 2e-3)},
+    "joint_coulomb_friction": lambda r, _: {"T": _log(r, 30.0, 2500.0)},
+    "joint_viscous_friction": lambda r, _: {"c": _log(r, 100.0, 2e4)},
+    "structural_compliance": lambda r, _: {"stiffness": _log(r, 1e6, 1e8)},
+    "payload_change": _payload,
+    "payload_swing": lambda r, _: {"length": _log(r, 0.3, 3.0), "damping": _log(r, 0.5, 30.0)},
+    "tip_contact_force": lambda r, _: {"F": _sign(r) * _log(r, 30.0, 2000.0), "T": r.uniform(3.0, 20.0)},
+    "base_tilt": lambda r, _: {"gamma": _sign(r) * _log(r, 2e-3, 0.2)},
+    "end_stop": lambda r, _: {"stiffness": _log(r, 1e7, 3e8), "damping": _log(r, 1e4, 3e5)},
+    "sensor_bias": _bias,
+    "sensor_scale": lambda r, _: {"a": 1.0 + _sign(r) * _log(r, 0.005, 0.25)},
+    "sensor_lag": lambda r, _: {"tau": _log(r, 0.005, 0.5)},
+}
+
+
+def hideable(sensors: Sequence[str]) -> list[str]:
+    """Return "name@place" of every effect that can be drawn, faults of sensors that are not recorded left out."""
+    keys = [k for k in registry.all_keys() if k.partition("@")[0] in SEVERITIES]
+    return [k for k in keys if not k.startswith("sensor_") or k.partition("@")[2] in sensors]
+
+
+def _severity(key: str, crane: Crane, rng: np.random.Generator) -> dict[str, float]:
+    name, _, place = key.partition("@")
+    return SEVERITIES[name](rng, {"place": place, "payload": crane["payload.mass"]})
+
+
+# -- manoeuvres ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """A start and commands: corner times (s) and values of each spool's command, linear between.
+
+    Attributes:
+        z1, z4: start angles in rad.
+        less_loaded: pressures in Pa of the less loaded chambers at the start.
+        corners: per cylinder (times, commands).
+    """
+
+    z1: float
+    z4: float
+    less_loaded: tuple[float, float]
+    corners: tuple[tuple[np.ndarray, np.ndarray], ...]
+
+    def commands(self, time: np.ndarray) -> np.ndarray:
+        """Return the commands (n, 2) at `time` (n,)."""
+        return np.column_stack([np.interp(time, t, u) for t, u in self.corners])
+
+
+def draw_manoeuvre(rng: np.random.Generator, *, cycle: float | None = 0.01) -> Manoeuvre:
+    """Return a random manoeuvre: rests, ramped motions and reversals of both cylinders, roughly within reach.
+
+    Args:
+        rng: source of the draws.
+        cycle: s, corners of the commands are multiples of it, as those of a controller are; None for no such grid.
+    """
+    z = [float(rng.uniform(low + 8.0, high - 8.0)) for low, high in _PLANNED]
+    corners = tuple(_corners(rng, c, z[c], cycle) for c in range(2))
+    low = (float(rng.uniform(10e5, 30e5)), float(rng.uniform(10e5, 30e5)))
+    return Manoeuvre(math.radians(z[0]), math.radians(z[1]), low, corners)
+
+
+def _corners(rng: np.random.Generator, c: int, angle: float, cycle: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return corner times and commands of one cylinder that starts at an angle (deg)."""
+    times, values, t = [0.0], [0.0], float(rng.uniform(0.4, 4.0))
+    while t < DURATION - 1.5:
+        u = _opening(rng, c, angle)
+        hold = float(rng.uniform(0.1, 0.3) if rng.random() < 0.15 else rng.uniform(0.5, 3.0))
+        hold = min(hold, _time_left(c, angle, u), DURATION - 0.8 - t)
+        if hold > 0.08:
+            up, down = rng.uniform(0.03, 0.4, 2) * min(1.0, hold)
+            times += [t, t + up, t + up + hold, t + up + hold + down]
+            values += [0.0, u, u, 0.0]
+            angle += _SPEED[c][int(u < 0.0)] * abs(u) * (1 if u > 0 else -1) * (hold + 0.5 * (up + down))
+            t = times[-1]
+        t += float(rng.uniform(0.0, 0.05) if rng.random() < 0.25 else rng.uniform(0.2, 4.0))
+    return _on_grid(np.array([*times, DURATION + 1.0]), np.array([*values, 0.0]), cycle)
+
+
+def _opening(rng: np.random.Generator, c: int, angle: float) -> float:
+    """Return a command, more likely towards the middle of the range than away from it."""
+    low, high = _PLANNED[c]
+    share = (angle - low) / (high - low)
+    size = float(rng.uniform(0.06, 0.6 if c == 0 else 0.4))
+    rising = rng.random() > min(max(share, 0.1), 0.9)
+    return size if rising == (_SPEED[c][0] > 0.0) else -size
+
+
+def _time_left(c: int, angle: float, u: float) -> float:
+    """Return for how many s a cylinder may move before its angle leaves the planned range."""
+    rate = (_SPEED[c][0] if u > 0.0 else -_SPEED[c][1]) * abs(u)
+    end = _PLANNED[c][1] if rate > 0.0 else _PLANNED[c][0]
+    return max(0.0, (end - angle) / rate)
+
+
+def _on_grid(times: np.ndarray, values: np.ndarray, cycle: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners at multiples of the controller's cycle, those that fall together left out."""
+    if cycle is not None:
+        times = np.round(times / cycle) * cycle
+    kept = np.concatenate([[True], np.diff(times) > 1e-6])
+    return times[kept], values[kept]
+
+
+# -- running a machine -----------------------------------------------------------------------------------------------
+
+_GRID = np.arange(round(DURATION / _STEP) + 1) * _STEP
+
+
+def _run(crane: Crane, engine: Any, manoeuvre: Manoeuvre) -> np.ndarray:
+    """Return the states (N, nx) of a machine through a manoeuvre every ms, from its own static start."""
+    from crane_exudyn.inputs import SpoolPath
+
+    supply = np.tile([crane["supply.pump_pressure"], crane["supply.tank_pressure"]], (_GRID.size, 1))
+    w = np.ascontiguousarray(np.column_stack([SpoolPath(crane).run(_GRID, manoeuvre.commands(_GRID)), supply]))
+    start = engine.static_start(manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded)
+    states = np.asarray(engine.simulate(start, _GRID, w, step=_STEP))
+    _check_reach(crane, states)
+    return states
+
+
+def _check_reach(crane: Crane, states: np.ndarray) -> None:
+    """Raise CraneError if a run leaves the allowed angles; machines with an end stop may go as far as it lets them."""
+    if any(e.name == "end_stop" for e in crane.effects):
+        return
+    for name, angles, (low, high) in zip(("z1", "z4"), np.degrees(states[:, :2]).T, _ALLOWED, strict=True):
+        if not (low < angles.min() and angles.max() < high):
+            raise CraneError(
+                f"{name} runs from {angles.min():.1f} to {angles.max():.1f} deg, beyond {low:g} … {high:g}."
+            )
+
+
+def _draft(crane: Crane, manoeuvre: Manoeuvre) -> dict[str, np.ndarray]:
+    """Return what the machine's sensors show without noise, by the faster engine."""
+    from validation.semi_recursive import SemiRecursiveEngine
+
+    return readings(crane, _run(crane, SemiRecursiveEngine(crane), manoeuvre))
+
+
+def readings(crane: Crane, states: np.ndarray) -> dict[str, np.ndarray]:
+    """Return what the sensors of a machine show without noise, every ms: lag, then gain, then bias, as the effects say."""
+    shown = dict(zip(("z1", "z4", "p1", "p2", "p3", "p4"), states[:, (0, 1, 4, 5, 6, 7)].T, strict=True))
+    for name in SENSORS:
+        lag, scale, bias = (crane.effect(f"sensor_{what}@{name}") for what in ("lag", "scale", "bias"))
+        y = shown[name]
+        y = y if lag is None else _lagged(y, lag.parameters["tau"])
+        y = y if scale is None else y * scale.parameters["a"]
+        shown[name] = y if bias is None else y + bias.parameters["b"]
+    return shown
+
+
+def _lagged(y: np.ndarray, tau: float) -> np.ndarray:
+    """Return y (n,) behind a first-order lag that starts settled; y is taken as linear within each ms."""
+    decay = math.exp(-_STEP / tau)
+    first = (1.0 - decay) * tau / _STEP
+    out = np.empty_like(y)
+    held = out[0] = y[0]
+    for k in range(1, y.size):
+        held = decay * held + (first - decay) * y[k - 1] + (1.0 - first) * y[k]
+        out[k] = held
+    return out
+
+
+def visibility(
+    with_it: Mapping[str, np.ndarray], without: Mapping[str, np.ndarray], noise: Mapping[str, float]
+) -> float:
+    """Return the largest RMS difference of a recorded channel in units of its noise."""
+    return max(float(np.sqrt(np.mean((with_it[n] - without[n]) ** 2))) / std for n, std in noise.items())
+
+
+# -- drawing a machine -----------------------------------------------------------------------------------------------
+
+
+def draw_machine(crane: Crane, rng: np.random.Generator, *, errors: bool, payload: bool) -> Crane:
+    """Return a machine whose parameters are a little off: some by half their standard uncertainty (times a normal draw),
+    and, if asked, with another payload between 0 and 200 kg."""
+    moved = {}
+    for name, known in crane.uncertainty.items():
+        if math.isfinite(known.std) and errors and rng.random() < 0.3:
+            moved[name] = crane[name] + 0.5 * known.std * float(rng.standard_normal())
+    if payload:
+        moved["payload.mass"] = float(rng.uniform(0.0, 200.0))
+    return crane.with_parameters({n: _inside(crane, n, v) for n, v in moved.items()})
+
+
+def _inside(crane: Crane, name: str, value: float) -> float:
+    known = crane.uncertainty[name]
+    return min(max(value, known.lower), known.upper)
+
+
+def _pick(rng: np.random.Generator, kind: str, sensors: Sequence[str]) -> list[str]:
+    """Return the effects to hide: names are equally likely, then places; two are of different names."""
+    by_name: dict[str, list[str]] = {}
+    for key in hideable(sensors):
+        by_name.setdefault(key.partition("@")[0], []).append(key)
+    names = [n for n in by_name if n != "end_stop" or kind == "effect"]
+    chosen = rng.choice(names, {"effect": 1, "two": 2}[kind], replace=False)
+    return [str(rng.choice(by_name[n])) for n in chosen]
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What was drawn before any simulation."""
+
+    rng: np.random.Generator
+    kind: str
+    keys: Sequence[str]
+    noise: Mapping[str, float]
+    rate: int
+    machine: Crane
+    nominal: Crane
+    visible: tuple[float, float]
+    foreign: bool
+
+
+def make_case(
+    seed: int,
+    *,
+    kind: str | None = None,
+    keys: Sequence[str] | None = None,
+    visible: tuple[float, float] = (3.0, math.inf),
+    noise: int | None = None,
+    rate: int | None = None,
+    sensors: int | None = None,
+    errors: bool | None = None,
+    foreign: bool = False,
+    crane: Crane | None = None,
+) -> HiddenCase:
+    """Return the hidden case of a seed; what is not given is drawn.
+
+    Args:
+        seed: makes everything; the same seed and arguments give the same case.
+        kind: of KINDS: one effect, two, none at all, parameter errors only, or a law that the library does not have.
+        keys: "name@place" of the effects (for "unknown": the name of a law of hidden_plant.LAWS).
+        visible: least and largest visibility of every effect; severities are drawn until it is met.
+        noise: 0 for the good rig's, 1 for the paper's.
+        rate: of RATES, Hz.
+        sensors: 0 for all pressures, 1 for z1 z4 p1 p4.
+        errors: whether the machine's parameters are a little off.
+        foreign: laws in a dialect of their own, a little different from the library's (hidden_plant.DIALECTS).
+        crane: nominal crane; by default patu655.
+
+    Raises:
+        CraneError: no draw of severity and manoeuvre met the conditions.
+    """
+    rng = np.random.default_rng(seed)
+    kind = kind or str(rng.choice(KINDS, p=(0.6, 0.14, 0.08, 0.08, 0.1)))
+    drawn = (int(rng.integers(2)), int(rng.choice(RATES)), int(rng.random() < 0.35), bool(rng.random() < 0.5))
+    level, rate, chosen, off = (
+        d if given is None else given for d, given in zip(drawn, (noise, rate, sensors, errors))
+    )
+    names = SENSOR_SETS[chosen]
+    stds = {n: NOISES[level][0 if n.startswith("z") else 1] for n in names}
+    crane = crane or Crane.load("patu655")
+    off = kind == "parameters" or (off and kind != "none")
+    machine = draw_machine(
+        crane, rng, errors=off, payload=off and rng.random() < (0.6 if kind == "parameters" else 0.3)
+    )
+    if keys is None:
+        keys = _pick(rng, kind, names) if kind in ("effect", "two") else []
+    setting = _Setting(rng, kind, keys, stds, int(rate), machine, crane, visible, foreign)
+    for _ in range(_MOST_DRAWS):
+        try:
+            return _try_case(seed, setting)
+        except CraneError as problem:
+            last = problem
+    raise CraneError(f"Case {seed} ({kind}: {', '.join(keys)}): {_MOST_DRAWS} draws failed, the last one thus: {last}")
+
+
+def _try_case(seed: int, s: _Setting) -> HiddenCase:
+    """Return a case of new manoeuvres and severities, or raise CraneError where they do not do."""
+    manoeuvres = [draw_manoeuvre(s.rng, cycle=None if s.foreign else 0.01) for _ in range(2)]
+    if s.kind == "unknown":
+        return _unknown_case(seed, s, manoeuvres)
+    machine = s.machine
+    for key in s.keys:
+        machine = machine.with_effect(key, _severity(key, machine, s.rng))
+    seen = _seen(s, machine, manoeuvres[0])
+    _draft(machine, manoeuvres[1])
+    runs = [_exact(machine, s, m) for m in manoeuvres]
+    answer = _answer(s, machine, seen)
+    return _recorded(seed, s, manoeuvres, runs, answer)
+
+
+def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre) -> dict[str, np.ndarray]:
+    from .hidden_plant import LawfulEngine
+
+    return readings(machine, _run(machine, LawfulEngine(machine), manoeuvre))
+
+
+def _seen(s: _Setting, machine: Crane, manoeuvre: Manoeuvre) -> dict[str, float]:
+    """Return the visibility of each effect and of the parameter errors; CraneError where an effect is not as visible as asked."""
+    whole = _draft(machine, manoeuvre)
+    seen = {}
+    for key in s.keys:
+        if key.startswith("end_stop"):
+            continue  # without it there is no run to compare with
+        seen[key] = visibility(whole, _draft(machine.without_effect(key), manoeuvre), s.noise)
+        if not s.visible[0] <= seen[key] <= s.visible[1]:
+            raise CraneError(f"{key} moves the channels by {seen[key]:.2g} noise units, asked for {s.visible}.")
+    if dict(s.machine.values) != dict(s.nominal.values):
+        seen["parameters"] = visibility(_draft(s.machine, manoeuvre), _draft(s.nominal, manoeuvre), s.noise)
+        if s.kind == "parameters" and seen["parameters"] < s.visible[0]:
+            raise CraneError("the parameter errors cannot be seen.")
+    return seen
+
+
+def _unknown_case(seed: int, s: _Setting, manoeuvres: Sequence[Manoeuvre]) -> HiddenCase:
+    """Return a case with a law that is in no effect file."""
+    from crane_exudyn.geometry import pose
+
+    from .hidden_plant import LAWS, LawfulEngine, draw_law
+
+    name = str(s.keys[0]) if s.keys else str(s.rng.choice(LAWS))
+    plain = _draft(s.machine, manoeuvres[0])
+    lengths = pose(s.machine, plain["z1"], plain["z4"]).lengths
+    law, told = draw_law(name, s.machine, s.rng, {"s1": lengths[:, 0], "s2": lengths[:, 1]})
+    engine = LawfulEngine(s.machine, [law])
+    runs = [readings(s.machine, _run(s.machine, engine, manoeuvres[0]))]
+    seen = visibility(runs[0], plain, s.noise)
+    if not s.visible[0] <= seen <= s.visible[1]:
+        raise CraneError(f"{name} moves the channels by {seen:.2g} noise units, asked for {s.visible}.")
+    runs.append(readings(s.machine, _run(s.machine, engine, manoeuvres[1])))
+    answer = _answer(s, s.machine, {name: seen})
+    return _recorded(seed, s, manoeuvres, runs, answer | {"law": {"name": name, **told}})
+
+
+def _answer(s: _Setting, machine: Crane, seen: Mapping[str, float]) -> dict[str, Any]:
+    verdict = {"effect": "effect", "two": "effect", "none": "adequate"}.get(s.kind, s.kind)
+    moved = {n: v for n, v in machine.values.items() if v != s.nominal[n]}
+    return {
+        "verdict": verdict,
+        "effects": [e.key for e in machine.effects],
+        "kind": s.kind,
+        "parameters": {e.key: dict(e.parameters) for e in machine.effects},
+        "machine": moved,
+        "visibility": dict(seen),
+        "noise": dict(s.noise),
+        "rate": s.rate,
+        "foreign": s.foreign,
+    }
+
+
+def _recorded(
+    seed: int,
+    s: _Setting,
+    manoeuvres: Sequence[Manoeuvre],
+    runs: Sequence[Mapping[str, np.ndarray]],
+    answer: dict[str, Any],
+) -> HiddenCase:
+    every = round(1.0 / (s.rate * _STEP))
+    time = _GRID[::every]
+    recordings = []
+    for part, manoeuvre, run in zip(("learn", "check"), manoeuvres, runs, strict=True):
+        channels = dict(zip(("u1", "u2"), manoeuvre.commands(time).T, strict=True))
+        for name, std in s.noise.items():
+            channels[name] = run[name][::every] + std * s.rng.standard_normal(time.size)
+        recordings.append(Recording.from_arrays(f"case_{seed}_{part}", time, channels))
+    return HiddenCase(seed, recordings[0], recordings[1], answer)
+
+
+# -- many, as files --------------------------------------------------------------------------------------------------
+
+
+def write_cases(folder: Path, cases: Sequence[tuple[int, Mapping[str, Any]]]) -> None:
+    """Write cases as case_SEED_learn.csv, case_SEED_check.csv and answers.json; answers already there are kept.
+
+    Args:
+        folder: made if it is not there.
+        cases: (seed, keyword arguments of `make_case`).
+    """
+    from crane_exudyn.files import write_text
+
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "answers.json"
+    answers = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    for seed, arguments in cases:
+        case = make_case(seed, **arguments)
+        case.learn.save(folder / f"case_{seed}_learn.csv")
+        case.check.save(folder / f"case_{seed}_check.csv")
+        answers[f"case_{seed}"] = case.answer
+        write_text(file, json.dumps(answers, indent=1) + "\n")
+        print(f"{seed}: {case.answer['verdict']} {case.answer['effects']} {case.answer['visibility']}", file=sys.stderr)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write hidden cases of some seeds to a folder."""
+    parser = argparse.ArgumentParser(prog="python -m validation.hidden", description=main.__doc__)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the recordings and answers.json")
+    parser.add_argument("--seeds", default="1000-1011", help="FIRST-LAST (default %(default)s)")
+    parser.add_argument("--kind", choices=KINDS)
+    parser.add_argument("--effect", action="append", metavar="NAME[@PLACE]")
+    parser.add_argument("--foreign", action="store_true", help="laws that differ a little from the library's")
+    given = parser.parse_args(arguments)
+    first, _, last = given.seeds.partition("-")
+    chosen: dict[str, Any] = {"kind": given.kind, "keys": given.effect, "foreign": given.foreign}
+    write_cases(given.output, [(seed, chosen) for seed in range(int(first), int(last or first) + 1)])
+
+
+if __name__ == "__main__":
+    main()
