@@ -64,6 +64,10 @@ def rows(case: Case) -> list[tuple[object, ...]]:
     return [(_SYMBOL.get(s, s), filtered[s], published.get(s), alone[s], 100 * inside[s]) for s in filtered]
 
 
+OWN_MEANS = (
+    "This is the filter with the paper's own covariances. `patu paper` shows all cases of the paper, why these covariances cannot "
+    "do better here, and how far the filter gets when it estimates along with the state what the model may be wrong about."
+)
 COLUMNS = ("state", "filter %", "published %", "model alone %", "inside 95 % interval, % of time")
 
 
@@ -71,6 +75,7 @@ def tell(printer: Printer, case: Case, seconds: float, paths: list[Path]) -> Non
     """Print the table, and where everything is."""
     printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(case))
     printer.line(f"{verdict(case)} Filter at {case.realtime_factor:.2g} times real time; all in {seconds:.0f} s.")
+    printer.line(OWN_MEANS)
     printer.line("Written:")
     for path in paths:
         printer.line(f"  {path}")
@@ -85,17 +90,20 @@ def verdict(case: Case) -> str:
 
 def save(case: Case, folder: Path, seed: int) -> list[Path]:
     """Write plots, states and report to `folder`, and return the files."""
-    from validation import plots
-    from validation.report import Table, write_report
+    from validation import paper_figures, plots
+    from validation.report import Picture, Table, write_report
 
-    figures = {"states.png": states_figure(case), "errors.png": errors_figure(case)}
+    figures = {"states.png": states_figure(case), "errors.png": paper_figures.figure_7(case)}
     for name, figure in figures.items():
         plots.save(figure, folder / name)
     case.estimate.to_csv(folder / "states.csv")
     sections: list[tuple[str, list[Any]]] = [
-        ("Errors", [Table(COLUMNS, rows(case), note="PN-RMSE: 100 RMSE / (max - min of the true state).")]),
-        ("States", [figures["states.png"]]),
-        ("Errors in their 95 % intervals", [figures["errors.png"]]),
+        ("Errors", [Table(COLUMNS, rows(case), note="PN-RMSE: 100 RMSE / (max - min of the true state)."), OWN_MEANS]),
+        ("States", [Picture(figures["states.png"], "True states, the model without filter, and the estimate.")]),
+        (
+            "Errors and 95 % intervals",
+            [Picture(figures["errors.png"], "Error of the estimate, over its 95 % interval.")],
+        ),
     ]
     title = f"The paper's experiment on {case.experiment.crane.name}"
     parameters = {"model error": f"{100 * case.model_error:g} %", "engine": case.engine, "tuning": case.tuning}
@@ -114,30 +122,6 @@ def states_figure(case: Case) -> Figure:
     for i, (axes, name) in enumerate(zip(made.axes, STATES, strict=True)):
         lines = {"true": truth[:, i], "model alone": alone[:, i], "estimated": case.estimate.mean[:, i]}
         plots.draw_lines(axes, case.experiment.time, lines, channel=name, band=(low[:, i], high[:, i]))
-    return _finished(made)
-
-
-def errors_figure(case: Case) -> Figure:
-    """Return the error of each state over time and the interval that should hold it 95 % of the time."""
-    import numpy as np
-
-    from validation import plots
-    from validation.paper import STATES
-
-    errors = case.estimate.mean[:, :8] - case.experiment.truth
-    half = 1.96 * case.estimate.std[:, :8]
-    made = plots.figure(4, 2, height=1.5)
-    for i, (axes, name) in enumerate(zip(made.axes, STATES, strict=True)):
-        plots.draw_lines(
-            axes,
-            case.experiment.time,
-            {"error of estimate": errors[:, i]},
-            channel=name,
-            band=(-half[:, i], half[:, i]),
-        )
-        settled = case.experiment.time > 0.5  # the start, off by degrees, would leave the rest a flat line
-        most = plots.shown(name).factor * max(np.abs(errors[settled, i]).max(), half[settled, i].max())
-        axes.set_ylim(-1.15 * most, 1.15 * most)
     return _finished(made)
 
 
