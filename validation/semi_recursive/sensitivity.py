@@ -104,122 +104,189 @@ def left_factors(A, h, L, pivot):
     return factorise(L, pivot)
 
 
-@njit(cache=False)
-def probe(j, x, f, w, t, P_cols, E_cols, delta, own, b, A_own, scratch):
-    """Write column j of b (nx, m), and A of the probe where it has a tangent of its own."""
-    g = scratch[0]
-    rhs(x, w, t, P_cols[j], E_cols[j], g)
-    for i in range(x.size):
-        b[i, j] = (g[i] - f[i]) / delta[j]
-    if own[j] >= 0:
-        jacobian(x, g, w, t, P_cols[j], E_cols[j], A_own[own[j]], scratch[1], scratch[2])
+class Base(NamedTuple):
+    """What is differentiated: the base's vectors and those of the probes, inputs, and the grid."""
+
+    P: np.ndarray
+    E: np.ndarray
+    P_cols: np.ndarray
+    E_cols: np.ndarray
+    delta: np.ndarray
+    own: np.ndarray  # number of the probe's own tangent, or -1
+    W_all: np.ndarray
+    W_index: np.ndarray
+    h: float
+    t0: float
+    substeps: int
+
+
+class Tangents(NamedTuple):
+    """A (nx, nx), b (nx, m) and the probes' own A (n_own, nx, nx) at one instant."""
+
+    A: np.ndarray
+    b: np.ndarray
+    own: np.ndarray
+
+
+class Moving(NamedTuple):
+    """State, its rate and sensitivities (nx, M) as they move along, tangents before and after a step, and scratch."""
+
+    x: np.ndarray
+    f: np.ndarray
+    S: np.ndarray
+    before: Tangents
+    after: Tangents
+    R: np.ndarray
+    L: np.ndarray
+    pivot: np.ndarray
+    vectors: np.ndarray
+    inputs: np.ndarray
 
 
 @njit(cache=False)
-def linear_step(nx, h, A0, A1, b0, b1, A0_own, A1_own, own, S, R, L, pivot, floored):
-    """Move the sensitivities S (nx, M) over one step; False if the linear system is singular."""
-    right_side(S, A0, h, R)
+def new_tangents(nx, m, n_own):
+    return Tangents(np.empty((nx, nx)), np.zeros((nx, m)), np.empty((n_own, nx, nx)))
+
+
+@njit(cache=False)
+def new_moving(nx, m, n_own, columns, n_inputs):
+    """Return the arrays of a sweep with `columns` sensitivities, of which the last may be transitions."""
+    return Moving(
+        np.empty(nx), np.empty(nx), np.zeros((nx, columns)), new_tangents(nx, m, n_own), new_tangents(nx, m, n_own),
+        np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), np.empty((5, nx)), np.empty((2, n_inputs)),
+    )  # fmt: skip
+
+
+@njit(cache=False)
+def evaluate(base, v, k, share, t, into):
+    """Write f = rhs, A, b and the probes' own A at the state v.x and at `share` of the way from sample k to k + 1."""
+    x, f, w, g = v.x, v.f, v.inputs[1], v.vectors[0]
+    last = min(k + 1, base.W_all.shape[1] - 1)
+    between(base.W_all[0, k], base.W_all[0, last], share, w)
+    rhs(x, w, t, base.P, base.E, f)
+    jacobian(x, f, w, t, base.P, base.E, into.A, v.vectors[1], v.vectors[2])
+    for j in range(base.delta.size):
+        P, E, W = base.P_cols[j], base.E_cols[j], base.W_all[base.W_index[j]]
+        between(W[k], W[last], share, w)
+        rhs(x, w, t, P, E, g)
+        for i in range(x.size):
+            into.b[i, j] = (g[i] - f[i]) / base.delta[j]
+        if base.own[j] >= 0:
+            jacobian(x, g, w, t, P, E, into.own[base.own[j]], v.vectors[1], v.vectors[2])
+
+
+@njit(cache=False)
+def own_column(j, q, h, v):
+    """Write column nx + j of R with the tangent of the probe itself; False if its system is singular."""
+    nx = v.x.size
+    column = v.S[:, nx + j : nx + j + 1].copy()
+    moved = np.empty((nx, 1))
+    right_side(column, v.before.own[q], h, moved)
     for i in range(nx):
-        for j in range(b0.shape[1]):
-            R[i, nx + j] += 0.5 * h * (b0[i, j] + b1[i, j])
-    if not left_factors(A1, h, L, pivot):
+        moved[i, 0] += 0.5 * h * (v.before.b[i, j] + v.after.b[i, j])
+    if not left_factors(v.after.own[q], h, v.L, v.pivot):
         return False
-    solve_columns(L, pivot, R)
-    for j in range(b0.shape[1]):
-        q = own[j]
-        if q < 0:
-            continue
-        column = np.ascontiguousarray(S[:, nx + j : nx + j + 1])
-        own_R = np.empty((nx, 1))
-        right_side(column, A0_own[q], h, own_R)
-        for i in range(nx):
-            own_R[i, 0] += 0.5 * h * (b0[i, j] + b1[i, j])
-        if not left_factors(A1_own[q], h, L, pivot):
-            return False
-        solve_columns(L, pivot, own_R)
-        R[:, nx + j] = own_R[:, 0]
-    for k in range(4, 8):  # a pressure that is held at the floor depends on nothing
-        if floored[k]:
-            R[k] = 0.0
-    S[:] = R
+    solve_columns(v.L, v.pivot, moved)
+    v.R[:, nx + j] = moved[:, 0]
     return True
 
 
+@njit(cache=False)
+def linear_step(base, h, v):
+    """Move the sensitivities over one step between the tangents before and after; False if a system is singular."""
+    nx, m, R = v.x.size, base.delta.size, v.R
+    right_side(v.S, v.before.A, h, R)
+    for i in range(nx):
+        for j in range(m):
+            R[i, nx + j] += 0.5 * h * (v.before.b[i, j] + v.after.b[i, j])
+    if not left_factors(v.after.A, h, v.L, v.pivot):
+        return False
+    solve_columns(v.L, v.pivot, R)
+    for j in range(m):
+        if base.own[j] >= 0 and not own_column(j, base.own[j], h, v):
+            return False
+    for k in range(4, 8):  # a pressure that is held at the floor depends on nothing
+        if v.x[k] <= base.P[FLOOR] and v.f[k] <= 0.0:
+            R[k] = 0.0
+    v.S[:] = R
+    return True
+
+
+@njit(cache=False)
+def advance_sample(base, k, v, work):
+    """Move state and sensitivities from sample k to k + 1, in smaller pieces where needed; False if nothing helps."""
+    x1, f1, w = v.vectors[3], v.vectors[4], v.inputs[0]
+    done, pieces = 0.0, 1
+    while done < base.substeps:
+        until = min(float(base.substeps), done + 1.0 / pieces)
+        share, h = until / base.substeps, (until - done) / base.substeps * base.h
+        t = base.t0 + (k + share) * base.h
+        between(base.W_all[0, k], base.W_all[0, k + 1], share, w)
+        if newton(v.x, v.f, w, t, h, base.P, base.E, work, x1, f1):
+            v.x[:] = x1
+            evaluate(base, v, k, share, t, v.after)
+            if not linear_step(base, h, v):
+                return False
+            v.before.A[:], v.before.b[:], v.before.own[:] = v.after.A, v.after.b, v.after.own
+            done = until
+        elif pieces < MAX_PIECES:
+            pieces *= 4
+        else:
+            return False
+    return True
+
+
+@njit(cache=False)
+def begin_window(base, k, start, v, work):
+    """Set the state anew at sample k, sensitivities to identity and zeros, and forget the tangent of earlier windows."""
+    v.x[:] = start
+    v.S[:] = 0.0
+    set_identity(v.S, 0)
+    evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before)
+    work[5][0] = 0.0
+
+
+@njit(cache=False)
+def set_identity(S, first):
+    """Set the nx columns of S from `first` on to the identity."""
+    for i in range(S.shape[0]):
+        for j in range(S.shape[0]):
+            S[i, first + j] = 1.0 if i == j else 0.0
+
+
 @njit
-def _sweep(x0_knots, knot_index, W_all, h_sample, t0, P, E, P_cols, E_cols, delta, W_index, own, substeps, want_phi):
-    N, nx, m, K = W_all.shape[1], x0_knots.shape[1], delta.size, knot_index.size
+def _sweep(x0_knots, knot_index, base, want_phi):
+    N, (K, nx), m = base.W_all.shape[1], x0_knots.shape, base.delta.size
     M = nx + m
-    extra = nx if want_phi else 0
-    n_own = own.max() + 1 if m > 0 else 0
-    X, S_out = np.full((N, nx), math.nan), np.zeros((N, nx, M))
+    n_own = base.own.max() + 1 if m > 0 else 0
+    X, S = np.full((N, nx), math.nan), np.zeros((N, nx, M))
     X_end, S_end = np.full((K, nx), math.nan), np.zeros((K, nx, M))
     Phi = np.zeros((N if want_phi else 0, nx, nx))
-    work = workspace(nx)
-    S, R = np.zeros((nx, M + extra)), np.empty((nx, M + extra))
-    A0, A1, L, pivot = np.empty((nx, nx)), np.empty((nx, nx)), np.empty((nx, nx)), np.empty(nx, np.int64)
-    b0, b1 = np.zeros((nx, m)), np.zeros((nx, m))
-    A0_own, A1_own = np.empty((n_own, nx, nx)), np.empty((n_own, nx, nx))
-    scratch, w, wj = np.empty((3, nx)), np.empty(W_all.shape[2]), np.empty(W_all.shape[2])
-    x, f, x1, f1, floored = np.empty(nx), np.empty(nx), np.empty(nx), np.empty(nx), np.zeros(nx, np.bool_)
+    v, work = new_moving(nx, m, n_own, M + (nx if want_phi else 0), base.W_all.shape[2]), workspace(nx)
     status, failed, window, alive = OK, -1, -1, False
     for k in range(N):
         if window + 1 < K and knot_index[window + 1] == k:
-            if window >= 0 and alive:
-                X_end[window], S_end[window] = x, S[:, :M]
+            if alive:
+                X_end[window], S_end[window] = v.x, v.S[:, :M]
             window += 1
+            begin_window(base, k, x0_knots[window], v, work)
             alive = True
-            x[:] = x0_knots[window]
-            S[:] = 0.0
-            for i in range(nx):
-                S[i, i] = 1.0
-            t = t0 + k * h_sample
-            rhs(x, W_all[0, k], t, P, E, f)
-            jacobian(x, f, W_all[0, k], t, P, E, A0, scratch[1], scratch[2])
-            for j in range(m):
-                probe(j, x, f, W_all[W_index[j], k], t, P_cols, E_cols, delta, own, b0, A0_own, scratch)
-            work[5][0] = 0.0  # windows do not know of each other
-        if alive:
-            X[k], S_out[k] = x, S[:, :M]
-        if k == N - 1 or not alive:
+        if not alive:
+            continue
+        X[k], S[k] = v.x, v.S[:, :M]
+        if k == N - 1:
+            X_end[window], S_end[window] = v.x, v.S[:, :M]
             continue
         if want_phi:
-            for i in range(nx):
-                for j in range(nx):
-                    S[i, M + j] = 1.0 if i == j else 0.0
-        done, pieces = 0.0, 1
-        while done < substeps and alive:
-            until = min(float(substeps), done + 1.0 / pieces)
-            share = until / substeps
-            h = (until - done) / substeps * h_sample
-            t = t0 + (k + share) * h_sample
-            between(W_all[0, k], W_all[0, k + 1], share, w)
-            if not newton(x, f, w, t, h, P, E, work, x1, f1):
-                pieces *= 4
-                alive = pieces <= MAX_PIECES
-                continue
-            x[:] = x1
-            rhs(x, w, t, P, E, f)
-            jacobian(x, f, w, t, P, E, A1, scratch[1], scratch[2])
-            for j in range(m):
-                between(W_all[W_index[j], k], W_all[W_index[j], k + 1], share, wj)
-                probe(j, x, f, wj, t, P_cols, E_cols, delta, own, b1, A1_own, scratch)
-            for i in range(4, 8):
-                floored[i] = x[i] <= P[FLOOR] and f[i] <= 0.0
-            alive = linear_step(nx, h, A0, A1, b0, b1, A0_own, A1_own, own, S, R, L, pivot, floored)
-            A0, A1 = A1, A0
-            b0, b1 = b1, b0
-            A0_own, A1_own = A1_own, A0_own
-            done = until
+            set_identity(v.S, M)
+        alive = advance_sample(base, k, v, work)
+        if want_phi and alive:
+            Phi[k + 1] = v.S[:, M:]
         if not alive and failed < 0:
             status, failed = NOT_CONVERGED, k
-        if want_phi and alive:
-            Phi[k + 1] = S[:, M:]
-    if window >= 0 and alive:
-        X_end[window], S_end[window] = x, S[:, :M]
     if want_phi:
-        for i in range(nx):
-            Phi[0, i, i] = 1.0
-    return X, S_out, X_end, S_end, Phi, status, failed
+        set_identity(Phi[0], 0)
+    return X, S, X_end, S_end, Phi, status, failed
 
 
 def sweep(
@@ -260,10 +327,8 @@ def sweep(
     owned = np.full(m, -1, np.int64)
     if own is not None:
         owned[np.asarray(own, bool)] = np.arange(np.count_nonzero(own))
-    arrays = (np.ascontiguousarray(a, float) for a in (x0_knots, W_all, P, E, P_cols, E_cols, delta))
-    x0, W, P, E, P_cols, E_cols, delta = arrays
-    knots = np.ascontiguousarray(knot_index, np.int64)
-    result = _sweep(
-        x0, knots, W, float(h), float(t0), P, E, P_cols, E_cols, delta, index, owned, int(substeps), bool(want_phi)
+    x0, W, P, E, P_cols, E_cols, delta = (
+        np.ascontiguousarray(a, float) for a in (x0_knots, W_all, P, E, P_cols, E_cols, delta)
     )
-    return Sweep(*result)
+    base = Base(P, E, P_cols, E_cols, delta, owned, W, index, float(h), float(t0), int(substeps))
+    return Sweep(*_sweep(x0, np.ascontiguousarray(knot_index, np.int64), base, bool(want_phi)))
