@@ -15,6 +15,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
+from crane_exudyn.simulation import inner_grid
 
 from .augment import SENSORS
 
@@ -137,16 +138,6 @@ def instants(series: Mapping[str, Series]) -> np.ndarray:
 def nearest_index(time: np.ndarray, stamps: np.ndarray) -> np.ndarray:
     """Return the index in `time` (N,) of the instant to which each stamp (m,) belongs."""
     return np.clip(np.searchsorted(time, stamps + _SAME, side="right") - 1, 0, time.size - 1)
-
-
-def inner_grid(time: np.ndarray, max_step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a grid that holds every instant of `time` with even steps of at most `max_step` between, and their places."""
-    steps = np.diff(time)
-    pieces = np.maximum(1, np.ceil(steps / max_step - 1e-6).astype(int))
-    inner = np.concatenate([[0], np.cumsum(pieces)])
-    share = np.arange(inner[-1]) - np.repeat(inner[:-1], pieces)
-    grid = np.repeat(time[:-1], pieces) + share * np.repeat(steps / pieces, pieces)
-    return np.append(grid, time[-1]), inner
 
 
 def _note_gaps(time: np.ndarray, events: list[tuple[float, str, str]]) -> None:
