@@ -1,0 +1,57 @@
+"""Renders the pictures of the documentation; takes about half a minute.
+
+python docs/make_pictures.py [FOLDER]     # default: docs/images
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from crane_exudyn import Crane, Recording, simulate
+from crane_exudyn.render import Scene, Trajectory
+from crane_exudyn.simulation import Simulation
+
+SIZE = (960, 540)
+
+
+def trajectory(label: str, run: Simulation) -> Trajectory:
+    """Return a run as a trajectory of a scene."""
+    return Trajectory.from_states(label, run.time, run.states)
+
+
+def estimated(model: Simulation, true: Simulation) -> Trajectory:
+    """Return what a filter with two angle sensors makes of a run with the wrong model."""
+    from ukf.estimator import Estimator
+
+    sensors = {"z1": 0.0175, "z4": 0.0175}
+    every = slice(None, None, 10)
+    random = np.random.default_rng(1)
+    seen = {name: true[name][every] + random.normal(0.0, std, true.time[every].size) for name, std in sensors.items()}
+    recording = Recording.from_arrays(
+        "seen", true.time[every], {"u1": true["u1"][every], "u2": true["u2"][every], **seen}
+    )
+    estimate = Estimator(model.crane, engine="semi-recursive", sensors=sensors).run(recording)
+    return Trajectory("estimated", estimate.time, estimate.mean[:, 0], estimate.mean[:, 1])
+
+
+def main(folder: Path) -> None:
+    """Write all pictures to a folder."""
+    crane = Crane.load("patu655")
+    true = simulate(crane, step=2e-3)
+    off = crane.with_parameters({"supply.pump_pressure": 80e5, "payload.mass": 120.0})
+    leaking = crane.with_effect("internal_leakage@lift", {"k": 2e-11})
+    measured, wrong, leak = trajectory("measured", true), simulate(off, step=2e-3), simulate(leaking, step=2e-3)
+    Scene(crane, [measured], colour="pressure", title="PATU 655", size=SIZE).save(folder / "pressure.png", time=6.0)
+    three = [measured, trajectory("simulated", wrong), estimated(wrong, true)]
+    Scene(crane, three, marks=["lift"], title="A model with 20 bar less", size=SIZE).save(
+        folder / "ghosts.png", time=14.0
+    )
+    two = [trajectory("measured", leak), trajectory("simulated", true)]
+    Scene(crane, two, colour="residual", title="learn.csv", size=SIZE).save(folder / "apart.png", time=16.0)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "images")
