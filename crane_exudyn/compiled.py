@@ -1,12 +1,14 @@
 """numba's njit, with its cache kept per state of the sources.
 
 numba looks only at the file of the compiled function when it decides whether its cache is still good, not at the files
-of the functions called from there. Here every change of any source, and every set of user effects, gets a cache
-folder of its own, so that a stale kernel cannot be run.
+of the functions called from there. Here every change of a source that compiled code may come from, and every set of user
+effects, gets a cache folder of its own, so that a stale kernel cannot be run. A change in one package leaves the cache of the
+others alone, except that all build on crane_exudyn.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 from collections.abc import Callable
@@ -17,26 +19,36 @@ import numba
 
 from .effects import registry
 
-_PACKAGES = ("crane_exudyn", "ukf", "validation")
+_ROOT = Path(__file__).resolve().parent.parent
+_FOUNDATION = "crane_exudyn"
 
 
-def _cache_folder() -> Path:
-    root = Path(__file__).resolve().parent.parent
-    digest = hashlib.sha256(numba.__version__.encode())
-    for package in _PACKAGES:
-        for source in sorted((root / package).rglob("*.py")):
-            stat = source.stat()
-            digest.update(f"{source.relative_to(root)}:{stat.st_size}:{stat.st_mtime_ns}".encode())
-    digest.update(registry.fingerprint().encode())
+def _base() -> Path:
     base = os.environ.get("CRANE_EXUDYN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "crane-exudyn" / digest.hexdigest()[:16]
+    return Path(base) / "crane-exudyn"
 
 
-CACHE_FOLDER = _cache_folder()
+@functools.cache
+def cache_folder(package: str = _FOUNDATION) -> Path:
+    """Return the folder of compiled code of one top-level package, named after the sources it may come from."""
+    digest = hashlib.sha256(f"{numba.__version__} {registry.fingerprint()}".encode())
+    for name in sorted({_FOUNDATION, package}):
+        for source in sorted((_ROOT / name).rglob("*.py")):
+            text = source.read_bytes()
+            if b"njit" in text or source.parent.name == "effects" or source.name == "parameters.py":
+                digest.update(str(source.relative_to(_ROOT)).encode() + b"\0" + text)
+    return _base() / digest.hexdigest()[:16]
+
+
 registry.freeze()
-numba.config.CACHE_DIR = str(CACHE_FOLDER)
 
 
 def njit(*args: Any, **options: Any) -> Callable[..., Any]:
     """numba.njit with a disk cache, numpy's rules for division, and no global lock while it runs."""
-    return numba.njit(*args, **{"cache": True, "error_model": "numpy", "nogil": True} | options)
+    options = {"cache": True, "error_model": "numpy", "nogil": True} | options
+
+    def compile_function(function: Callable[..., Any]) -> Callable[..., Any]:
+        numba.config.CACHE_DIR = str(cache_folder(function.__module__.partition(".")[0] if options["cache"] else _FOUNDATION))
+        return numba.njit(function, **options)  # type: ignore[no-any-return]
+
+    return compile_function(args[0]) if args else compile_function

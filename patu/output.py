@@ -117,7 +117,7 @@ def progress(text: str, json: str | None = None) -> Iterator[Callable[[float], N
 
 def announce_compilation() -> None:
     """Say on standard error that the first run after an installation or a change takes longer, if this is one."""
-    from crane_exudyn.compiled import CACHE_FOLDER
+    from crane_exudyn.compiled import cache_folder
 
-    if not CACHE_FOLDER.is_dir():
+    if not cache_folder("validation").is_dir():
         print("First run: the equations are compiled once, which takes about half a minute.", file=sys.stderr)

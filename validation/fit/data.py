@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -81,6 +81,14 @@ class FitData:
         )
         on_grid = np.column_stack([np.interp(grid, times, commands[:, i]) for i in range(2)])
         return cls(recording.name, grid, step, on_grid, _supply(recording, grid), samples)
+
+    def shifted(self, late: float) -> FitData:
+        """Return the same data with commands that come `late` seconds after their stamps."""
+        if late == 0.0:
+            return self
+        early = self.time - late
+        commands = np.column_stack([np.interp(early, self.time, self.commands[:, i]) for i in range(2)])
+        return replace(self, commands=commands)
 
     def part(self, start: int, end: int) -> FitData:
         """Return the stretch of grid points start … end (inclusive)."""

@@ -159,7 +159,7 @@ def fit(
             break
         gain = _cost(point, variables, guess) - _cost(moved, variables, guess)
         point = moved
-        if gain < tolerance:
+        if gain < max(tolerance, 1e-4 * point.linear.cost):
             converged = True
             break
     return _finish(crane, variables, windows, point, guess, converged)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
 from .data import FitData
-from .linear import Window, cut
+from .linear import cut
 from .model import model_of, output_rows, shown
 from .solve import Fit, fit, reduce, reknot
 from .start import knots_of
@@ -106,7 +106,7 @@ def rms(parts: dict[str, tuple[np.ndarray, np.ndarray]]) -> float:
     return math.sqrt(sum(float(r @ r) for _, r in parts.values()) / sum(len(r) for _, r in parts.values()))
 
 
-def start_fitted(crane: Crane, data: FitData, windows: Sequence[Window] | None = None) -> Fit:
+def start_fitted(crane: Crane, data: FitData) -> Fit:
     """Return the fit of the start alone: the crane as it is, its first state chosen to explain the recording best."""
     return staged(crane, data, (), np.zeros(0), first_knots(crane, data), (LOOSE, TIGHT, STIFF, WHOLE))
 
@@ -121,8 +121,3 @@ def all_parameters(crane: Crane, data: FitData, stages: Sequence[Stage] = (LOOSE
     """Return the fit of all uncertain nominal parameters in windows."""
     variables = [*uncertain_parameters(crane), timing_of(data)]
     return staged(crane, data, variables, np.zeros(len(variables)), first_knots(crane, data), stages)
-
-
-def at_origin(result: Fit) -> Fit:
-    """Return the fit with knots only, for use as a starting point of other variables."""
-    return replace(result)

@@ -1,0 +1,422 @@
+"""Which physical effect is missing: parameters first, then every effect at every place, alone and in pairs."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.parameters import unit_of
+from crane_exudyn.recording import Recording
+
+from .fit.data import FitData
+from .fit.solve import Fit
+from .fit.staged import LOOSE, SHORT, STIFF, TIGHT, all_parameters, first_knots, informed_directions, timing_of
+from .fit.variables import Variable, effect_variables
+from .search.candidates import scaled, starts
+from .search.screen import Score, screen
+from .search.weigh import Hypothesis, Weighed, at_bound, deviations, fitted_values, open_loop_error, weigh
+
+Verdict = str
+#: a model is good enough when its level is below LEVEL and at most this share of short windows stays unexplained
+LEVEL, SHARE = 1.04, 0.03
+#: with something left over, an effect is still named if it repairs this share of the windows and leaves no more than this level
+REPAIRED, LEFT_LEVEL = 0.8, 1.3
+#: log evidence that a further effect must bring, and within which two explanations are tied
+PROOF, TIE = 12.0, 6.0
+#: how many starts the screen hands on, and how many of the fits are carried to the end
+FITTED, FINISHED = 10, 4
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One explanation that was weighed; errors are open-loop RMS in noise units, nan where not computed."""
+
+    effects: tuple[str, ...]
+    parameters: Mapping[str, Mapping[str, Any]]
+    evidence: float
+    probability: float
+    crane: Crane
+    error_before: float = math.nan
+    error_after: float = math.nan
+    check_error_before: float = math.nan
+    check_error_after: float = math.nan
+    at_bound: tuple[str, ...] = ()
+    level: float = math.nan
+
+    @property
+    def name(self) -> str:
+        """Effects joined by " + ", or "parameters"."""
+        return " + ".join(self.effects) or "parameters"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON of diagnose."""
+        keys = ("evidence", "probability", "error_before", "error_after", "check_error_before", "check_error_after")
+        return {"effect": self.name, "parameters": self.parameters} | {k: getattr(self, k) for k in keys}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a recording says that a crane file lacks.
+
+    Attributes:
+        verdict: "adequate", "parameters", "effect", "tied" or "unknown".
+        effects: the chosen effects, empty for adequate, parameters and unknown.
+        tied_with: what this recording cannot tell from them.
+        candidates: everything that was weighed, best first.
+        crane: the crane file with what was found (the one given where nothing was).
+        where: for "unknown", where and when something is left, worst first.
+    """
+
+    recording: str
+    verdict: Verdict
+    crane: Crane
+    given: Crane
+    parameters: Mapping[str, Mapping[str, Any]]
+    candidates: tuple[Candidate, ...]
+    effects: tuple[str, ...] = ()
+    tied_with: tuple[str, ...] = ()
+    next_manoeuvre: str = ""
+    where: tuple[Mapping[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
+    error_before: float = math.nan
+    error_after: float = math.nan
+    check_error_before: float = math.nan
+    check_error_after: float = math.nan
+    late: float = 0.0
+    seconds: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON of diagnose."""
+        result = {
+            "verdict": self.verdict,
+            "parameters": self.parameters,
+            "candidates": [c.to_dict() for c in self.candidates],
+            "effects": list(self.effects),
+            "tied_with": list(self.tied_with),
+            "next_manoeuvre": self.next_manoeuvre,
+            "error_before": self.error_before,
+            "error_after": self.error_after,
+            "check_error_before": self.check_error_before,
+            "check_error_after": self.check_error_after,
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+        return result | ({"where": list(self.where)} if self.verdict == "unknown" else {})
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.recording}: {sentence(self)}>"
+
+    def plot(self) -> Any:
+        """Return a figure: how the candidates weigh, and the error before and after."""
+        from .search.plots import diagnosis_figure
+
+        return diagnosis_figure(self)
+
+    def to_csv(self, path: str) -> None:
+        """Write the candidates as a table."""
+        from crane_exudyn.files import write_text
+
+        rows = ["effect,evidence,probability,error_after,check_error_after"]
+        rows += [f"{c.name},{c.evidence},{c.probability},{c.error_after},{c.check_error_after}" for c in self.candidates]
+        write_text(path, "\n".join(rows) + "\n")
+
+
+def sentence(d: Diagnosis) -> str:
+    """Return the verdict in one sentence."""
+    fall = f"error {d.error_before:.3g} -> {d.error_after:.3g} noise units"
+    if d.verdict == "adequate":
+        return f"the model explains the recording (error {d.error_before:.3g} noise units)"
+    if d.verdict == "parameters":
+        return f"parameters within their uncertainty explain the recording ({fall})"
+    if d.verdict == "unknown":
+        return f"something is missing that no known effect explains (error {d.error_before:.3g} noise units)"
+    names = " and ".join(d.effects)
+    if d.verdict == "tied":
+        return f"{names} is missing, or {', or '.join(d.tied_with)}: this recording cannot tell ({fall})"
+    return f"{names} is missing ({fall})"
+
+
+Progress = Callable[[str, float], None]
+
+
+def _silent(_: str, __: float) -> None:
+    return None
+
+
+@dataclass
+class _Search:
+    """The state of one diagnosis."""
+
+    crane: Crane
+    data: FitData
+    jobs: int
+    progress: Progress
+    base: Fit
+    shared: list[Variable]
+    weighed: list[Weighed] = field(default_factory=list)
+
+    def run(self, hypotheses: Sequence[tuple[Hypothesis, Fit]], stages: Sequence[Any]) -> list[Weighed]:
+        """Return the hypotheses fitted, on as many processes as the search may use, best first."""
+        tasks = [delayed(weigh)(self.crane, self.data, self.shared, before, h, stages) for h, before in hypotheses]
+        found = Parallel(n_jobs=min(self.jobs, max(1, len(tasks))), max_nbytes=None)(tasks)
+        return sorted((w for w in found if math.isfinite(w.evidence)), key=lambda w: -w.evidence)
+
+    def scores(self, fit: Fit) -> list[Score]:
+        """Return the screen at a fit; effects that its crane has already do not take part."""
+        return screen(fit, self.data, starts(fit.crane, self.data), LOOSE.stiffness)
+
+
+def diagnose(
+    crane: Crane, recording: Recording, check: Recording | None = None, *, jobs: int = 2, progress: Progress = _silent
+) -> Diagnosis:
+    """Return what the recording says that the crane file lacks.
+
+    First the nominal parameters may move within their uncertainty. Then every effect at every place is screened, the promising
+    ones are fitted together with the parameters and the machine's states, alone and, if one does not do, in pairs, and weighed by
+    their marginal likelihood. Without a known effect that explains the recording the verdict is "unknown".
+
+    Args:
+        crane: the crane file; effects that it has stay, and are fitted along.
+        recording: commands and sensors.
+        check: another recording of the same machine, which is only predicted.
+        jobs: processes to use.
+        progress: called with a text and the share that is done.
+
+    Raises:
+        CraneError: the recording cannot support a diagnosis.
+    """
+    from .fitness import check_recording
+
+    began = time.perf_counter()
+    notes = list(check_recording(recording, crane, purpose="diagnose"))
+    data = FitData.of(recording, crane)
+    progress("fitting the nominal parameters", 0.05)
+    search = _prepare(crane, data, jobs, progress)
+    nothing, as_given = Hypothesis(), _as_given(crane, data)
+    parameters = weigh(crane, data, search.shared, search.base, nothing, (LOOSE, TIGHT, STIFF))
+    progress("screening all effects", 0.2)
+    loose = _singles(search)
+    progress("fitting the likely effects", 0.5)
+    finished = _finish(search, loose)
+    if not finished or not _good(finished[0]):
+        progress("trying pairs", 0.7)
+        finished = _with_pairs(search, loose, finished, parameters)
+    progress("weighing", 0.9)
+    result = _conclude(search, as_given, parameters, finished, notes)
+    return replace(_with_errors(result, search, recording, check, as_given), seconds=time.perf_counter() - began)
+
+
+def _prepare(crane: Crane, data: FitData, jobs: int, progress: Progress) -> _Search:
+    """Fit all nominal parameters in short windows and keep the directions that the data speak about."""
+    base = all_parameters(crane, data)
+    own = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
+    return _Search(crane, data, jobs, progress, base, [*informed_directions(base), *own])
+
+
+def _as_given(crane: Crane, data: FitData) -> Weighed:
+    """Return the crane as it is, its start and the commands' lateness alone fitted."""
+    loose = all_parameters(replace(crane, uncertainty={}), data)
+    return weigh(crane, data, [timing_of(data)], loose, Hypothesis(), (TIGHT, STIFF))
+
+
+def _singles(search: _Search) -> list[Weighed]:
+    """Return single effects fitted in short windows, best first: those that the screen holds likely."""
+    chosen = _likely(search.scores(search.base), FITTED)
+    hypotheses = [(Hypothesis({s.start.key: scaled(s.start, s.amplitude)}), search.base) for s in chosen]
+    return _best_of_each(search.run(hypotheses, (LOOSE,)))
+
+
+def _likely(scores: Sequence[Score], most: int) -> list[Score]:
+    """Return the best scores: at most two starts of one effect at one place, and none that promises next to nothing."""
+    chosen: list[Score] = []
+    for score in scores:
+        if score.gain < 1.0 or len(chosen) == most:
+            break
+        if sum(c.start.key == score.start.key for c in chosen) < (2 if score.gain > 0.5 * scores[0].gain else 1):
+            chosen.append(score)
+    return chosen
+
+
+def _best_of_each(found: Sequence[Weighed]) -> list[Weighed]:
+    seen: dict[tuple[str, ...], Weighed] = {}
+    for w in sorted(found, key=lambda w: -w.evidence):
+        seen.setdefault(tuple(sorted(w.hypothesis.keys)), w)
+    return list(seen.values())
+
+
+def _finish(search: _Search, loose: Sequence[Weighed], most: int = FINISHED) -> list[Weighed]:
+    """Carry the leading fits from loosely joined short windows to a run without jumps."""
+    if not loose:
+        return []
+    best = loose[0].evidence
+    leading = [w for i, w in enumerate(loose[:most]) if i < 2 or w.evidence > best - max(100.0, 0.3 * abs(best))]
+    return search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))
+
+
+def _with_pairs(search: _Search, loose: Sequence[Weighed], finished: Sequence[Weighed], parameters: Weighed) -> list[Weighed]:
+    """Return the finished fits with pairs added: the leading single effects, each with what the screen finds beside it."""
+    hypotheses: list[tuple[Hypothesis, Fit]] = []
+    for first in loose[:3]:
+        for score in _likely(search.scores(first.fit), 5):
+            both = {k: fitted_values(first, k) for k in first.hypothesis.keys} | {score.start.key: scaled(score.start, score.amplitude)}
+            if len(both) == len(first.hypothesis.keys) + 1:
+                hypotheses.append((Hypothesis(both), first.fit))
+    pairs = _best_of_each(search.run(hypotheses, (LOOSE,))) if hypotheses else []
+    search.progress("finishing pairs", 0.8)
+    done = search.run([(w.hypothesis, w.fit) for w in pairs[:2]], (TIGHT, STIFF)) if pairs else []
+    singles = {w.hypothesis.keys[0]: w.evidence for w in finished}
+    bare = max([parameters.evidence, *singles.values()])
+    proven = [w for w in done if w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF]
+    return sorted([*finished, *proven], key=lambda w: -w.evidence)
+
+
+def _good(w: Weighed) -> bool:
+    """Whether a model leaves hardly more than noise."""
+    return w.level < LEVEL and float(w.bad.mean()) <= SHARE
+
+
+def _conclude(search: _Search, as_given: Weighed, parameters: Weighed, finished: Sequence[Weighed], notes: list[str]) -> Diagnosis:
+    """Return the verdict."""
+    best = finished[0] if finished else None
+    if best is None or (best.evidence < parameters.evidence + PROOF and _good(parameters)) or _good(as_given):
+        if _good(parameters) or _good(as_given):
+            return _without_effect(search, as_given, parameters, finished, notes)
+    if best is None or not _explains(best, parameters):
+        return _verdict(search, "unknown", best, parameters, finished, notes)
+    ties = [w for w in finished[1:] if w.evidence > best.evidence - TIE and len(w.hypothesis.keys) <= len(best.hypothesis.keys)]
+    return _verdict(search, "tied" if ties else "effect", best, parameters, finished, notes, ties)
+
+
+def _explains(best: Weighed, parameters: Weighed) -> bool:
+    """Whether an effect explains the recording: hardly more than noise left, or nearly all that was wrong repaired."""
+    if best.evidence < parameters.evidence + PROOF:
+        return False
+    if _good(best):
+        return True
+    wrong = max(1, int(parameters.bad.sum()))
+    return best.level < LEFT_LEVEL and 1.0 - best.bad.sum() / wrong >= REPAIRED
+
+
+def _without_effect(
+    search: _Search, as_given: Weighed, parameters: Weighed, finished: Sequence[Weighed], notes: list[str]
+) -> Diagnosis:
+    adequate = _good(as_given) and parameters.evidence < as_given.evidence + PROOF
+    return _verdict(search, "adequate" if adequate else "parameters", None, parameters, finished, notes)
+
+
+def _verdict(
+    search: _Search, verdict: Verdict, best: Weighed | None, parameters: Weighed,
+    finished: Sequence[Weighed], notes: list[str], ties: Sequence[Weighed] = (),
+) -> Diagnosis:  # fmt: skip
+    named = verdict in ("effect", "tied")
+    chosen = best if named and best is not None else parameters
+    everything = sorted([parameters, *finished], key=lambda w: -w.evidence)
+    weights = np.exp(np.clip([w.evidence - everything[0].evidence for w in everything], -700, 0))
+    candidates = tuple(_candidate(w, float(p)) for w, p in zip(everything, weights / weights.sum(), strict=True))
+    crane = search.crane if verdict in ("adequate", "unknown") else chosen.fit.crane
+    if named and best is not None:
+        notes += [f"{k}: {p} is at an end of its range" for k in best.hypothesis.keys for p in at_bound(best, k)]
+    return Diagnosis(
+        search.data.name, verdict, crane, search.crane, {} if verdict == "adequate" else moved_parameters(search, chosen),
+        candidates, best.hypothesis.keys if named and best else (), tuple(" + ".join(w.hypothesis.keys) for w in ties),
+        where=left_over(best or parameters) if verdict == "unknown" else (), notes=tuple(notes), late=chosen.fit.late,
+    )  # fmt: skip
+
+
+def _candidate(w: Weighed, probability: float) -> Candidate:
+    parameters = {}
+    for key in w.hypothesis.keys:
+        values, spread = fitted_values(w, key), deviations(w, key)
+        prefix = f"{key}:" if len(w.hypothesis.keys) > 1 else ""
+        for p in registry.split_key(key)[0].parameters:
+            unit = _sensor_unit(key) if p.unit == "channel" else p.unit
+            parameters[prefix + p.name] = {"value": values[p.name], "std": spread.get(p.name, math.inf), "unit": unit}
+    bounds = tuple(f"{k}:{p}" for k in w.hypothesis.keys for p in at_bound(w, k))
+    return Candidate(w.hypothesis.keys, parameters, w.evidence, probability, w.fit.crane, at_bound=bounds, level=w.level)
+
+
+def _sensor_unit(key: str) -> str:
+    return "rad" if key.endswith(("z1", "z4")) else "Pa"
+
+
+def moved_parameters(search: _Search, chosen: Weighed) -> dict[str, dict[str, Any]]:
+    """Return the nominal parameters that moved by more than a tenth of their uncertainty: value, std, nominal, unit."""
+    found = {}
+    prior = {n: (k.std if math.isfinite(k.std) else 0.25 * (k.upper - k.lower)) for n, k in search.crane.uncertainty.items()}
+    spread = _posterior(search, chosen, prior)
+    for name, nominal in search.crane.values.items():
+        value = chosen.fit.crane.values[name]
+        if name in prior and abs(value - nominal) > 0.1 * prior[name]:
+            found[name] = {"value": value, "std": spread[name], "nominal": nominal, "unit": unit_of(name)}
+    return dict(sorted(found.items(), key=lambda item: -abs(item[1]["value"] - item[1]["nominal"]) / prior[item[0]]))
+
+
+def _posterior(search: _Search, chosen: Weighed, prior: Mapping[str, float]) -> dict[str, float]:
+    """Return the standard deviation of each nominal parameter: the informed directions' from the fit, the others' from the prior."""
+    variance = {n: s**2 for n, s in prior.items()}
+    directions = [(i, v) for i, v in enumerate(chosen.fit.variables) if hasattr(v, "weights")]
+    cov = chosen.fit.cov
+    for name in prior:
+        weights = np.array([v.weights.get(name, 0.0) for _, v in directions])
+        index = [i for i, _ in directions]
+        before = float(sum(w**2 * (1.0 if math.isfinite(v.prior) else 0.0) for w, (_, v) in zip(weights, directions, strict=True)))
+        after = float(weights @ cov[np.ix_(index, index)] @ weights)
+        alone = any(not math.isfinite(v.prior) and w for w, (_, v) in zip(weights, directions, strict=True))
+        variance[name] = after if alone else max(variance[name] - before, 0.0) + after
+    return {n: math.sqrt(max(v, 0.0)) for n, v in variance.items()}
+
+
+def left_over(w: Weighed) -> tuple[Mapping[str, Any], ...]:
+    """Return the stretches of the recording that a fit leaves unexplained, worst first."""
+    found = []
+    for k in np.flatnonzero(w.bad):
+        window, error = w.fit.windows[k].data, float(w.fit.linear.window_error[k])
+        start, end = float(window.time[0]), float(window.time[-1])
+        if found and found[-1]["to"] >= start - 1e-9:
+            found[-1] |= {"to": end, "score": max(found[-1]["score"], error)}
+        else:
+            found.append({"channel": "all", "from": start, "to": end, "phase": "", "score": error})
+    for entry in found:
+        entry["text"] = f"from {entry['from']:.2f} to {entry['to']:.2f} s errors reach {entry['score']:.1f} times the noise"
+    return tuple(sorted(found, key=lambda e: -e["score"]))
+
+
+def _with_errors(d: Diagnosis, search: _Search, recording: Recording, check: Recording | None, as_given: Weighed) -> Diagnosis:
+    """Add open-loop errors on both recordings: of the crane as given, of the candidates that came near, of the choice."""
+    before, _ = open_loop_error(search.crane, search.data, as_given.fit, as_given.fit.late)
+    check_data = FitData.of(check, search.crane) if check is not None else None
+    check_before = _check_error(search.crane, check_data, as_given.fit.late)
+    best = d.candidates[0].evidence if d.candidates else 0.0
+    candidates = []
+    for i, c in enumerate(d.candidates):
+        after, check_after = math.nan, math.nan
+        if i < 2 or c.evidence > best - 3 * TIE:
+            after, _ = open_loop_error(c.crane, search.data, search.base, d.late)
+            check_after = _check_error(c.crane, check_data, d.late)
+        candidates.append(
+            replace(c, error_before=before, error_after=after, check_error_before=check_before, check_error_after=check_after)
+        )
+    chosen = next((c for c in candidates if c.crane == d.crane), None)
+    after = chosen.error_after if chosen else before
+    check_after = chosen.check_error_after if chosen else check_before
+    if math.isnan(after):
+        after, _ = open_loop_error(d.crane, search.data, search.base, d.late)
+        check_after = _check_error(d.crane, check_data, d.late)
+    return replace(
+        d, candidates=tuple(candidates), error_before=before, error_after=after,
+        check_error_before=check_before, check_error_after=check_after,
+    )  # fmt: skip
+
+
+def _check_error(crane: Crane, data: FitData | None, late: float) -> float:
+    if data is None:
+        return math.nan
+    return open_loop_error(crane, data, first_knots(crane, data, SHORT), late)[0]

@@ -1,0 +1,115 @@
+"""Fitting one hypothesis to a recording and weighing it: the nominal model, its parameters, or effects added to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+
+from ..fit.data import FitData
+from ..fit.evidence import log_evidence
+from ..fit.solve import Fit
+from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, Stage, residuals, rms, staged
+from ..fit.variables import EffectParameter, Variable, effect_variables
+
+#: a window counts as explained up to this error, in noise units
+EXPLAINED = 1.3
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What might be: effects with parameter values (SI) to start from; none: the nominal parameters alone."""
+
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The effects' names with their places."""
+        return tuple(self.effects)
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A hypothesis fitted to a recording.
+
+    Attributes:
+        fit: the last stage of the fit.
+        evidence: log marginal likelihood, up to a constant of the recording and the stage.
+        level: RMS error in noise units in which unexplained stretches count by their logarithm only.
+        bad: windows that stay unexplained, (K,) bool.
+    """
+
+    hypothesis: Hypothesis
+    fit: Fit
+    evidence: float
+    level: float
+    bad: np.ndarray
+
+
+def weigh(
+    crane: Crane, data: FitData, variables: Sequence[Variable], before: Fit, hypothesis: Hypothesis, stages: Sequence[Stage]
+) -> Weighed:
+    """Return a hypothesis fitted through the stages, from the knots (and where it has them the values) of an earlier fit."""
+    own: list[EffectParameter] = [v for key, values in hypothesis.effects.items() for v in effect_variables(key, values)]
+    known = {v.name: x for v, x in zip(before.variables, before.u, strict=True)}
+    shared = np.array([known.get(v.name, 0.0) for v in variables])
+    u = np.concatenate([shared, [known.get(v.name, v.to_u(v.start)) for v in own]])
+    return judged(hypothesis, staged(crane, data, [*variables, *own], u, before, stages))
+
+
+def judged(hypothesis: Hypothesis, fit: Fit) -> Weighed:
+    """Return a fit with its evidence and what it leaves unexplained."""
+    count = max(1, sum(fit.linear.counts.values()))
+    level = math.sqrt(fit.linear.cost / count) if not fit.linear.failed else math.inf
+    bad = fit.linear.window_error > threshold(fit)
+    return Weighed(hypothesis, fit, log_evidence(fit), level, bad)
+
+
+def threshold(fit: Fit) -> np.ndarray:
+    """Return (K,) the error above which a window is unexplained: 1.3, or four standard errors where samples are few."""
+    counts = np.array([sum(len(s.values) for s in w.data.samples) for w in fit.windows])
+    return np.maximum(EXPLAINED, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(counts, 1)))
+
+
+def open_loop_error(crane: Crane, data: FitData, knots: Fit | np.ndarray, late: float = 0.0) -> tuple[float, Fit]:
+    """Return the RMS error, in noise units, of an open-loop run of a crane whose start alone is fitted, and that fit."""
+    stages = (STIFF, WHOLE) if isinstance(knots, Fit) else (LOOSE, TIGHT, STIFF, WHOLE)
+    fit = staged(crane, data.shifted(late), (), np.zeros(0), knots, stages)
+    return rms(residuals(fit.crane, data.shifted(late), fit.knots[0])), fit
+
+
+def fitted_values(weighed: Weighed, key: str) -> dict[str, float]:
+    """Return the fitted parameters (SI) of one effect."""
+    acting = weighed.fit.crane.effect(key)
+    if acting is None:
+        raise CraneError(f"The fitted crane has no effect {key!r}.")
+    return dict(acting.parameters)
+
+
+def deviations(weighed: Weighed, key: str) -> dict[str, float]:
+    """Return the standard deviation (SI) of each fitted parameter of an effect; infinite where the data do not determine it."""
+    found = {}
+    for i, v in enumerate(weighed.fit.variables):
+        if isinstance(v, EffectParameter) and v.key == key:
+            u, spread = float(weighed.fit.u[i]), math.sqrt(max(float(weighed.fit.cov[i, i]), 0.0))
+            if v.inverse:
+                found[v.parameter.name] = v.parameter.typical / u**2 * spread if u > 2 * spread else math.inf
+            else:
+                found[v.parameter.name] = v.scale * spread if spread < 1e3 else math.inf
+    return found
+
+
+def at_bound(weighed: Weighed, key: str) -> list[str]:
+    """Return the parameters of an effect that a fit has driven to an end of their range (the neutral end excepted)."""
+    hit = []
+    for v, u in zip(weighed.fit.variables, weighed.fit.u, strict=True):
+        if isinstance(v, EffectParameter) and v.key == key:
+            ends = [e for e in (v.lower, v.upper) if math.isfinite(e) and abs(e - v.neutral) > 1e-12]
+            if any(abs(u - e) < 1e-9 * max(1.0, abs(e)) for e in ends):
+                hit.append(v.parameter.name)
+    return hit
