@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from . import geometry, mechanism, reduction, statics, trapezoidal
+from . import geometry, hydraulics, mechanism, reduction, statics, trapezoidal
+from . import parameters as parameter_index
 from .crane import Crane
-from .effects import hooks
-from .errors import CraneError
+from .effects import hooks, registry
+from .errors import CraneError, nearest
 
 STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
 SWING_NAMES = ("theta", "dtheta")
 _MOST_ITERATIONS = 15
 #: a step that Newton cannot solve is halved this often before the engine gives up
 _MOST_HALVINGS = 6
-#: systems that are kept for further steps (batch sizes, payload masses)
+#: systems that are kept for further steps, one a batch size
 _MOST_SYSTEMS = 6
 
 
@@ -41,11 +43,10 @@ class ExudynEngine:
     def __init__(self, crane: Crane, size: int = 1) -> None:
         self.crane = crane
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
-        self._payload = crane["payload.mass"]
         self._swings = bool(hooks.pendulum(self._E)[0] > 0.0)
         self.state_names = STATE_NAMES + (SWING_NAMES if self._swings else ())
-        self._systems: OrderedDict[tuple[int, float], _System] = OrderedDict()
-        self._system(size, 0.0)
+        self._systems: OrderedDict[int, _System] = OrderedDict()
+        self._system(size)
 
     def __repr__(self) -> str:
         return f"<ExudynEngine of {self.crane!r}, states {' '.join(self.state_names)}>"
@@ -54,7 +55,14 @@ class ExudynEngine:
         """Return the state (nx,) at rest with valves closed; see `statics.static_start`."""
         return statics.static_start(self.crane, z1, z4, less_loaded)
 
-    def propagate(self, states: np.ndarray, inputs: np.ndarray, dt: float, time: float = 0.0) -> np.ndarray:
+    def propagate(
+        self,
+        states: np.ndarray,
+        inputs: np.ndarray,
+        dt: float,
+        time: float = 0.0,
+        parameters: Mapping[str, np.ndarray] | None = None,
+    ) -> np.ndarray:
         """Return the states (n, nx) after one step of the trapezoidal rule; pure, repeats bit for bit.
 
         Args:
@@ -62,6 +70,8 @@ class ExudynEngine:
             inputs: (2, 4) or (2, n, 4): w = [U1 U2 pp pt] at the start and the end of the step.
             dt: step in s.
             time: start of the step in s; effects that begin at a time need it.
+            parameters: {name: (n,)}, what differs from row to row (SI): nominal parameters such as "payload.mass",
+                parameters of effects such as "internal_leakage@lift.k", and hydraulics.DISTURBANCES such as "flow.p1".
 
         Raises:
             CraneError: wrong shapes, a pose that cannot be reached, an end of stroke, or no convergence.
@@ -80,9 +90,23 @@ class ExudynEngine:
                 f"propagate: inputs have shape {w.shape}, expected (2, 4) or (2, {len(x)}, 4): [U1 U2 pp pt] at the "
                 "start and the end of the step."
             )
-        rows = np.empty((2, len(x), 4))
-        rows[...] = w[:, None, :] if w.ndim == 2 else w
-        return self._step(x, rows[0], rows[1], dt, time, 0)
+        rows = np.zeros((2, len(x), hydraulics.N_W))
+        rows[:, :, :4] = w[:, None, :] if w.ndim == 2 else w
+        P, E = self._rows(parameters, rows) if parameters else (None, None)
+        return self._step(x, rows[0], rows[1], dt, time, 0, P, E)
+
+    def _rows(self, parameters: Mapping[str, np.ndarray], w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return P (n, .) and E (n, .) with what differs from row to row; disturbances go into w (2, n, 12)."""
+        n = w.shape[1]
+        P, E = np.tile(self._P, (n, 1)), np.tile(self._E, (n, 1))
+        for name, values in parameters.items():
+            if name in parameter_index.INDEX:
+                P[:, parameter_index.INDEX[name]] = values
+            elif name in hydraulics.DISTURBANCES:
+                w[:, :, 4 + hydraulics.DISTURBANCES.index(name)] = values
+            else:
+                E[:, _effect_column(name)] = values
+        return P, E
 
     def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float = 1e-3) -> np.ndarray:
         """Return the states (N, nx) at `time`, from x0 at time[0].
@@ -98,7 +122,7 @@ class ExudynEngine:
         """
         t, w = np.asarray(time, dtype=float), np.asarray(inputs, dtype=float)
         _check_grid(t, w, step)
-        x = np.ascontiguousarray(x0, dtype=float)[None].copy()
+        x, rows = np.ascontiguousarray(x0, dtype=float)[None].copy(), np.zeros((2, 1, hydraulics.N_W))
         if x.shape[1] != len(self.state_names):
             raise CraneError(f"simulate: x0 has {x.shape[1]} numbers, expected {len(self.state_names)}.")
         out = np.empty((t.size, x.shape[1]))
@@ -108,8 +132,9 @@ class ExudynEngine:
             parts = max(1, math.ceil(span / step - 1e-9))
             h = span / parts
             for i in range(parts):
-                a, b = w[k] + (w[k + 1] - w[k]) * (i / parts), w[k] + (w[k + 1] - w[k]) * ((i + 1) / parts)
-                x = self._step(x, a[None], b[None], h, t[k] + i * h, 0)
+                rows[0, 0, :4] = w[k] if i == 0 else w[k] + (w[k + 1] - w[k]) * (i / parts)
+                rows[1, 0, :4] = w[k + 1] if i + 1 == parts else w[k] + (w[k + 1] - w[k]) * ((i + 1) / parts)
+                x = self._step(x, rows[0], rows[1], h, t[k] + i * h)
             out[k + 1] = x[0]
         return out
 
@@ -124,44 +149,50 @@ class ExudynEngine:
             "mass": (nq, nq), "force": (nq,) applied forces, "joint": rows of G v, "joint_jacobian": G (rows, nq),
             "pressure_rates": (4,); and what it was given: "q", "v", "a" (nq,) redundant coordinates and their rates, "dp".
         """
-        return self._system(1, time).inspect(np.asarray(state, dtype=float), np.asarray(w, dtype=float), time)
+        return self._system(1).inspect(np.asarray(state, dtype=float), np.asarray(w, dtype=float), time)
 
     # -- one step ------------------------------------------------------------------------------------------------
 
-    def _system(self, size: int, time: float) -> _System:
-        """Return the kept system of a batch size and the payload's mass at a time; build it where there is none."""
-        key = (size, self._mass(time))
-        system = self._systems.get(key)
+    def _system(self, size: int) -> _System:
+        """Return the kept system of a batch size; build it where there is none."""
+        system = self._systems.get(size)
         if system is None:
-            system = self._systems[key] = _System(self.crane, size, time)
+            system = self._systems[size] = _System(self.crane, size)
             if len(self._systems) > _MOST_SYSTEMS:
                 self._systems.popitem(last=False)
         else:
-            self._systems.move_to_end(key)
+            self._systems.move_to_end(size)
         return system
 
-    def _step(self, x: np.ndarray, w0: np.ndarray, w1: np.ndarray, h: float, time: float, halved: int) -> np.ndarray:
-        """Take one step; a crane whose Newton iteration does not converge takes two steps of half the length."""
-        system = self._system(len(x), time + h)
-        start_inertia = system.plant.inertia if self._mass(time) == system.plant.payload_mass else self._inertia(time)
-        out, beyond = system.step(x, w0, w1, h, time, start_inertia)
-        for k in np.flatnonzero(system.status):
-            if system.status[k] == trapezoidal.UNREACHABLE or halved == _MOST_HALVINGS:
-                raise self._failure(int(system.status[k]), x[k], time, h, halved)
+    def _step(
+        self,
+        x: np.ndarray,
+        w0: np.ndarray,
+        w1: np.ndarray,
+        h: float,
+        time: float,
+        halved: int = 0,
+        P: np.ndarray | None = None,
+        E: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Take one step; a crane whose Newton iteration does not converge takes two steps of half the length.
+
+        Args:
+            x: (n, nx);  w0, w1: (n, 12) inputs and disturbances at start and end;  P, E: (n, .), or None for the crane's own.
+        """
+        system = self._system(len(x))
+        out, beyond = system.step(x, w0, w1, h, time, P, E)
+        status = system.status.copy() if system.status.any() else None
+        for k in () if status is None else np.flatnonzero(status):
+            if status[k] == trapezoidal.UNREACHABLE or halved == _MOST_HALVINGS:  # type: ignore[index]
+                raise self._failure(int(status[k]), x[k], time, h, halved)  # type: ignore[index]
             a, b, middle = w0[k, None], w1[k, None], 0.5 * (w0[k, None] + w1[k, None])
-            half = self._step(x[k, None], a, middle, 0.5 * h, time, halved + 1)
-            out[k] = self._step(half, middle, b, 0.5 * h, time + 0.5 * h, halved + 1)[0]
+            own = (None, None) if P is None or E is None else (P[k, None], E[k, None])
+            half = self._step(x[k, None], a, middle, 0.5 * h, time, halved + 1, *own)
+            out[k] = self._step(half, middle, b, 0.5 * h, time + 0.5 * h, halved + 1, *own)[0]
         if beyond >= 0:
             raise self._stroke_end(out[beyond], time + h)
         return out
-
-    def _mass(self, time: float) -> float:
-        return float(hooks.payload_mass(self._E, time, self._payload))
-
-    def _inertia(self, time: float) -> np.ndarray:
-        inertia = np.zeros((5, 4))
-        reduction.inertias(self._P, self._E, time, inertia)
-        return inertia
 
     def _told(self, state: np.ndarray) -> str:
         return ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.state_names, state, strict=True))
@@ -209,15 +240,31 @@ def _check_grid(t: np.ndarray, w: np.ndarray, step: float) -> None:
         raise CraneError(f"simulate: step = {step:g} s is not positive.")
 
 
+def _effect_column(name: str) -> int:
+    """Return where in E the parameter "effect@place.parameter" stands.
+
+    Raises:
+        CraneError: there is no such parameter, neither of an effect nor of the crane.
+    """
+    key, _, parameter = name.rpartition(".")
+    if not key or key.split("@")[0] not in [e.name for e in registry.known()]:
+        known = [*parameter_index.NAMES, *hydraulics.DISTURBANCES]
+        raise CraneError(f"parameters: there is no {name!r}.{nearest(name, known)}")
+    effect, place = registry.split_key(key)
+    names = [p.name for p in effect.parameters]
+    if parameter not in names:
+        raise CraneError(f"parameters: effect {key!r} has no parameter {parameter!r}.{nearest(parameter, names)}")
+    return registry.slot(effect.name, place) + names.index(parameter)
+
+
 class _System:
     """A kept Exudyn system of n cranes and the solver that assembles its residuals."""
 
-    def __init__(self, crane: Crane, size: int, time: float) -> None:
+    def __init__(self, crane: Crane, size: int) -> None:
         self._container, self.mbs = mechanism.main_system()
-        self.plant = mechanism.build(self.mbs, crane, states=np.tile(mechanism.start_pose(crane), (size, 1)), time=time)
+        self.plant = mechanism.build(self.mbs, crane, states=np.tile(mechanism.start_pose(crane), (size, 1)))
         self.mbs.Assemble()
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
-        self._settings.timeIntegration.startTime, self._settings.timeIntegration.endTime = time, time + 1.0
         self.solver = mechanism.new_solver()
         if not self.solver.InitializeSolver(self.mbs, self._settings):
             raise CraneError(f"{crane.name}: Exudyn cannot initialise its solver: {self.solver.GetErrorString()}")
@@ -228,15 +275,25 @@ class _System:
         width = self.plant.coordinates
         self._q, self._v, self._a = np.zeros((size, width)), np.zeros((size, width)), np.zeros((size, width))
         self._p, self._dp, self._p0, self._dp0 = (np.zeros((size, 4)) for _ in range(4))
+        self._P, self._E = self.plant.P.copy(), self.plant.E.copy()
+        self._before, self._after = np.zeros((size, 5, 4)), np.zeros((size, 5, 4))
         self.status, self._last = np.zeros(size, dtype=np.int64), np.zeros(size)
 
     def step(
-        self, x: np.ndarray, w0: np.ndarray, w1: np.ndarray, h: float, time: float, inertia0: np.ndarray
+        self,
+        x: np.ndarray,
+        w0: np.ndarray,
+        w1: np.ndarray,
+        h: float,
+        time: float,
+        P: np.ndarray | None,
+        E: np.ndarray | None,
     ) -> tuple[np.ndarray, int]:
         """Return (states, first crane beyond its stroke or -1); `status` says crane by crane whether the step was solved."""
         plant, out = self.plant, np.empty_like(x)
+        before = self._set_parameters(P, E, time, time + h)
         ends = (self._q, self._v, self._a, self._p, self._dp, self._p0, self._dp0, self.status, self._last)
-        if not trapezoidal.predict(plant.P, plant.E, time, h, inertia0, x, w0, *ends):
+        if not trapezoidal.predict(plant.P, plant.E, time, h, before, x, w0, *ends):
             self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
             return out, -1
         plant.inputs[...] = w1
@@ -246,6 +303,17 @@ class _System:
             if not trapezoidal.correct(plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends):
                 break
         return out, trapezoidal.finish(plant.P, plant.E, plant.inertia, x, self._q, self._v, self._p, self.status, out)
+
+    def _set_parameters(self, P: np.ndarray | None, E: np.ndarray | None, start: float, end: float) -> np.ndarray:
+        """Bring the cranes' numbers up to date for the end of a step; return the masses (n, 5, 4) at its start."""
+        plant = self.plant
+        P, E = (self._P if P is None else P), (self._E if E is None else E)
+        reduction.all_inertias(P, E, start, self._before)
+        reduction.all_inertias(P, E, end, self._after)
+        same = np.array_equal(self._after, plant.inertia) and np.array_equal(P, plant.P) and np.array_equal(E, plant.E)
+        if not same and plant.set_parameters(self.mbs, P, E, end):
+            self.solver.ComputeMassMatrix(self.mbs)
+        return self._before
 
     def _residual(self) -> np.ndarray:
         """Return Exudyn's residual [M a - f, rates - dp, G v] at the present iterate."""
@@ -261,12 +329,14 @@ class _System:
     def inspect(self, x: np.ndarray, w: np.ndarray, time: float) -> dict[str, np.ndarray]:
         """Return what Exudyn assembles for one crane; see `ExudynEngine.residual`."""
         plant, width, rows = self.plant, self.plant.coordinates, self.plant.joint_rows
+        wide = np.concatenate([w, np.zeros(hydraulics.N_W - w.size)])
+        inertia = self._set_parameters(None, None, time, time)[0]
         arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
         start = (self._q[0], self._v[0], self._a[0], self._p[0], self._dp[0])
-        flag = trapezoidal.start(plant.P, plant.E, time, plant.inertia, x, w, arms, N, *start)
+        flag = trapezoidal.start(plant.P[0], plant.E[0], time, inertia, x, wide, arms, N, *start)
         if flag != trapezoidal.ITERATING:
             raise geometry.unreachable(plant.crane.name, x[0], x[1])
-        plant.inputs[...] = w
+        plant.inputs[...] = wide
         self.mbs.systemData.SetTime(time)
         out = {"q": self._q[0].copy(), "v": self._v[0].copy(), "a": self._a[0].copy(), "dp": self._dp[0].copy()}
         self._a[:], self._dp[:] = 0.0, 0.0

@@ -1,13 +1,15 @@
 """Hydraulics of one crane: port flows, chambers, pressure rates (34) and cylinder forces (18), with the effects' hooks.
 
 Compiled functions of numbers; cylinder c is 0 (lift) or 1 (tilt), its piston side is chamber 2c, its rod side 2c + 1.
-P and E are the flat vectors of nominal and of effect parameters, w = [U1 U2 pp pt]. `mechanism.py` puts these
-functions into Exudyn as user functions.
+P and E are the flat vectors of nominal and of effect parameters; w is [U1 U2 pp pt] and behind it the eight disturbances of
+`DISTURBANCES`. `mechanism.py` puts these functions into Exudyn as user functions.
 """
 
 from __future__ import annotations
 
 import math
+
+import numpy as np
 
 from .compiled import njit
 from .effects import hooks
@@ -20,6 +22,11 @@ from .parameters import CYLINDER, FLUID, N_CYLINDER, N_VALVE, SUPPLY, VALVE
 # places inside a cylinder's block and inside the fluid's block of P
 BORE, ROD, EMPTY, RANGE, HOSE_A, HOSE_B, FC, FS, VS, VISCOUS = range(10)
 OIL, WALL, HOSE, VAPOUR, LAMINAR = range(5)
+
+#: what may act without a law that explains it: moments on z1 and z4 in N m, forces on E in N, flows into chambers in m^3/s
+DISTURBANCES = ("torque.O", "torque.A", "force.x", "force.y", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
+#: length of w, and where moments, forces and flows begin in it
+N_W, TORQUE, FORCE, FLOW = 12, 4, 6, 8
 
 #: the loop between supply pressure and flow is solved to this fraction of the pressure
 _LOOP_TOLERANCE = 1e-13
@@ -127,30 +134,12 @@ def chambers(P, E, c, s, pa, pb):
 
 
 @njit
-def pressure_rates(P, E, c, qa, qb, s, ds, pa, pb):
-    """Return (dp_a, dp_b) of cylinder c in Pa/s, (34) with leakage and series spring, before the vapour-pressure floor.
+def flows_in(P, E, w, p, into):
+    """Fill into (4,) with all flows into the chambers in m^3/s: ports, leakage and disturbances.
 
-    dp_a = B_a/V_a (Q_a + leak_a - A_a v), dp_b = B_b/V_b (A_b v - Q_b + leak_b). With compliance 1/k in series the piston
-    moves at v = ds + dF/dt / k, F = A_a p_a - A_b p_b, which is solved for v.
-
-    Args:
-        qa, qb: port flows into the piston side and out of the rod side, m^3/s.
-        s, ds: pin-to-pin length and its rate, m and m/s.
+    Returns:
+        whether an effect ties both cylinders to the supply.
     """
-    area_a, area_b = areas(P, c)
-    _, _, va, vb, ba, bb = chambers(P, E, c, s, pa, pb)
-    leak_a, leak_b = hooks.leakage(E, c, pa, pb)
-    into_a, into_b = qa + leak_a, leak_b - qb
-    stiff_a, stiff_b = ba / va, bb / vb
-    inv_k = hooks.series_compliance(E, c)
-    from_flow = area_a * stiff_a * into_a - area_b * stiff_b * into_b
-    v = (ds + inv_k * from_flow) / (1.0 + inv_k * (area_a**2 * stiff_a + area_b**2 * stiff_b))
-    return stiff_a * (into_a - area_a * v), stiff_b * (into_b + area_b * v)
-
-
-@njit
-def all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, out):
-    """Fill out (4,) with the raw pressure rates in Pa/s; return whether an effect ties both cylinders to the supply."""
     pp, pt = supplies(P, w)
     qa1, qb1, drawn_1, returned_1 = port_flows(P, E, 0, w[0], pp, pt, p[0], p[1])
     qa2, qb2, drawn_2, returned_2 = port_flows(P, E, 1, w[1], pp, pt, p[2], p[3])
@@ -162,9 +151,57 @@ def all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, out):
         pp, pt = supply_loop(P, E, w, p)
         qa1, qb1, _, _ = port_flows(P, E, 0, w[0], pp, pt, p[0], p[1])
         qa2, qb2, _, _ = port_flows(P, E, 1, w[1], pp, pt, p[2], p[3])
-    out[0], out[1] = pressure_rates(P, E, 0, qa1, qb1, s1, ds1, p[0], p[1])
-    out[2], out[3] = pressure_rates(P, E, 1, qa2, qb2, s2, ds2, p[2], p[3])
+    leak_1, leak_2 = hooks.leakage(E, 0, p[0], p[1])
+    leak_3, leak_4 = hooks.leakage(E, 1, p[2], p[3])
+    into[0], into[1] = qa1 + leak_1 + w[FLOW], leak_2 - qb1 + w[FLOW + 1]
+    into[2], into[3] = qa2 + leak_3 + w[FLOW + 2], leak_4 - qb2 + w[FLOW + 3]
     return tied
+
+
+@njit
+def _piston_speed(area_a, area_b, stiff_a, stiff_b, inv_k, ds, into_a, into_b):
+    """Return the piston's speed v = ds + dF/dt / k behind a spring, with dF/dt = A_a dp_a - A_b dp_b by (34), solved for v."""
+    from_flow = area_a * stiff_a * into_a - area_b * stiff_b * into_b
+    return (ds + inv_k * from_flow) / (1.0 + inv_k * (area_a**2 * stiff_a + area_b**2 * stiff_b))
+
+
+@njit
+def pressure_rates(P, E, c, s, ds, pa, pb, into_a, into_b):
+    """Return (dp_a, dp_b, v) of cylinder c in Pa/s and m/s, (34) before the vapour-pressure floor.
+
+    dp_a = B_a/V_a (flow in - A_a v), dp_b = B_b/V_b (flow in + A_b v); v = ds without a spring in series.
+
+    Args:
+        s, ds: pin-to-pin length and its rate, m and m/s.
+        into_a, into_b: flows into the chambers, m^3/s.
+    """
+    area_a, area_b = areas(P, c)
+    _, _, va, vb, ba, bb = chambers(P, E, c, s, pa, pb)
+    stiff_a, stiff_b = ba / va, bb / vb
+    v = _piston_speed(area_a, area_b, stiff_a, stiff_b, hooks.series_compliance(E, c), ds, into_a, into_b)
+    return stiff_a * (into_a - area_a * v), stiff_b * (into_b + area_b * v), v
+
+
+@njit
+def all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, out):
+    """Fill out (4,) with the raw pressure rates in Pa/s; return whether an effect ties both cylinders to the supply."""
+    into = np.empty(4)
+    tied = flows_in(P, E, w, p, into)
+    out[0], out[1], _ = pressure_rates(P, E, 0, s1, ds1, p[0], p[1], into[0], into[1])
+    out[2], out[3], _ = pressure_rates(P, E, 1, s2, ds2, p[2], p[3], into[2], into[3])
+    return tied
+
+
+@njit
+def piston_speeds(P, E, w, s1, s2, ds1, ds2, p):
+    """Return (v1, v2) in m/s: the cylinders' rates, less what springs in series take up."""
+    if hooks.series_compliance(E, 0) == 0.0 and hooks.series_compliance(E, 1) == 0.0:
+        return ds1, ds2
+    into = np.empty(4)
+    flows_in(P, E, w, p, into)
+    _, _, v1 = pressure_rates(P, E, 0, s1, ds1, p[0], p[1], into[0], into[1])
+    _, _, v2 = pressure_rates(P, E, 1, s2, ds2, p[2], p[3], into[2], into[3])
+    return v1, v2
 
 
 @njit
@@ -184,9 +221,28 @@ def friction_force(P, c, speed):
 
 
 @njit
-def extra_force(P, E, c, s, ds, pa, pb):
-    """Return what the cylinder's force has beyond that of the pressures, in N: minus (19), plus the effects' forces."""
+def extra_force(P, E, c, s, v, pa, pb):
+    """Return what the cylinder's force has beyond that of the pressures, in N: minus (19), plus the effects' forces.
+
+    Args:
+        s: pin-to-pin length in m.
+        v: piston speed in m/s.
+    """
     k = CYLINDER + N_CYLINDER * c
     hydraulic = s + hooks.series_compliance(E, c) * pressure_force(P, c, pa, pb)
     la, lb = chamber_lengths(hydraulic, P[k + EMPTY], P[k + RANGE])
-    return hooks.cylinder_force(E, c, ds, pa, pb, la, lb) - friction_force(P, c, ds)
+    return hooks.cylinder_force(E, c, v, pa, pb, la, lb) - friction_force(P, c, v)
+
+
+@njit
+def extra_forces(P, E, w, s1, s2, ds1, ds2, p):
+    """Return the `extra_force` of both cylinders in N."""
+    v1, v2 = piston_speeds(P, E, w, s1, s2, ds1, ds2, p)
+    return extra_force(P, E, 0, s1, v1, p[0], p[1]), extra_force(P, E, 1, s2, v2, p[2], p[3])
+
+
+@njit
+def cylinder_forces(P, E, w, s1, s2, ds1, ds2, p):
+    """Return the forces (18) of both cylinders in N with all that effects add, pushing the pins apart."""
+    F1, F2 = extra_forces(P, E, w, s1, s2, ds1, ds2, p)
+    return F1 + pressure_force(P, 0, p[0], p[1]), F2 + pressure_force(P, 1, p[2], p[3])

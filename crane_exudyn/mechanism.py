@@ -43,12 +43,12 @@ from .parameters import BODIES, CYLINDER, CYLINDERS, GRAVITY, N_CYLINDER, PAYLOA
 
 #: bulk modulus in Pa that removes the actuators' own compression flow; it cannot be zero
 _NO_STIFFNESS = 1e-200
-#: joints in the order of reduction.JOINT_*: body (or ground, -1) and point on either side
+#: joints in the order of reduction.JOINT_*: body (or ground, -1) and point (or origin, -1) on either side
 _JOINTS = (
-    ("O", -1, geo.O, 0, None),
-    ("B", 0, geo.B, 1, None),
-    ("C", 1, geo.C, 2, None),
-    ("A", 0, geo.A, 3, None),
+    ("O", -1, geo.O, 0, -1),
+    ("B", 0, geo.B, 1, -1),
+    ("C", 1, geo.C, 2, -1),
+    ("A", 0, geo.A, 3, -1),
     ("D", 2, geo.D_BRACKET, 3, geo.D),
 )
 
@@ -60,14 +60,19 @@ class Plant:
     Attributes:
         crane: the description that all of them share.
         size: how many cranes there are; per crane the lists below have one entry.
+        P, E: (size, .) nominal and effect parameters, one row a crane; see `set_parameters`.
+        inertia: (size, 5, 4) masses, centres and inertias that the bodies have now.
+        payload_mass: (size,) in kg, the part of `inertia` that may change with time.
+        inputs: (size, 12) rows [U1 U2 pp pt] and the disturbances of hydraulics.DISTURBANCES, which the user functions read;
+            NaN in pp or pt means the crane's own supply.
+        input_function: if given, called with the time in s, returns what the first four columns of `inputs` are to hold.
         bodies: object numbers by name of parameters.BODIES (and "payload" on a pendulum).
         nodes: node numbers likewise.
         joints: object numbers by joint name.
         actuators: object numbers of the lift and the tilt cylinder.
         pressure_nodes: node numbers of the lift's and the tilt's pressures.
-        inputs: (size, 4) rows [U1 U2 pp pt] that the user functions read; NaN means the crane's own supply.
-        input_function: if given, called with the time in s, returns what `inputs` is to hold.
-        inertia: (5, 4) masses, centres and inertias that the system was built with.
+        markers: (marker number, body or -1 for the ground, point in P or -1 for the body's origin).
+        loads: load numbers by name of the body.
     """
 
     crane: Crane
@@ -75,7 +80,7 @@ class Plant:
     P: np.ndarray
     E: np.ndarray
     inertia: np.ndarray
-    payload_mass: float
+    payload_mass: np.ndarray
     inputs: np.ndarray
     input_function: Callable[[float], np.ndarray] | None = None
     bodies: list[dict[str, int]] = field(default_factory=list)
@@ -83,24 +88,83 @@ class Plant:
     joints: list[dict[str, int]] = field(default_factory=list)
     actuators: list[tuple[int, int]] = field(default_factory=list)
     pressure_nodes: list[tuple[int, int]] = field(default_factory=list)
-    first_ode2: int = 0
-    first_ode1: int = 0
+    markers: list[list[tuple[int, int, int]]] = field(default_factory=list)
+    loads: list[dict[str, int]] = field(default_factory=list)
 
     @property
     def coordinates(self) -> int:
         """Number of redundant coordinates per crane: 12, or 14 with a payload on a pendulum."""
-        return 14 if self.inertia[4, red.MASS] > 0.0 else 12
+        return 14 if self.inertia[0, 4, red.MASS] > 0.0 else 12
 
     @property
     def joint_rows(self) -> int:
         """Number of joint equations per crane."""
-        return self.coordinates - 2 if self.coordinates == 12 else 11
+        return 10 if self.coordinates == 12 else 11
 
     def inputs_at(self, time: float) -> np.ndarray:
-        """Return the inputs (size, 4) at a time in s."""
+        """Return the inputs (size, 12) at a time in s."""
         if self.input_function is not None:
-            self.inputs[...] = self.input_function(time)
+            self.inputs[:, :4] = self.input_function(time)
         return self.inputs
+
+    def set_parameters(self, mbs: Any, P: np.ndarray, E: np.ndarray, time: float) -> bool:
+        """Give every crane parameters of its own, P (size, .) and E (size, .), and the payload that it has at a time (s).
+
+        Only Exudyn items whose numbers change are touched.
+
+        Returns:
+            whether a mass has changed, so that a kept mass matrix is to be computed anew.
+        """
+        inertia = np.zeros_like(self.inertia)
+        red.all_inertias(P, E, time, inertia)
+        changed = np.any(P != self.P, axis=1) | np.any(E != self.E, axis=1)
+        moved = np.any(inertia != self.inertia, axis=(1, 2))
+        before = self.P.copy(), self.E.copy(), self.inertia.copy()
+        self.P[...], self.E[...], self.inertia[...] = P, E, inertia
+        for k in np.flatnonzero(changed | moved):
+            _update_items(mbs, self, int(k), before[0][k], before[1][k], before[2][k])
+            self.payload_mass[k] = hooks.payload_mass(E[k], time, P[k, PAYLOAD])
+        return bool(np.any(moved))
+
+
+def _update_items(mbs: Any, plant: Plant, k: int, P: np.ndarray, E: np.ndarray, inertia: np.ndarray) -> None:
+    """Bring the Exudyn items of crane k up to date where its numbers differ from those of before (P, E, inertia)."""
+    now, names = plant.inertia[k], [*BODIES, "payload"]
+    for b in np.flatnonzero(np.any(now != inertia, axis=1)):
+        body = plant.bodies[k][names[b]]
+        mbs.SetObjectParameter(body, "mass", now[b, red.MASS])
+        if b < len(BODIES):
+            mbs.SetObjectParameter(body, "inertia", now[b, red.INERTIA])
+    for marker, body, point in plant.markers[k]:
+        place = _local_place(plant, k, body, point)
+        if np.any(place != _place(P, inertia, body, point)):
+            mbs.SetMarkerParameter(marker, "localPosition", [place[0], place[1], 0.0])
+    for c, actuator in enumerate(plant.actuators[k]):
+        areas = hyd.areas(plant.P[k], c)
+        if areas != hyd.areas(P, c):
+            mbs.SetObjectParameter(actuator, "chamberCrossSection0", areas[0])
+            mbs.SetObjectParameter(actuator, "chamberCrossSection1", areas[1])
+    for name, load in plant.loads[k].items():
+        mbs.SetLoadParameter(load, "loadVector", _load_vector(plant, k, name))
+    if "pendulum" in plant.joints[k]:
+        mbs.SetObjectParameter(plant.joints[k]["pendulum"], "distance", hooks.pendulum(plant.E[k])[0])
+
+
+def _place(P: np.ndarray, inertia: np.ndarray, body: int, point: int) -> np.ndarray:
+    """Return a point of P (-1: the origin) on a body as seen from its centre of mass, or in the ground's frame (body -1)."""
+    local = np.zeros(2) if point < 0 else P[point : point + 2].copy()
+    return local if body < 0 else local - inertia[body, red.COM_X : red.COM_X + 2]
+
+
+def _local_place(plant: Plant, k: int, body: int, point: int) -> np.ndarray:
+    return _place(plant.P[k], plant.inertia[k], body, point)
+
+
+def _load_vector(plant: Plant, k: int, name: str) -> list[float]:
+    """Return a body's load: gravity for mass-proportional loads, the weight for the payload on its pendulum."""
+    gx, gy = hooks.gravity(plant.E[k], 0.0, -plant.P[k, GRAVITY])
+    factor = plant.inertia[k, 4, red.MASS] if name == "payload" else 1.0
+    return [factor * gx, factor * gy, 0.0]
 
 
 def payload_at(crane: Crane, time: float) -> float:
@@ -143,43 +207,31 @@ def start_pose(crane: Crane) -> np.ndarray:
 
 
 def _plant(crane: Crane, size: int, inputs: Any, time: float) -> Plant:
-    P, E = crane.parameter_vector(), crane.effect_vector()
-    inertia, mass = np.zeros((5, 4)), payload_at(crane, time)
-    if mass < 0.0 or (mass == 0.0 and hooks.pendulum(E)[0] > 0.0):
+    P, E = np.tile(crane.parameter_vector(), (size, 1)), np.tile(crane.effect_vector(), (size, 1))
+    inertia, mass = np.zeros((size, 5, 4)), payload_at(crane, time)
+    if mass < 0.0 or (mass == 0.0 and hooks.pendulum(E[0])[0] > 0.0):
         raise CraneError(
             f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and one that "
             "swings cannot be zero: mend payload.mass or the effect payload_change, or remove payload_swing."
         )
-    red.inertias(P, E, time, inertia)
-    closed = np.array([0.0, 0.0, np.nan, np.nan])
+    red.all_inertias(P, E, time, inertia)
+    held = np.zeros((size, hyd.N_W))
+    held[:, 2:4] = np.nan
     function = inputs if callable(inputs) else None
-    first = function(time) if function else (closed if inputs is None else inputs)
-    held = np.array(np.broadcast_to(np.asarray(first, dtype=float), (size, 4)), order="C")
-    return Plant(crane, size, P, E, inertia, mass, held, function)
+    if function is not None:
+        held[:, :4] = function(time)
+    elif inputs is not None:
+        held[:, :4] = inputs
+    return Plant(crane, size, P, E, inertia, np.full(size, mass), held, function)
 
 
 def _add_crane(mbs: Any, plant: Plant, ground: int, state: np.ndarray) -> None:
     q, v = redundant(plant, state)
-    nodes, bodies = {}, {}
+    plant.nodes.append({})
+    plant.bodies.append({})
+    plant.markers.append([])
     for b, name in enumerate(BODIES):
-        nodes[name] = int(
-            mbs.AddNode(
-                items.NodeRigidBody2D(
-                    referenceCoordinates=[0, 0, 0],
-                    initialCoordinates=list(q[3 * b : 3 * b + 3]),
-                    initialVelocities=list(v[3 * b : 3 * b + 3]),
-                )
-            )
-        )
-        bodies[name] = int(
-            mbs.AddObject(
-                items.ObjectRigidBody2D(
-                    mass=plant.inertia[b, red.MASS], inertia=plant.inertia[b, red.INERTIA], nodeNumber=nodes[name]
-                )
-            )
-        )
-    plant.nodes.append(nodes)
-    plant.bodies.append(bodies)
+        _add_body(mbs, plant, b, name, q[3 * b : 3 * b + 3], v[3 * b : 3 * b + 3])
     if plant.coordinates == 14:
         _add_swinging_payload(mbs, plant, q, v)
     _add_weights(mbs, plant)
@@ -187,13 +239,22 @@ def _add_crane(mbs: Any, plant: Plant, ground: int, state: np.ndarray) -> None:
     _add_cylinders(mbs, plant, ground, state)
 
 
-def _point(mbs: Any, plant: Plant, body: int, ground: int, point: int | None) -> int:
-    """Add a marker at a point of P on a body of the last crane (-1: ground); None is the origin of the body's frame."""
-    local = np.zeros(2) if point is None else plant.P[point : point + 2].copy()
+def _add_body(mbs: Any, plant: Plant, b: int, name: str, q: np.ndarray, v: np.ndarray) -> None:
+    node = mbs.AddNode(
+        items.NodeRigidBody2D(referenceCoordinates=[0, 0, 0], initialCoordinates=list(q), initialVelocities=list(v))
+    )
+    mass, inertia = plant.inertia[len(plant.bodies) - 1, b, [red.MASS, red.INERTIA]]
+    body = mbs.AddObject(items.ObjectRigidBody2D(mass=mass, inertia=inertia, nodeNumber=node))
+    plant.nodes[-1][name], plant.bodies[-1][name] = int(node), int(body)
+
+
+def _point(mbs: Any, plant: Plant, body: int, ground: int, point: int) -> int:
+    """Add a marker at a point of P on a body of the last crane (-1: ground); -1 is the origin of the body's frame."""
+    place = _local_place(plant, len(plant.bodies) - 1, body, point)
     number = ground if body < 0 else plant.bodies[-1][BODIES[body]]
-    if body >= 0:
-        local -= plant.inertia[body, red.COM_X : red.COM_X + 2]
-    return int(mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=number, localPosition=[local[0], local[1], 0.0])))
+    marker = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=number, localPosition=[place[0], place[1], 0.0]))
+    plant.markers[-1].append((int(marker), body, point))
+    return int(marker)
 
 
 def _add_swinging_payload(mbs: Any, plant: Plant, q: np.ndarray, v: np.ndarray) -> None:
@@ -202,20 +263,22 @@ def _add_swinging_payload(mbs: Any, plant: Plant, q: np.ndarray, v: np.ndarray) 
             referenceCoordinates=[0, 0], initialCoordinates=list(q[12:14]), initialVelocities=list(v[12:14])
         )
     )
-    body = mbs.AddObject(items.ObjectMassPoint2D(mass=plant.inertia[4, red.MASS], nodeNumber=node))
+    mass = plant.inertia[len(plant.bodies) - 1, 4, red.MASS]
+    body = mbs.AddObject(items.ObjectMassPoint2D(mass=mass, nodeNumber=node))
     plant.nodes[-1]["payload"], plant.bodies[-1]["payload"] = int(node), int(body)
 
 
 def _add_weights(mbs: Any, plant: Plant) -> None:
-    gravity = hooks.gravity(plant.E, 0.0, -plant.P[GRAVITY])
+    loads = {}
     for name, body in plant.bodies[-1].items():
-        kind = items.MarkerBodyPosition if name == "payload" else items.MarkerBodyMass
-        marker = mbs.AddMarker(kind(bodyNumber=body))
+        vector = _load_vector(plant, len(plant.bodies) - 1, name)
         if name == "payload":
-            weight = plant.inertia[4, red.MASS]
-            mbs.AddLoad(items.Force(markerNumber=marker, loadVector=[weight * gravity[0], weight * gravity[1], 0.0]))
+            marker = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=body))
+            loads[name] = int(mbs.AddLoad(items.Force(markerNumber=marker, loadVector=vector)))
         else:
-            mbs.AddLoad(items.LoadMassProportional(markerNumber=marker, loadVector=[*gravity, 0.0]))
+            marker = mbs.AddMarker(items.MarkerBodyMass(bodyNumber=body))
+            loads[name] = int(mbs.AddLoad(items.LoadMassProportional(markerNumber=marker, loadVector=vector)))
+    plant.loads.append(loads)
 
 
 def _add_joints(mbs: Any, plant: Plant, ground: int) -> None:
@@ -228,14 +291,14 @@ def _add_joints(mbs: Any, plant: Plant, ground: int) -> None:
             _point(mbs, plant, 3, ground, geo.E),
             mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=plant.bodies[-1]["payload"])),
         ]
-        length = hooks.pendulum(plant.E)[0]
+        length = hooks.pendulum(plant.E[len(plant.bodies) - 1])[0]
         joints["pendulum"] = int(mbs.AddObject(items.ObjectConnectorDistance(markerNumbers=markers, distance=length)))
     plant.joints.append(joints)
 
 
 def _add_cylinders(mbs: Any, plant: Plant, ground: int, state: np.ndarray) -> None:
     ends = (((-1, geo.F), (0, geo.G)), ((0, geo.H), (1, geo.C)))
-    actuators, nodes = [], []
+    actuators, nodes, P = [], [], plant.P[len(plant.bodies) - 1]
     for c in range(len(CYLINDERS)):
         node = mbs.AddNode(
             items.NodeGenericODE1(
@@ -245,19 +308,19 @@ def _add_cylinders(mbs: Any, plant: Plant, ground: int, state: np.ndarray) -> No
             )
         )
         k = CYLINDER + N_CYLINDER * c
-        area_a, area_b = hyd.areas(plant.P, c)
+        area_a, area_b = hyd.areas(P, c)
         actuators.append(
             int(
                 mbs.AddObject(
                     items.HydraulicActuatorSimple(
                         markerNumbers=[_point(mbs, plant, body, ground, point) for body, point in ends[c]],
                         nodeNumbers=[node],
-                        offsetLength=plant.P[k + hyd.EMPTY],
-                        strokeLength=plant.P[k + hyd.RANGE],
+                        offsetLength=P[k + hyd.EMPTY],
+                        strokeLength=P[k + hyd.RANGE],
                         chamberCrossSection0=area_a,
                         chamberCrossSection1=area_b,
-                        hoseVolume0=plant.P[k + hyd.HOSE_A],
-                        hoseVolume1=plant.P[k + hyd.HOSE_B],
+                        hoseVolume0=P[k + hyd.HOSE_A],
+                        hoseVolume1=P[k + hyd.HOSE_B],
                         oilBulkModulus=_NO_STIFFNESS,
                         cylinderBulkModulus=_NO_STIFFNESS,
                         hoseBulkModulus=_NO_STIFFNESS,
@@ -284,15 +347,15 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
     """Return (forceUserFunction, rhsUserFunction) for the generic objects that hold all cranes of a plant."""
     n, width = plant.size, plant.coordinates
     force, rate = np.zeros((n, width)), np.zeros((n, 4))
-    P, E, inertia, mass = plant.P, plant.E, plant.inertia, plant.payload_mass
+    P, E, inertia, mass = plant.P, plant.E, plant.inertia, plant.payload_mass  # changed in place by set_parameters
 
     def force_function(mbs: Any, t: float, number: int, q: Any, v: Any) -> np.ndarray:
         start = mbs.GetNodeODE1Index(first_pressure_node)
         p = np.asarray(mbs.systemData.GetODE1Coordinates())[start : start + 4 * n]
-        if not _all_forces(P, E, t, mass, inertia, np.asarray(q), np.asarray(v), p, force):
+        if not _all_forces(P, E, t, mass, plant.inputs_at(t), inertia, np.asarray(q), np.asarray(v), p, force):
             raise CraneError(
                 f"{plant.crane.name}: the payload's mass changes at t = {t:g} s, but an Exudyn system has fixed masses. "
-                "Use ExudynEngine.simulate, which builds the system anew, or remove the effect payload_change."
+                "Use ExudynEngine.simulate, which changes them, or remove the effect payload_change."
             )
         return force.ravel()
 
@@ -307,14 +370,17 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
 
 
 @njit
-def _all_forces(P, E, t, mass, inertia, q, v, p, out):
-    """Fill out (n, 12 or 14) with the extra forces of all cranes; return False if the payload's mass is another one now."""
+def _all_forces(P, E, t, mass, w, inertia, q, v, p, out):
+    """Fill out (n, 12 or 14) with the extra forces of all cranes; return False if a payload's mass is another one now."""
     n, width = out.shape
     arms = np.empty((red.N_ARMS, 2))
+    same = True
     for k in range(n):
         i, j = width * k, 4 * k
-        red.extra_forces(P, E, t, inertia, q[i : i + width], v[i : i + width], p[j : j + 4], arms, out[k])
-    return hooks.payload_mass(E, t, P[PAYLOAD]) == mass
+        qk, vk, pk = q[i : i + width], v[i : i + width], p[j : j + 4]
+        red.extra_forces(P[k], E[k], t, w[k], inertia[k], qk, vk, pk, arms, out[k])
+        same = same and hooks.payload_mass(E[k], t, P[k, PAYLOAD]) == mass[k]
+    return same
 
 
 @njit
@@ -326,10 +392,10 @@ def _all_rates(P, E, w, inertia, q, v, p, out):
     for k in range(n):
         i, j = width * k, 4 * k
         qk, vk, pk = q[i : i + width], v[i : i + width], p[j : j + 4]
-        red.arms_of(P, inertia, qk, arms)
-        s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, qk, vk)
-        hyd.all_pressure_rates(P, E, w[k], s1, s2, ds1, ds2, pk, out[k])
-        hyd.hold_at_vapour_pressure(P, pk, out[k])
+        red.arms_of(P[k], inertia[k], qk, arms)
+        s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P[k], arms, qk, vk)
+        hyd.all_pressure_rates(P[k], E[k], w[k], s1, s2, ds1, ds2, pk, out[k])
+        hyd.hold_at_vapour_pressure(P[k], pk, out[k])
 
 
 @njit
@@ -352,7 +418,7 @@ def redundant(plant: Plant, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     width = plant.coordinates
     q, v = np.zeros(width), np.zeros(width)
     arms, N = np.empty((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-    if not _redundant(plant.P, plant.E, plant.inertia, np.asarray(state, dtype=float), arms, N, q, v):
+    if not _redundant(plant.P[0], plant.E[0], plant.inertia[0], np.asarray(state, dtype=float), arms, N, q, v):
         raise geo.unreachable(plant.crane.name, state[0], state[1])
     return q, v
 

@@ -37,7 +37,7 @@ class SolveDynamicEngine:
     def _step(self, x: np.ndarray, w0: np.ndarray, w1: np.ndarray, dt: float, time: float) -> np.ndarray:
         plant, data = self.plant, self.mbs.systemData
         self._set_start(x, w0, time)
-        plant.inputs[...] = w1
+        plant.inputs[:, :4] = w1
         settings = mechanism.settings(dt, dt)
         settings.timeIntegration.startTime, settings.timeIntegration.endTime = time, time + dt
         settings.timeIntegration.generalizedAlpha.computeInitialAccelerations = False  # they are set
@@ -55,7 +55,8 @@ class SolveDynamicEngine:
         plant, width = self.plant, self.plant.coordinates
         q, v, a, p, dp = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(4), np.zeros(4)
         arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-        flag = trapezoidal.start(plant.P, plant.E, time, plant.inertia, x, w, arms, N, q, v, a, p, dp)
+        wide = np.concatenate([w, np.zeros(8)])
+        flag = trapezoidal.start(plant.P[0], plant.E[0], time, plant.inertia[0], x, wide, arms, N, q, v, a, p, dp)
         if flag != trapezoidal.ITERATING:
             raise geometry.unreachable(self.crane.name, x[0], x[1])
         data, initial = self.mbs.systemData, mechanism.exu.ConfigurationType.Initial

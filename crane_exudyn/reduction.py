@@ -56,6 +56,13 @@ def inertias(P, E, t, out):
 
 
 @njit
+def all_inertias(P, E, t, out):
+    """Fill out (n, 5, 4) with the `inertias` of n cranes of parameters P (n, .), E (n, .)."""
+    for k in range(out.shape[0]):
+        inertias(P[k], E[k], t, out[k])
+
+
+@njit
 def _arm(P, point, c, s, dx, dy, arms, k):
     x, y = P[point] - dx, P[point + 1] - dy
     arms[k, 0] = c * x - s * y
@@ -237,12 +244,13 @@ def add_gravity(P, E, inertia, f):
 
 
 @njit
-def add_joint_forces(E, t, arms, v, f):
-    """Add joint torques on the relative coordinates, the tip force at E and the pendulum's damping to f."""
-    at_o, at_a = hooks.joint_torque(E, 0, v[2]), hooks.joint_torque(E, 1, v[11] - v[2])
+def add_joint_forces(E, t, w, arms, v, f):
+    """Add joint torques on the relative coordinates, the forces on E, the pendulum's damping and disturbances to f."""
+    at_o = hooks.joint_torque(E, 0, v[2]) + w[hyd.TORQUE]
+    at_a = hooks.joint_torque(E, 1, v[11] - v[2]) + w[hyd.TORQUE + 1]
     f[2] += at_o - at_a
     f[11] += at_a
-    add_point_force(arms, E4, 3, 0.0, hooks.tip_force(E, t), f)
+    add_point_force(arms, E4, 3, w[hyd.FORCE], hooks.tip_force(E, t) + w[hyd.FORCE + 1], f)
     if f.size > 12:
         length, damping = hooks.pendulum(E)
         # a torque -d*dtheta on a massless rod is a force at its end, across it; the boom feels only the rod's pull
@@ -252,18 +260,17 @@ def add_joint_forces(E, t, arms, v, f):
 
 
 @njit
-def extra_forces(P, E, t, inertia, q, v, p, arms, f):
+def extra_forces(P, E, t, w, inertia, q, v, p, arms, f):
     """Fill f (12 or 14,) with all applied forces except weights and the cylinders' pressure forces; arms is overwritten.
 
-    Friction (19) and the effects' forces of the cylinders, joint torques, tip force, pendulum damping.
+    Friction (19) and the effects' forces of the cylinders, joint torques, forces on E, pendulum damping, disturbances.
     """
     arms_of(P, inertia, q, arms)
     f[:] = 0.0
     s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = cylinder_kinematics(P, arms, q, v)
-    F1 = hyd.extra_force(P, E, 0, s1, ds1, p[0], p[1])
-    F2 = hyd.extra_force(P, E, 1, s2, ds2, p[2], p[3])
+    F1, F2 = hyd.extra_forces(P, E, w, s1, s2, ds1, ds2, p)
     add_cylinder_forces(arms, F1, F2, e1x, e1y, e2x, e2y, f)
-    add_joint_forces(E, t, arms, v, f)
+    add_joint_forces(E, t, w, arms, v, f)
 
 
 @njit
@@ -325,17 +332,16 @@ def solve(A, b):
 
 
 @njit
-def accelerations(P, E, t, inertia, N, arms, q, v, p, work, f, M, udd, a):
+def accelerations(P, E, t, w, inertia, N, arms, q, v, p, work, f, M, udd, a):
     """Fill udd and a with the accelerations that are consistent with the joints: M udd = N (f - M a_centripetal).
 
     f gets all applied forces, a the accelerations of the redundant coordinates. `arms` must belong to q.
     """
     f[:] = 0.0
     s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = cylinder_kinematics(P, arms, q, v)
-    F1 = hyd.pressure_force(P, 0, p[0], p[1]) + hyd.extra_force(P, E, 0, s1, ds1, p[0], p[1])
-    F2 = hyd.pressure_force(P, 1, p[2], p[3]) + hyd.extra_force(P, E, 1, s2, ds2, p[2], p[3])
+    F1, F2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
     add_cylinder_forces(arms, F1, F2, e1x, e1y, e2x, e2y, f)
-    add_joint_forces(E, t, arms, v, f)
+    add_joint_forces(E, t, w, arms, v, f)
     add_gravity(P, E, inertia, f)
     centripetal(arms, v, a)
     reduced_mass(inertia, N, work, M)

@@ -11,7 +11,6 @@ from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
 from . import trapezoidal
-from .compiled import njit
 from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
@@ -81,7 +80,7 @@ def _at_rest(crane: Crane, r: dict[str, Any]) -> np.ndarray:
     """Return the generalised forces (nu,) of weights and tip force."""
     f = np.zeros(r["width"])
     red.add_gravity(r["P"], r["E"], r["inertia"], f)
-    red.add_joint_forces(r["E"], 0.0, r["arms"], np.zeros(r["width"]), f)
+    red.add_joint_forces(r["E"], 0.0, np.zeros(hyd.N_W), r["arms"], np.zeros(r["width"]), f)
     return r["N"] @ f
 
 
@@ -108,24 +107,28 @@ def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> 
     """Return every term of the balances at one state by name, in SI.
 
     Args:
-        state: (nx,);  w: (4,) [U1 U2 pp pt];  time in s.
+        state: (nx,);  w: (4,) [U1 U2 pp pt], or (12,) with hydraulics.DISTURBANCES behind;  time in s.
 
     Returns:
-        Lengths "s1", "s2", "ds1", "ds2"; loop "z2", "z3", "phi_bracket_1", "phi_bracket_2"; port flows "Q1".."Q4" with the signs
-        of (34); "leak1".."leak4" into the chambers; "Be1".."Be4", "V1".."V4", "dp1".."dp4"; forces "F1", "F2" with
-        friction, "Fmu1", "Fmu2"; reduced mass "M11", "M12", "M22"; generalised forces "Qg" (weights), "Qv" (inertia by
-        velocity), "Qh" (hydraulic), "Qj" (joints, tip, pendulum damping) of z1 and z4; "ddz1", "ddz4"; supply "pp",
-        "pt"; "x_O", "y_O", ... of all points. With a pendulum also M13, M23, M33, Qg_theta, ..., ddtheta.
+        Pin-to-pin lengths "s1", "s2", "ds1", "ds2"; loop "z2", "z3", "dz2_dz4", "dz3_dz4", "phi_bracket_1", "phi_bracket_2";
+        port flows "Q1".."Q4" with the signs of (34); "leak1".."leak4" into the chambers (disturbances included); "Be1".."Be4",
+        "V1".."V4", lengths "l1".."l4", "dp1".."dp4"; piston speeds "v_h1", "v_h2"; forces "F1", "F2" with friction, "Fmu1",
+        "Fmu2"; reduced mass "M11", "M12", "M22"; generalised forces "Qg" (weights), "Qv" (inertia by velocity), "Qh"
+        (cylinders), "Qj" (joints, forces on E, pendulum's damping) of z1 and z4; "ddz1", "ddz4", "ddtheta"; supply "pp", "pt";
+        "x_O", "y_O", ... of all points. A pendulum's own equation is eliminated from M and the Q; without one ddtheta is 0.
     """
-    x, w = np.ascontiguousarray(state, dtype=float), np.ascontiguousarray(w, dtype=float)
+    x = np.ascontiguousarray(state, dtype=float)
+    wide = np.zeros(hyd.N_W)
+    wide[: np.size(w)] = w
     r = _reduce(crane, x, time)
-    return _geometry_terms(crane, x, r) | _pressure_terms(r, x[4:8].copy(), w) | _motion_terms(r, x[4:8].copy(), time)
+    p = x[4:8].copy()
+    return _geometry_terms(crane, x, r) | _pressure_terms(r, p, wide) | _motion_terms(r, p, wide, time)
 
 
 def _geometry_terms(crane: Crane, x: np.ndarray, r: dict[str, Any]) -> dict[str, float]:
     pose = geo.pose(crane, x[0], x[1])
     out = dict(zip(("s1", "s2", "ds1", "ds2"), r["kinematics"][:4], strict=True))
-    out |= {"z2": pose.z2[0], "z3": pose.z3[0]}
+    out |= {"z2": pose.z2[0], "z3": pose.z3[0], "dz2_dz4": pose.dz2_dz4[0], "dz3_dz4": pose.dz3_dz4[0]}
     out |= {"phi_bracket_1": x[0] + pose.z2[0], "phi_bracket_2": x[0] + pose.z2[0] + pose.z3[0]}
     for name, (px, py) in zip(POINT_NAMES, pose.points[0], strict=True):
         out |= {f"x_{name}": px, f"y_{name}": py}
@@ -139,37 +142,35 @@ def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str
     rates = np.zeros(4)
     hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
     hyd.hold_at_vapour_pressure(P, p, rates)
+    speeds = hyd.piston_speeds(P, E, w, s1, s2, ds1, ds2, p)
+    forces = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
     out = {"pp": pp, "pt": pt} | {f"dp{i + 1}": rates[i] for i in range(4)}
-    for c, (s, ds) in enumerate(((s1, ds1), (s2, ds2))):
+    for c, s in enumerate((s1, s2)):
         a, b = 2 * c + 1, 2 * c + 2
         pa, pb = p[2 * c], p[2 * c + 1]
         out[f"Q{a}"], out[f"Q{b}"], _, _ = hyd.port_flows(P, E, c, w[c], pp, pt, pa, pb)
-        out[f"leak{a}"], out[f"leak{b}"] = hooks.leakage(E, c, pa, pb)
-        _, _, out[f"V{a}"], out[f"V{b}"], out[f"Be{a}"], out[f"Be{b}"] = hyd.chambers(P, E, c, s, pa, pb)
-        out[f"Fmu{c + 1}"] = hyd.friction_force(P, c, ds)
-        out[f"F{c + 1}"] = hyd.pressure_force(P, c, pa, pb) + hyd.extra_force(P, E, c, s, ds, pa, pb)
+        leak = hooks.leakage(E, c, pa, pb)
+        out[f"leak{a}"], out[f"leak{b}"] = leak[0] + w[hyd.FLOW + a - 1], leak[1] + w[hyd.FLOW + b - 1]
+        names = (f"l{a}", f"l{b}", f"V{a}", f"V{b}", f"Be{a}", f"Be{b}")
+        out |= dict(zip(names, hyd.chambers(P, E, c, s, pa, pb), strict=True))
+        out |= {f"Fmu{c + 1}": hyd.friction_force(P, c, speeds[c]), f"F{c + 1}": forces[c], f"v_h{c + 1}": speeds[c]}
     return {k: float(v) for k, v in out.items()}
 
 
-def _motion_terms(r: dict[str, Any], p: np.ndarray, time: float) -> dict[str, float]:
+def _motion_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray, time: float) -> dict[str, float]:
     P, E, N, M = r["P"], r["E"], r["N"], r["M"]
-    s1, s2, ds1, ds2 = r["kinematics"][:4]
-    forces = np.array(_cylinder_forces(P, E, s1, s2, ds1, ds2, p))
+    forces = np.array(hyd.cylinder_forces(P, E, w, *r["kinematics"][:4], p))
     weight, joint, inertial = (np.zeros(r["width"]) for _ in range(3))
     red.add_gravity(P, E, r["inertia"], weight)
-    red.add_joint_forces(E, time, r["arms"], r["v"], joint)
+    red.add_joint_forces(E, time, w, r["arms"], r["v"], joint)
     red.mass_times(r["inertia"], r["bias"], inertial)
     parts = {"Qg": N @ weight, "Qv": -N @ inertial, "Qh": r["D"] @ forces, "Qj": N @ joint}
     acceleration = np.linalg.solve(M, sum(parts.values()))
-    axes = ("1", "4", "_theta")
-    out = {f"{name}{axes[i]}": q[i] for name, q in parts.items() for i in range(len(N))}
-    out |= {f"M{i + 1}{k + 1}": M[i, k] for i in range(len(N)) for k in range(i, len(N))}
+    if len(N) > 2:  # the pendulum's own row, solved for its acceleration and put into the others
+        share = M[:2, 2] / M[2, 2]
+        M = M[:2, :2] - np.outer(share, M[2, :2])
+        parts = {name: q[:2] - share * q[2] for name, q in parts.items()}
+    out = {f"{name}{axis}": q[i] for name, q in parts.items() for i, axis in enumerate("14")}
+    out |= {"M11": M[0, 0], "M12": M[0, 1], "M22": M[1, 1], "ddtheta": 0.0}
     out |= {f"dd{name}": a for name, a in zip(("z1", "z4", "theta"), acceleration, strict=False)}
     return {k: float(v) for k, v in out.items()}
-
-
-@njit
-def _cylinder_forces(P, E, s1, s2, ds1, ds2, p):
-    F1 = hyd.pressure_force(P, 0, p[0], p[1]) + hyd.extra_force(P, E, 0, s1, ds1, p[0], p[1])
-    F2 = hyd.pressure_force(P, 1, p[2], p[3]) + hyd.extra_force(P, E, 1, s2, ds2, p[2], p[3])
-    return F1, F2

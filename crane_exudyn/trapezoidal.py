@@ -50,7 +50,7 @@ def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp):
     red.velocities(N, u, v)
     p[:] = x[4:8]
     f, work, M, udd = np.empty(width), np.empty(width), np.empty((nu, nu)), np.empty(nu)
-    if not red.accelerations(P, E, t, inertia, N, arms, q, v, p, work, f, M, udd, a):
+    if not red.accelerations(P, E, t, w, inertia, N, arms, q, v, p, work, f, M, udd, a):
         return SINGULAR
     s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
     hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, dp)
@@ -64,8 +64,9 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0, status, la
 
     Args:
         t, h: start and length of the step in s.
-        start_inertia: (5, 4) masses at the start of the step.
-        x, w: states (n, nx) and inputs (n, 4) at the start of the step.
+        P, E: (n, .) parameters.
+        start_inertia: (n, 5, 4) masses at the start of the step.
+        x, w: states (n, nx) and inputs (n, 12) at the start of the step.
         p0, dp0: (n, 4), filled with pressures and rates at the start.
         status, last: (n,), set for the first iteration.
 
@@ -74,10 +75,10 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0, status, la
     """
     width = q.shape[1]
     arms, N = np.zeros((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-    floor = P[FLUID + hyd.VAPOUR]
     good = True
     for k in range(x.shape[0]):
-        status[k] = start(P, E, t, start_inertia, x[k], w[k], arms, N, q[k], v[k], a[k], p0[k], dp0[k])
+        floor = P[k, FLUID + hyd.VAPOUR]
+        status[k] = start(P[k], E[k], t, start_inertia[k], x[k], w[k], arms, N, q[k], v[k], a[k], p0[k], dp0[k])
         last[k] = math.inf
         good = good and status[k] == ITERATING
         for j in range(width):
@@ -91,22 +92,15 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0, status, la
 
 
 @njit
-def _local_forces(P, E, s1, s2, ds1, ds2, p):
-    F1 = hyd.pressure_force(P, 0, p[0], p[1]) + hyd.extra_force(P, E, 0, s1, ds1, p[0], p[1])
-    F2 = hyd.pressure_force(P, 1, p[2], p[3]) + hyd.extra_force(P, E, 1, s2, ds2, p[2], p[3])
-    return F1, F2
-
-
-@njit
 def _tangents(P, E, w, s1, s2, ds1, ds2, p, rates, Fv, Fp, Rv, Rp):
     """Fill the derivatives of cylinder forces and pressure rates after cylinder speeds and pressures, by differences.
 
     rates (4,): raw pressure rates. Fv (2,): dF_c/dv_c. Fp (2, 4), Rv (4, 2), Rp (4, 4) likewise. Chamber j and j + 2 belong to
     different cylinders and are moved together, except where an effect ties both cylinders to the supply.
     """
-    F1, F2 = _local_forces(P, E, s1, s2, ds1, ds2, p)
+    F1, F2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
     tied = hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
-    G1, G2 = _local_forces(P, E, s1, s2, ds1 + _DV, ds2 + _DV, p)
+    G1, G2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1 + _DV, ds2 + _DV, p)
     Fv[0], Fv[1] = (G1 - F1) / _DV, (G2 - F2) / _DV
     moved = np.empty(4)
     hyd.all_pressure_rates(P, E, w, s1, s2, ds1 + _DV, ds2 + _DV, p, moved)
@@ -115,7 +109,7 @@ def _tangents(P, E, w, s1, s2, ds1, ds2, p, rates, Fv, Fp, Rv, Rp):
     for j in range(2):
         pa, pb = p[j], p[j + 2]
         p[j], p[j + 2] = pa + _DP, pb + _DP
-        G1, G2 = _local_forces(P, E, s1, s2, ds1, ds2, p)
+        G1, G2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
         Fp[0, j], Fp[1, j + 2] = (G1 - F1) / _DP, (G2 - F2) / _DP
         if not tied:
             hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, moved)
@@ -153,6 +147,7 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0, statu
     A crane that has converged is left alone, so that its result does not depend on its neighbours.
 
     Args:
+        P, E, inertia: (n, .), (n, .), (n, 5, 4) parameters and masses at the end of the step.
         h: step in s.
         scale: factor that Exudyn's solver has put on the ODE2 rows.
         residual: Exudyn's [M a - f, rates - dp, G v] of all cranes, joint forces left out.
@@ -174,33 +169,33 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0, statu
     for k in range(n):
         if status[k] != ITERATING:
             continue
-        qk, vk, pk = q[k], v[k], p[k]
-        red.arms_of(P, inertia, qk, arms)
+        Pk, Ek, mk, qk, vk, pk = P[k], E[k], inertia[k], q[k], v[k], p[k]
+        red.arms_of(Pk, mk, qk, arms)
         red.null_space(arms, N)
-        s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = red.cylinder_kinematics(P, arms, qk, vk)
+        s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = red.cylinder_kinematics(Pk, arms, qk, vk)
         for i in range(nu):
             D[0, i], D[1, i] = red.cylinder_rates(arms, N[i], e1x, e1y, e2x, e2y)
         Rp[:] = 0.0
-        _tangents(P, E, w[k], s1, s2, ds1, ds2, pk, rates, Fv, Fp, Rv, Rp)
+        _tangents(Pk, Ek, w[k], s1, s2, ds1, ds2, pk, rates, Fv, Fp, Rv, Rp)
         # joints first: d is the change of velocity that closes them
         start_g = n * (width + 4) + rows * k
         for i in range(rows):
             g[i] = -residual[start_g + i]
         red.chain(arms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, g, d)
-        _fill_system(E, h, inertia, N, D, vk, Fv, Fp, Rv, Rp, work, A)
+        _fill_system(Ek, h, mk, N, D, vk, Fv, Fp, Rv, Rp, work, A)
         d1, d2 = red.cylinder_rates(arms, d, e1x, e1y, e2x, e2y)
-        red.mass_times(inertia, d, work)
+        red.mass_times(mk, d, work)
         for i in range(nu):
             b[i] = D[0, i] * Fv[0] * d1 + D[1, i] * Fv[1] * d2
             for j in range(width):
                 b[i] -= N[i, j] * (residual[width * k + j] / scale + 2.0 / h * work[j])
         for j in range(4):
             b[nu + j] = -residual[n * width + 4 * k + j] - Rv[j, 0] * d1 - Rv[j, 1] * d2
-        _hold_floor(P, h, rates, pk, p0[k], dp0[k], nu, A, b)
+        _hold_floor(Pk, h, rates, pk, p0[k], dp0[k], nu, A, b)
         if not red.solve(A, b):
             status[k] = SINGULAR
             continue
-        change = _apply(P, h, N, d, b, qk, vk, a[k], pk, dp[k], p0[k], dp0[k])
+        change = _apply(Pk, h, N, d, b, qk, vk, a[k], pk, dp[k], p0[k], dp0[k])
         status[k], last[k] = _judge(change, last[k]), change
         active += status[k] == ITERATING
     return active
@@ -288,13 +283,13 @@ def finish(P, E, inertia, x, q, v, p, status, out):
         out[k, 0], out[k, 1] = q[k, 2], q[k, 11] - q[k, 2]
         out[k, 2], out[k, 3] = v[k, 2], v[k, 11] - v[k, 2]
         out[k, 4:8] = p[k]
-        red.arms_of(P, inertia, q[k], arms)
+        red.arms_of(P[k], inertia[k], q[k], arms)
         if width > 12:
             theta = math.atan2(arms[red.ROD, 0], -arms[red.ROD, 1])
             out[k, 8] = theta + 2.0 * math.pi * round((x[k, 8] - theta) / (2.0 * math.pi))
             out[k, 9] = red.pendulum_rate(arms, v[k])
-        s1, s2, _, _, _, _, _, _ = red.cylinder_kinematics(P, arms, q[k], v[k])
-        if beyond < 0 and stroke_end(P, E, s1, s2, p[k]) > 0:
+        s1, s2, _, _, _, _, _, _ = red.cylinder_kinematics(P[k], arms, q[k], v[k])
+        if beyond < 0 and stroke_end(P[k], E[k], s1, s2, p[k]) > 0:
             beyond = k
     return beyond
 

@@ -18,7 +18,7 @@ from crane_exudyn import geometry
 from crane_exudyn import hydraulics as hyd
 from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
-from crane_exudyn.parameters import CYLINDER, CYLINDERS, N_CYLINDER, N_VALVE, VALVE
+from crane_exudyn.parameters import CYLINDER, CYLINDERS, N_CYLINDER
 
 _DEGREES = np.radians(np.arange(-180.0, 90.0, 0.5))
 
@@ -31,7 +31,7 @@ class Now:
         time: start of the step, s.
         state: (nx,) state there; not to be changed.
         P, E: flat vectors of nominal and effect parameters for this step.
-        w0, w1: (4,) inputs [U1 U2 pp pt] at the start and the end of the step.
+        w0, w1: (12,) inputs [U1 U2 pp pt] and disturbances at the start and the end of the step.
         lengths: pin-to-pin lengths (s1, s2) in m.
     """
 
@@ -61,16 +61,23 @@ class LawfulEngine(ExudynEngine):
         self._own = (crane.parameter_vector(), crane.effect_vector())
         self._table = _length_tables(crane)
 
-    def _step(self, x: np.ndarray, w0: np.ndarray, w1: np.ndarray, h: float, time: float, halved: int) -> np.ndarray:
+    def _step(
+        self,
+        x: np.ndarray,
+        w0: np.ndarray,
+        w1: np.ndarray,
+        h: float,
+        time: float,
+        halved: int = 0,
+        P: np.ndarray | None = None,
+        E: np.ndarray | None = None,
+    ) -> np.ndarray:
         if halved or not self._laws:
-            return super()._step(x, w0, w1, h, time, halved)
+            return super()._step(x, w0, w1, h, time, halved, P, E)
         now = self._now(x[0], w0[0].copy(), w1[0].copy(), time)
         for law in self._laws:
             law(now)
-        self._system(1, time + h)
-        for system in self._systems.values():
-            system.plant.P[...], system.plant.E[...] = now.P, now.E
-        return super()._step(x, now.w0[None], now.w1[None], h, time, halved)
+        return super()._step(x, now.w0[None], now.w1[None], h, time, halved, now.P[None], now.E[None])
 
     def _now(self, state: np.ndarray, w0: np.ndarray, w1: np.ndarray, time: float) -> Now:
         z1, z4, s1, s2 = self._table
@@ -129,7 +136,7 @@ def draw_law(
     """
     if name == "hunting_pump":
         share, frequency, phase = rng.uniform(0.04, 0.2), rng.uniform(0.25, 2.0), rng.uniform(0.0, 2.0 * math.pi)
-        told = {"share": share, "frequency": frequency, "phase": phase}
+        told: dict[str, Any] = {"share": share, "frequency": frequency, "phase": phase}
         return hunting_pump(crane["supply.pump_pressure"], share, frequency, phase), told
     cylinder = int(rng.integers(2))
     low, high = np.quantile(visited[f"s{cylinder + 1}"], [0.15, 0.85])
