@@ -1,0 +1,295 @@
+"""Which balance is violated: the residual flow of each chamber and the residual moment of each joint, with uncertainty.
+
+The model gets six unknown inputs: a moment on each joint and a flow into each chamber,
+
+    M z'' = … + [torque.O torque.A],        p' = Be/V (… + flow),
+
+each a random process that forgets within `MEMORY`. State and inputs together are estimated by an extended Kalman filter and a
+Rauch-Tung-Striebel smoother around the machine's own trajectory. An input that stays away from zero is a term that the equation
+lacks. What the sensors cannot tell apart (moment and pressure, where a pressure is not measured) comes with wide uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+
+from .fit.data import FitData
+from .fit.linear import JUMP
+from .fit.model import SENSOR_PLACE, Model, affine, model_of, output_rows, shown
+from .fit.solve import Fit
+from .semi_recursive import sensitivity
+from .semi_recursive.engine import DISTURBANCES
+
+#: the unknown inputs, by the equation in which they stand
+EQUATIONS = ("torque.O", "torque.A", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
+#: standard deviation of each unknown input before anything was measured: N m, m³/s
+SPREAD = np.array([300.0, 200.0, 5e-5, 5e-5, 5e-5, 5e-5])
+#: time in s after which an unknown input may be another
+MEMORY = 0.3
+#: times that the smoother is run, each around the trajectory and the inputs found before
+_ROUNDS = 2
+#: spread of the first state around its guess, and growth of what the model does not say a step, in units of JUMP
+_FIRST, _GROWTH = 30.0, 1e-4
+
+
+@dataclass(frozen=True)
+class Balances:
+    """Residuals of all balances along a recording.
+
+    Attributes:
+        time: (K,) s, the instants of the smoother.
+        states: (K, nx) smoothed states.
+        values, std: (K, 6) residual of each equation of `EQUATIONS` and its standard deviation, N m and m³/s.
+        innovations: (K, m) of the filter with unknown inputs, in their own standard deviations; NaN without a sample.
+        log_likelihood: of all samples under this model with unknown inputs.
+    """
+
+    time: np.ndarray
+    states: np.ndarray
+    values: np.ndarray
+    std: np.ndarray
+    log_likelihood: float
+    _covariance: np.ndarray = field(repr=False)
+    _gains: np.ndarray = field(repr=False)
+
+    def mean(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean residuals (6,) over instants first … last - 1, and their standard deviations (6,).
+
+        Errors of neighbouring instants are not independent: cov(x_k, x_i) = G_k cov(x_k+1, x_i) with the smoother's gains G,
+        which is summed up from the end.
+        """
+        n = self._covariance.shape[1]
+        inputs = slice(n - len(EQUATIONS), n)
+        with_sum = np.zeros((n, len(EQUATIONS)))  # cov(x_k, sum of the inputs from k on)
+        total = np.zeros(len(EQUATIONS))
+        for k in range(last - 1, first - 1, -1):
+            later = self._gains[k] @ with_sum if k + 1 < last else with_sum
+            own = self._covariance[k][:, inputs]
+            total += np.diag(own[inputs]) + 2.0 * np.diag(later[inputs])
+            with_sum = own + later
+        mean = self.values[first:last].mean(axis=0)
+        return mean, np.sqrt(np.maximum(total, 0.0)) * SPREAD / (last - first)
+
+
+def balances_of(crane: Crane, data: FitData, fit: Fit) -> Balances:
+    """Return the residuals of all balances of a crane along a recording.
+
+    Args:
+        crane, data: the model and the recording.
+        fit: a fit in short windows, whose knots follow the machine also where the model does not.
+
+    Raises:
+        CraneError: the model cannot be run along the recording.
+    """
+    model = model_of(crane, data)
+    knots = fit.knots if fit.knots.shape[1] == model.nx else np.pad(fit.knots, ((0, 0), (0, model.nx - 8)))
+    starts = np.array([w.start for w in fit.windows])
+    inputs = np.zeros((len(data.time), len(EQUATIONS)))
+    stride = _stride(data)
+    for _ in range(_ROUNDS):
+        steps = linearised(model, data, starts, knots, inputs, stride)
+        smoothed = _smooth(steps)
+        states, found = steps.states + smoothed.mean[:, :-6] * JUMP[: model.nx], steps.inputs + smoothed.mean[:, -6:]
+        states[:, 4:8] = np.maximum(states[:, 4:8], 0.0)
+        at = data.time[::stride][: len(found)]
+        knots = np.column_stack([np.interp(data.time[starts], at, x) for x in states.T])
+        inputs = np.column_stack([np.interp(data.time, at, d) for d in found.T])
+    std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
+    return Balances(at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains)
+
+
+def _stride(data: FitData) -> int:
+    """Return how many grid steps lie between two samples of the fastest channel."""
+    return max(
+        1, min(round(float(np.median(np.diff(s.index + s.fraction)))) for s in data.samples if len(s.values) > 1)
+    )
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The model made linear around a trajectory, from one instant of the smoother to the next; scaled by JUMP and SPREAD.
+
+    Deviations x (nx,) and inputs d (6,): x_k+1 = A_k x_k + B_k d_k + jump_k, y_k = C_k x_k.
+
+    Attributes:
+        states: (K, nx) the trajectory, SI; inputs: (K, 6) those it was run with, scaled.
+        A (K-1, nx, nx), B (K-1, nx, 6), jump (K-1, nx).
+        C (K, m, nx), residual (K, m): measured minus shown in noise units, NaN without sample; spread (K, m).
+        forget: how much of an input is left after one step.
+    """
+
+    states: np.ndarray
+    inputs: np.ndarray
+    A: np.ndarray
+    B: np.ndarray
+    jump: np.ndarray
+    C: np.ndarray
+    residual: np.ndarray
+    spread: np.ndarray
+    forget: float
+
+
+def linearised(
+    model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray, inputs: np.ndarray, stride: int
+) -> Steps:
+    """Return the model made linear around the trajectory that starts anew at each knot, with inputs (N, 6) on the grid."""
+    X, A, B, jump = _transitions(model, data, starts, knots, inputs)
+    scale = JUMP[: model.nx]
+    A, B, jump = A * (scale / scale[:, None]), B * (SPREAD / scale[:, None]), jump / scale
+    A, B, jump = _compounded(A, B, jump, stride)
+    C, residual, spread = _observed(model, data, X, scale, stride, len(A) + 1)
+    K = len(A) + 1
+    return Steps(
+        X[::stride][:K],
+        inputs[::stride][:K],
+        A,
+        B,
+        jump,
+        C,
+        residual,
+        spread,
+        float(np.exp(-stride * data.step / MEMORY)),
+    )
+
+
+def _transitions(
+    model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray, inputs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return states (N, nx), and A (N-1, nx, nx), B (N-1, nx, 6), jump (N-1, nx) of every grid step, SI."""
+    nx, columns = model.nx, [4 + DISTURBANCES.index(e) for e in EQUATIONS]
+    W = np.zeros((1 + len(columns), len(data.time), 4 + len(DISTURBANCES)))
+    W[:, :, :4] = model.W
+    W[:, :, columns] = inputs * SPREAD
+    for j, column in enumerate(columns):
+        W[1 + j, :, column] += SPREAD[j]
+    m = len(columns)
+    P, E = np.tile(model.P, (m, 1)), np.tile(model.E, (m, 1))
+    run = sensitivity.sweep(
+        knots,
+        starts,
+        W,
+        data.step,
+        float(data.time[0]),
+        model.P,
+        model.E,
+        P,
+        E,
+        SPREAD,
+        np.arange(1, 1 + m),
+        want_phi=True,
+    )
+    if run.status != 0 or not np.isfinite(run.X).all():
+        raise CraneError(
+            f"{data.name}: the model cannot follow this recording at t = {data.time[max(run.failed, 0)]:.3f} s (a pose or pressure "
+            "out of its reach). Is it another machine, or a channel with another sign or unit?"
+        )
+    arrived, response = run.X[1:].copy(), run.S[1:, :, nx:].copy()
+    ends = starts[1:] - 1
+    arrived[ends], response[ends] = run.X_end[:-1], run.S_end[:-1, :, nx:]
+    A = run.Phi[1:]
+    B = response - A @ run.S[:-1, :, nx:]
+    return run.X, A, B, arrived - run.X[1:]
+
+
+def _compounded(
+    A: np.ndarray, B: np.ndarray, jump: np.ndarray, stride: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the transitions over `stride` steps each, inputs held constant within."""
+    whole = len(A) // stride * stride
+    A0, B0, j0 = A[0:whole:stride], B[0:whole:stride], jump[0:whole:stride]
+    for i in range(1, stride):
+        Ai = A[i:whole:stride]
+        A0, B0 = Ai @ A0, Ai @ B0 + B[i:whole:stride]
+        j0 = np.einsum("kij,kj->ki", Ai, j0) + jump[i:whole:stride]
+    return A0, B0, j0
+
+
+def _observed(
+    model: Model, data: FitData, X: np.ndarray, scale: np.ndarray, stride: int, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return C (K, m, nx), residuals (K, m) and their spread (K, m), in noise units, at every stride-th grid point."""
+    channels = data.channels
+    Y, C = output_rows(channels, X, model.P)
+    Z = shown(channels, Y, model.E, data.step)
+    residual, spread = np.full((count, len(channels)), np.nan), np.ones((count, len(channels)))
+    C = C[::stride][:count] * scale
+    for j, s in enumerate(data.samples):
+        predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
+        at = np.minimum(np.round((s.index + s.fraction) / stride).astype(int), count - 1)
+        number = np.bincount(at, minlength=count)
+        total = np.bincount(at, (s.values - predicted) / s.noise, minlength=count)
+        there = number > 0
+        residual[there, j], spread[there, j] = total[there] / number[there], 1.0 / np.sqrt(number[there])
+        place = SENSOR_PLACE.get(channels[j])
+        C[:, j] *= (1.0 if place is None else affine(model.E, place)[0]) / s.noise
+    return C, residual, spread
+
+
+@dataclass(frozen=True)
+class _Smoothed:
+    mean: np.ndarray
+    covariance: np.ndarray
+    gains: np.ndarray
+    log_likelihood: float
+
+
+def _smooth(steps: Steps) -> _Smoothed:
+    """Return smoothed deviations (K, n) of state and inputs, covariances (K, n, n) and gains (K, n, n)."""
+    K, nx = steps.states.shape
+    n = nx + len(EQUATIONS)
+    F, constant, Q = _augmented(steps)
+    mean, covariance = np.zeros(n), np.diag(np.r_[np.full(nx, _FIRST**2), np.ones(n - nx)])
+    mean[nx:] = -steps.inputs[0]
+    means, covariances = np.empty((K, n)), np.empty((K, n, n))
+    before, spread_before = np.empty((K, n)), np.empty((K, n, n))
+    likelihood = 0.0
+    for k in range(K):
+        if k:
+            mean = F[k - 1] @ mean + constant[k - 1]
+            covariance = F[k - 1] @ covariance @ F[k - 1].T + Q
+        before[k], spread_before[k] = mean, covariance
+        mean, covariance, gained = _corrected(mean, covariance, steps.C[k], steps.residual[k], steps.spread[k])
+        likelihood += gained
+        means[k], covariances[k] = mean, covariance
+    gains = np.zeros((K, n, n))
+    gains[:-1] = np.linalg.solve(spread_before[1:], F @ covariances[:-1]).transpose(0, 2, 1)
+    for k in range(K - 2, -1, -1):
+        G = gains[k]
+        means[k] += G @ (means[k + 1] - before[k + 1])
+        covariances[k] += G @ (covariances[k + 1] - spread_before[k + 1]) @ G.T
+    return _Smoothed(means, covariances, gains, likelihood)
+
+
+def _augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return F (K-1, n, n), constant (K-1, n) and Q (n, n) of [x d]: d_k+1 = forget · d_k + noise, about the inputs found before."""
+    K, nx = steps.states.shape
+    n = nx + len(EQUATIONS)
+    F = np.zeros((K - 1, n, n))
+    F[:, :nx, :nx], F[:, :nx, nx:] = steps.A, steps.B
+    F[:, nx:, nx:] = steps.forget * np.eye(n - nx)
+    constant = np.column_stack([steps.jump, steps.forget * steps.inputs[:-1] - steps.inputs[1:]])
+    Q = np.diag(np.r_[np.full(nx, _GROWTH**2), np.full(n - nx, 1.0 - steps.forget**2)])
+    return F, constant, Q
+
+
+def _corrected(
+    mean: np.ndarray, P: np.ndarray, C: np.ndarray, residual: np.ndarray, spread: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return mean, covariance and log-likelihood after the samples of one instant."""
+    seen = np.isfinite(residual)
+    if not seen.any():
+        return mean, P, 0.0
+    H = np.zeros((int(seen.sum()), len(mean)))
+    H[:, : C.shape[1]] = C[seen]
+    innovation = residual[seen] - H @ mean
+    PH = P @ H.T
+    S = H @ PH + np.diag(spread[seen] ** 2)
+    gain = np.linalg.solve(S, PH.T).T
+    after = P - gain @ PH.T
+    likelihood = -0.5 * (innovation @ np.linalg.solve(S, innovation) + np.linalg.slogdet(S)[1])
+    return mean + gain @ innovation, 0.5 * (after + after.T), float(likelihood)

@@ -1,0 +1,141 @@
+"""Whether a recording can bear what is asked of it: the checks that come before any comparison or diagnosis."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+from crane_exudyn.recording import Channel, Recording
+from crane_exudyn.signals import noise_std
+
+Purpose = Literal["compare", "diagnose"]
+
+#: shortest recording, s; a spool alone needs a tenth of that to open
+SHORTEST = 1.0
+#: a spool command above this opens a valve enough to be felt
+OPEN = 0.05
+#: the valve that moves what a sensor shows: 0 lift, 1 tilt
+VALVE_OF = {
+    "z1": 0, "dz1": 0, "s1": 0, "p1": 0, "p2": 0,
+    "z4": 1, "dz4": 1, "z4_abs": 1, "dz4_abs": 1, "s2": 1, "p3": 1, "p4": 1,
+}  # fmt: skip
+#: a channel that stands at its extreme for more than this share of the time is saturated
+_STUCK_SHARE = 0.5
+#: seconds with an open valve that a sound sensor does not sit through without the slightest change
+_STUCK_SECONDS = 0.3
+
+
+def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> list[str]:
+    """Return notes on a recording (one sentence each); what cannot be used at all is refused with the reason.
+
+    Refused for any purpose: no commands, no sensor, shorter than 1 s, sensors that overlap with the commands for less than
+    that, all sensors constant, a saturated sensor. Refused for "diagnose" also: a single sensor, and a crane that never moves.
+
+    Raises:
+        CraneError: what is wrong with the recording, and how to mend it.
+    """
+    recording.require(commands=True, sensors=2 if purpose == "diagnose" else 1)
+    time, commands = recording.commands(crane)
+    _refuse_short(recording, time)
+    constant = [name for name in recording.sensors if _is_constant(recording[name])]
+    where = recording.source or recording.name
+    if len(constant) == len(recording.sensors):
+        raise CraneError(
+            f"{where}: every sensor ({', '.join(constant)}) shows one value from beginning to end, so there is nothing to compare. "
+            "Check that the sensors were connected and the logger was running."
+        )
+    for name in recording.sensors:
+        _refuse_saturated(where, name, recording[name], time, commands)
+    moves = _moves(recording, commands)
+    if purpose == "diagnose" and not moves:
+        raise CraneError(
+            f"{where}: nothing moves: no valve is opened by more than {OPEN:g} and no angle leaves its noise. A diagnosis needs "
+            "motion; record a run in which both cylinders extend and retract."
+        )
+    return _notes(recording, time, commands, constant, moves)
+
+
+def usable(recording: Recording) -> Recording:
+    """Return the recording without sensors that show one value throughout: they have no noise to be measured against."""
+    dead = {name for name in recording.sensors if _is_constant(recording[name])}
+    return recording.select([n for n in recording.channels if n not in dead]) if dead else recording
+
+
+def _refuse_short(recording: Recording, command_time: np.ndarray) -> None:
+    first = min(recording[n].time[0] for n in recording.sensors)
+    last = max(recording[n].time[-1] for n in recording.sensors)
+    where = recording.source or recording.name
+    if last - first < SHORTEST:
+        raise CraneError(
+            f"{where}: the sensors cover {last - first:.3g} s; at least {SHORTEST:g} s is needed. Record a longer run."
+        )
+    common = min(last, command_time[-1]) - max(first, command_time[0])
+    if common < SHORTEST:
+        raise CraneError(
+            f"{where}: commands cover {command_time[0]:g} … {command_time[-1]:g} s and sensors {first:g} … {last:g} s: "
+            f"only {max(common, 0.0):.3g} s in common, at least {SHORTEST:g} s is needed. Check the clocks."
+        )
+    few = next((n for n in recording.sensors if len(recording[n]) < 10), None)
+    if few is not None:
+        raise CraneError(
+            f"{where}: channel {few} has only {len(recording[few])} samples; at least 10 are needed. Leave it out, or sample faster."
+        )
+
+
+def _is_constant(channel: Channel) -> bool:
+    return bool(np.ptp(channel.values) <= 1e-9 * max(float(np.max(np.abs(channel.values))), 1e-9))
+
+
+def _refuse_saturated(where: str, name: str, channel: Channel, time: np.ndarray, commands: np.ndarray) -> None:
+    """Refuse a channel that sits exactly at its largest or smallest value most of the time, also while its valve is open."""
+    valve = np.abs(np.interp(channel.time, time, commands[:, VALVE_OF[name]])) > OPEN
+    step = float(np.median(np.diff(channel.time)))
+    for value, word in ((channel.values.max(), "largest"), (channel.values.min(), "smallest")):
+        stuck = channel.values == value
+        share, through = float(stuck.mean()), float((stuck & valve).sum()) * step
+        if share > _STUCK_SHARE and through > _STUCK_SECONDS:
+            raise CraneError(
+                f"{where}: sensor {name} stands exactly at its {word} value ({value:g} SI) for {share:.0%} of the time, and for "
+                f"{through:.1f} s of it while its valve is open: it is saturated, frozen or not connected. Mend its range, or "
+                "leave the channel out."
+            )
+
+
+def _moves(recording: Recording, commands: np.ndarray) -> bool:
+    if (np.abs(commands) > OPEN).any():
+        return True
+    shown = [recording[n] for n in recording.sensors if n[0] in "zs"]
+    return any(_range(c) > 10.0 * max(noise_std(c.values), 1e-12) for c in shown)
+
+
+def _range(channel: Channel) -> float:
+    """Return by how much the channel's mean changes between tenths of the recording."""
+    means = [float(part.mean()) for part in np.array_split(channel.values, 10) if len(part)]
+    return max(means) - min(means)
+
+
+def _notes(recording: Recording, time: np.ndarray, commands: np.ndarray, constant: list[str], moves: bool) -> list[str]:
+    notes = list(recording.notes)
+    notes += [f"{name} shows one value throughout and is left out" for name in constant]
+    notes += [
+        f"the {name} valve is never opened" for i, name in enumerate(("lift", "tilt")) if not _opened(commands[:, i])
+    ]
+    if not moves:
+        notes.append("the crane does not move: only its state at rest is compared")
+    if recording.duration < 5.0:
+        notes.append(f"the recording is short ({recording.duration:.1f} s): small errors will not show")
+    if len(recording.sensors) - len(constant) < 4:
+        notes.append(
+            f"only {len(recording.sensors) - len(constant)} sensors: which equation fails can hardly be told apart"
+        )
+    late = max(recording[n].time[-1] for n in recording.sensors) - time[-1]
+    if late > 0.1:
+        notes.append(f"the last command is held for {late:.1f} s, because sensors go on after the commands end")
+    return notes
+
+
+def _opened(command: np.ndarray) -> bool:
+    return bool((np.abs(command) > OPEN).any())

@@ -1,0 +1,120 @@
+"""Phases of work: what the crane was doing when, in the words of those who drive it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+
+REST = "rest"
+LIFT_OUT, LIFT_IN, TILT_OUT, TILT_IN = "lift extending", "lift retracting", "tilt extending", "tilt retracting"
+BOTH, REVERSAL, LOW_PRESSURE, STROKE_END = "both moving", "reversal", "low pressure", "end of stroke"
+KINDS = (REST, LIFT_OUT, LIFT_IN, TILT_OUT, TILT_IN, BOTH, REVERSAL, LOW_PRESSURE, STROKE_END)
+#: what is going on, for a sentence: "while …"
+WORDS = {
+    REST: "while both valves are closed",
+    LIFT_OUT: "while the lift cylinder extends",
+    LIFT_IN: "while the lift cylinder retracts",
+    TILT_OUT: "while the tilt cylinder extends",
+    TILT_IN: "while the tilt cylinder retracts",
+    BOTH: "while both cylinders are driven",
+    REVERSAL: "while a cylinder reverses",
+    LOW_PRESSURE: "while a chamber is nearly empty of pressure",
+    STROKE_END: "while a cylinder is at the end of its stroke",
+}
+
+#: a spool position beyond this drives its cylinder
+DRIVEN = 0.02
+#: a valve that changes sides within this time reverses its cylinder, and the reversal is felt for as long, s
+REVERSING = 0.3
+#: absolute pressure below which oil gives off its air and laws change, Pa
+LOW = 1.5e5
+#: nearness of a piston to the end of its chamber, m
+NEAR_END = 0.01
+#: pieces shorter than this join their neighbour; longer ones than the second are cut, s
+SHORTEST, LONGEST = 0.15, 3.0
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of one kind of work: grid points first … last (exclusive), and its times in s."""
+
+    kind: str
+    first: int
+    last: int
+    start: float
+    end: float
+
+    @property
+    def words(self) -> str:
+        """Where and when, as a sentence begins: "between 7.6 and 8.5 s, while the tilt cylinder extends"."""
+        return f"between {self.start:.1f} and {self.end:.1f} s, {WORDS[self.kind]}"
+
+
+def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray) -> list[Phase]:
+    """Return the phases of a run in order, without gaps.
+
+    Args:
+        crane: for its strokes.
+        time: (N,) s, even.
+        spool: (N, 2) spool positions.
+        states: (N, nx) estimated states.
+    """
+    kinds = _smooth(labels(crane, time, spool, states), time)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(kinds)) + 1, [len(kinds)]])
+    found = []
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        pieces = max(1, int(np.ceil((time[b - 1] - time[a]) / LONGEST - 1e-9)))
+        cuts = np.round(np.linspace(a, b, pieces + 1)).astype(int)
+        for i, j in zip(cuts[:-1], cuts[1:], strict=True):
+            end = time[min(j, len(time) - 1)]
+            found.append(Phase(KINDS[kinds[a]], int(i), int(j), float(time[i]), float(end)))
+    return found
+
+
+def labels(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Return the kind of work at every instant as an index into KINDS (N,); special states come before plain motion."""
+    side = np.sign(np.where(np.abs(spool) > DRIVEN, spool, 0.0))
+    lift, tilt = side.T
+    kind = np.full(len(time), KINDS.index(REST))
+    for chosen, name in (
+        ((lift > 0), LIFT_OUT), ((lift < 0), LIFT_IN), ((tilt > 0), TILT_OUT), ((tilt < 0), TILT_IN),
+        ((lift != 0) & (tilt != 0), BOTH), (_reverses(time, lift) | _reverses(time, tilt), REVERSAL),
+        ((states[:, 4:8] < LOW).any(axis=1), LOW_PRESSURE), (_at_end(crane, states), STROKE_END),
+    ):  # fmt: skip
+        kind[chosen] = KINDS.index(name)
+    return kind
+
+
+def _reverses(time: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Return whether a valve is changing sides (N,): from its closing until the new motion is established."""
+    out = np.zeros(len(time), dtype=bool)
+    driven = np.flatnonzero(side)
+    flips = np.flatnonzero(side[driven[1:]] * side[driven[:-1]] < 0)
+    for before, after in zip(driven[flips], driven[flips + 1], strict=True):
+        if time[after] - time[before] <= REVERSING:
+            out[before : np.searchsorted(time, time[after] + REVERSING)] = True
+    return out
+
+
+def _at_end(crane: Crane, states: np.ndarray) -> np.ndarray:
+    """Return whether a piston is near an end of its stroke (N,)."""
+    from ukf.lengths import cylinder_lengths
+
+    lengths = cylinder_lengths(crane, states[:, :2])
+    empty = np.array([crane[f"cylinders.{c}.empty_length"] for c in ("lift", "tilt")])
+    span = np.array([crane[f"cylinders.{c}.chamber_range"] for c in ("lift", "tilt")])
+    piston = lengths - empty
+    return np.asarray(((piston < NEAR_END) | (piston > span - NEAR_END)).any(axis=1))
+
+
+def _smooth(kinds: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return the kinds with pieces shorter than SHORTEST joined to the piece before them (the first one to the next)."""
+    kinds, least = kinds.copy(), max(1, int(np.ceil(SHORTEST / (time[1] - time[0]))))
+    edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1), len(kinds)]
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        if b - a < least:
+            kinds[a:b] = kinds[a - 1] if a else kinds[min(b, len(kinds) - 1)]
+    return kinds
