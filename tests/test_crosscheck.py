@@ -67,13 +67,7 @@ def test_static_starts_agree(exudyn: ExudynEngine, semi_recursive: SemiRecursive
     assert_ok(cc.compare_static_starts(exudyn, semi_recursive, states))
 
 
-PIN_SPEED = pytest.mark.xfail(
-    strict=True, reason="the Exudyn engine takes friction at the pins' speed, not the piston's (docs/architecture.md)"
-)
-PROBES = [
-    pytest.param(key, marks=PIN_SPEED) if key.startswith("structural_compliance") else key
-    for key in cases.effect_probes(Crane.load("patu655"))
-]
+PROBES = list(cases.effect_probes(Crane.load("patu655")))
 
 
 @pytest.mark.parametrize("key", PROBES)
