@@ -75,6 +75,7 @@ def command(
 
     holder = make_engine(engine, chosen)
     start = first_state(chosen, holder, recording) if recording is not None and start_from_recording else None
+    _compile(chosen, holder)
     begin = perf_counter()
     run = simulate(chosen, recording, start=start, engine=holder, step=step)
     seconds = perf_counter() - begin
@@ -82,6 +83,16 @@ def command(
         run.to_csv(output)
     write_json(json, summary(run, engine, seconds))
     tell(Printer(json), run, recording, engine, seconds, output)
+
+
+def _compile(crane: Crane, engine: Any) -> None:
+    """Take one step, so that the time that is told is that of the run, not of compiling."""
+    import numpy as np
+
+    from crane_exudyn.simulation import initial_state
+
+    closed = np.tile([0.0, 0.0, np.nan, np.nan], (2, 1))
+    engine.simulate(initial_state(crane, engine), np.array([0.0, 1e-3]), closed)
 
 
 def _check_output(output: Path | None) -> None:
