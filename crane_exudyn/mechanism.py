@@ -115,49 +115,80 @@ class Plant:
         Returns:
             whether a mass has changed, so that a kept mass matrix is to be computed anew.
         """
-        inertia = np.zeros_like(self.inertia)
-        red.all_inertias(P, E, time, inertia)
-        changed = np.any(P != self.P, axis=1) | np.any(E != self.E, axis=1)
-        moved = np.any(inertia != self.inertia, axis=(1, 2))
-        before = self.P.copy(), self.E.copy(), self.inertia.copy()
-        self.P[...], self.E[...], self.inertia[...] = P, E, inertia
-        for k in np.flatnonzero(changed | moved):
-            _update_items(mbs, self, int(k), before[0][k], before[1][k], before[2][k])
-            self.payload_mass[k] = hooks.payload_mass(E[k], time, P[k, PAYLOAD])
-        return bool(np.any(moved))
+        before = self._item_values()
+        self.P[...], self.E[...] = P, E
+        red.all_inertias(self.P, self.E, time, self.inertia)
+        _payload_masses(self.P, self.E, time, self.payload_mass)
+        now = self._item_values()
+        changed = now != before
+        for k in np.flatnonzero(changed.any(axis=1)):
+            _update_items(mbs, self, int(k), now[k], changed[k])
+        return bool(changed[:, _MASSES].any())
+
+    def _item_values(self) -> np.ndarray:
+        """Return all numbers (size, .) that Exudyn's items hold, in the order of `_fill_item_values`."""
+        places = np.array([(body, point) for _, body, point in self.markers[0]])
+        out = np.empty((self.size, _PLACES + 2 * len(places)))
+        _fill_item_values(self.P, self.E, self.inertia, places, out)
+        return out
 
 
-def _update_items(mbs: Any, plant: Plant, k: int, P: np.ndarray, E: np.ndarray, inertia: np.ndarray) -> None:
-    """Bring the Exudyn items of crane k up to date where its numbers differ from those of before (P, E, inertia)."""
-    now, names = plant.inertia[k], [*BODIES, "payload"]
-    for b in np.flatnonzero(np.any(now != inertia, axis=1)):
-        body = plant.bodies[k][names[b]]
-        mbs.SetObjectParameter(body, "mass", now[b, red.MASS])
-        if b < len(BODIES):
-            mbs.SetObjectParameter(body, "inertia", now[b, red.INERTIA])
-    for marker, body, point in plant.markers[k]:
-        place = _local_place(plant, k, body, point)
-        if np.any(place != _place(P, inertia, body, point)):
-            mbs.SetMarkerParameter(marker, "localPosition", [place[0], place[1], 0.0])
-    for c, actuator in enumerate(plant.actuators[k]):
-        areas = hyd.areas(plant.P[k], c)
-        if areas != hyd.areas(P, c):
-            mbs.SetObjectParameter(actuator, "chamberCrossSection0", areas[0])
-            mbs.SetObjectParameter(actuator, "chamberCrossSection1", areas[1])
-    for name, load in plant.loads[k].items():
-        mbs.SetLoadParameter(load, "loadVector", _load_vector(plant, k, name))
-    if "pendulum" in plant.joints[k]:
-        mbs.SetObjectParameter(plant.joints[k]["pendulum"], "distance", hooks.pendulum(plant.E[k])[0])
+# columns of the table of numbers that Exudyn's items hold
+_MASSES, _GRAVITY, _LENGTH, _AREAS, _PLACES = slice(0, 9), slice(9, 11), 11, slice(12, 16), 16
 
 
-def _place(P: np.ndarray, inertia: np.ndarray, body: int, point: int) -> np.ndarray:
-    """Return a point of P (-1: the origin) on a body as seen from its centre of mass, or in the ground's frame (body -1)."""
-    local = np.zeros(2) if point < 0 else P[point : point + 2].copy()
-    return local if body < 0 else local - inertia[body, red.COM_X : red.COM_X + 2]
+@njit
+def _payload_masses(P, E, time, out):
+    for k in range(out.size):
+        out[k] = hooks.payload_mass(E[k], time, P[k, PAYLOAD])
+
+
+@njit
+def _fill_item_values(P, E, inertia, places, out):
+    """Fill out (n, .): mass and inertia of four bodies, mass, gravity, length of the pendulum, four areas, markers' places.
+
+    places (m, 2): body (-1: ground) and point in P (-1: origin) of every marker.
+    """
+    for k in range(out.shape[0]):
+        for b in range(4):
+            out[k, 2 * b], out[k, 2 * b + 1] = inertia[k, b, red.MASS], inertia[k, b, red.INERTIA]
+        out[k, 8] = inertia[k, 4, red.MASS]
+        out[k, 9], out[k, 10] = hooks.gravity(E[k], 0.0, -P[k, GRAVITY])
+        out[k, 11], _ = hooks.pendulum(E[k])
+        out[k, 12], out[k, 13] = hyd.areas(P[k], 0)
+        out[k, 14], out[k, 15] = hyd.areas(P[k], 1)
+        for m in range(places.shape[0]):
+            body, point = places[m]
+            for axis in range(2):
+                local = 0.0 if point < 0 else P[k, point + axis]
+                out[k, 16 + 2 * m + axis] = local if body < 0 else local - inertia[k, body, red.COM_X + axis]
+
+
+def _update_items(mbs: Any, plant: Plant, k: int, now: np.ndarray, changed: np.ndarray) -> None:
+    """Bring the Exudyn items of crane k up to date: `now` is its row of numbers, `changed` says which differ."""
+    for b, name in enumerate(BODIES):
+        if changed[2 * b : 2 * b + 2].any():
+            mbs.SetObjectParameter(plant.bodies[k][name], "mass", now[2 * b])
+            mbs.SetObjectParameter(plant.bodies[k][name], "inertia", now[2 * b + 1])
+    for m in np.unique(np.flatnonzero(changed[_PLACES:]) // 2):
+        place = now[_PLACES + 2 * m : _PLACES + 2 * m + 2]
+        mbs.SetMarkerParameter(plant.markers[k][m][0], "localPosition", [place[0], place[1], 0.0])
+    if changed[_GRAVITY].any() or changed[8]:
+        for name, load in plant.loads[k].items():
+            mbs.SetLoadParameter(load, "loadVector", _load_vector(plant, k, name))
+    if changed[_AREAS].any():
+        for c, actuator in enumerate(plant.actuators[k]):
+            mbs.SetObjectParameter(actuator, "chamberCrossSection0", now[12 + 2 * c])
+            mbs.SetObjectParameter(actuator, "chamberCrossSection1", now[13 + 2 * c])
+    if "pendulum" in plant.joints[k] and (changed[8] or changed[_LENGTH]):
+        mbs.SetObjectParameter(plant.bodies[k]["payload"], "mass", now[8])
+        mbs.SetObjectParameter(plant.joints[k]["pendulum"], "distance", now[_LENGTH])
 
 
 def _local_place(plant: Plant, k: int, body: int, point: int) -> np.ndarray:
-    return _place(plant.P[k], plant.inertia[k], body, point)
+    """Return a point of P (-1: origin) on a body as seen from its centre of mass, or in the ground's frame (body -1)."""
+    local = np.zeros(2) if point < 0 else plant.P[k, point : point + 2].copy()
+    return local if body < 0 else local - plant.inertia[k, body, red.COM_X : red.COM_X + 2]
 
 
 def _load_vector(plant: Plant, k: int, name: str) -> list[float]:
@@ -349,8 +380,14 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
     force, rate = np.zeros((n, width)), np.zeros((n, 4))
     P, E, inertia, mass = plant.P, plant.E, plant.inertia, plant.payload_mass  # changed in place by set_parameters
 
+    starts: list[int] = []
+
+    def first_coordinates(mbs: Any) -> list[int]:
+        starts[:] = [mbs.GetNodeODE2Index(first_node), mbs.GetNodeODE1Index(first_pressure_node)]
+        return starts
+
     def force_function(mbs: Any, t: float, number: int, q: Any, v: Any) -> np.ndarray:
-        start = mbs.GetNodeODE1Index(first_pressure_node)
+        start = (starts or first_coordinates(mbs))[1]
         p = np.asarray(mbs.systemData.GetODE1Coordinates())[start : start + 4 * n]
         if not _all_forces(P, E, t, mass, plant.inputs_at(t), inertia, np.asarray(q), np.asarray(v), p, force):
             raise CraneError(
@@ -360,9 +397,9 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
         return force.ravel()
 
     def rate_function(mbs: Any, t: float, number: int, p: Any) -> np.ndarray:
-        start = mbs.GetNodeODE2Index(first_node)
-        q = np.asarray(mbs.systemData.GetODE2Coordinates())[start : start + width * n]
-        v = np.asarray(mbs.systemData.GetODE2Coordinates_t())[start : start + width * n]
+        start, data = (starts or first_coordinates(mbs))[0], mbs.systemData
+        q = np.asarray(data.GetODE2Coordinates())[start : start + width * n]
+        v = np.asarray(data.GetODE2Coordinates_t())[start : start + width * n]
         _all_rates(P, E, plant.inputs_at(t), inertia, q, v, np.asarray(p), rate)
         return rate.ravel()
 
