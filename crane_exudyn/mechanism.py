@@ -466,6 +466,25 @@ def main_system() -> tuple[Any, Any]:
     return container, container.AddSystem()
 
 
+def set_initial_rates(mbs: Any, plant: Plant, time: float = 0.0) -> None:
+    """Give Exudyn the pressure rates that its initial state has; call it after `mbs.Assemble()`, before `SolveDynamic`.
+
+    Exudyn finds initial accelerations itself, but starts with pressure rates of zero, which spoils the first step of the
+    trapezoidal rule where a valve is open or a cylinder moves at the start.
+    """
+    data, initial = mbs.systemData, exu.ConfigurationType.Initial
+    n, width = plant.size, plant.coordinates
+    first = mbs.GetNodeODE2Index(next(iter(plant.nodes[0].values())))
+    start = mbs.GetNodeODE1Index(plant.pressure_nodes[0][0])
+    q = np.array(data.GetODE2Coordinates(initial))[first : first + n * width]
+    v = np.array(data.GetODE2Coordinates_t(initial))[first : first + n * width]
+    p = np.array(data.GetODE1Coordinates(initial))[start : start + 4 * n]
+    rates, all_rates = np.zeros((n, 4)), np.array(data.GetODE1Coordinates_t(initial))
+    _all_rates(plant.P, plant.E, plant.inputs_at(time), plant.inertia, q, v, p, rates)
+    all_rates[start : start + 4 * n] = rates.ravel()
+    data.SetODE1Coordinates_t(all_rates, initial)
+
+
 def new_solver() -> Any:
     """Return Exudyn's implicit second-order solver, to be stepped by hand (its type stub lacks `self`, hence Any)."""
     return exu.MainSolverImplicitSecondOrder()
@@ -484,7 +503,7 @@ def settings(step: float, duration: float, *, sparse: bool = False) -> Any:
     t.numberOfSteps, t.endTime = max(1, round(duration / step)), duration
     t.generalizedAlpha.useNewmark = True
     t.generalizedAlpha.useIndex2Constraints = True
-    t.newton.useModifiedNewton = False
+    t.newton.useModifiedNewton = True  # the user functions are differentiated numerically: keep that for many steps
     t.verboseMode = 0
     s.linearSolver.solverType = exu.LinearSolverType.EigenSparse if sparse else exu.LinearSolverType.EigenDense
     s.solution.file.write = False
