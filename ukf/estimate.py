@@ -262,11 +262,11 @@ class Recorder:
 
 
 def merged(events: Sequence[tuple[float, str, str]]) -> list[Event]:
-    """Return events in order, those of the same place and kind put together."""
-    groups: dict[tuple[str, str], list[float]] = {}
+    """Return events in order, those of the same place and kind put together; the first one's details are kept."""
+    groups: dict[tuple[str, str], tuple[str, list[float]]] = {}
     for time, where, text in events:
-        groups.setdefault((where, text), []).append(time)
-    return [Event(min(t), max(t), where, text, len(t)) for (where, text), t in groups.items()]
+        groups.setdefault((where, text.split(":")[0]), (text, []))[1].append(time)
+    return [Event(min(t), max(t), where, text, len(t)) for (where, _), (text, t) in groups.items()]
 
 
 def flagged(time: np.ndarray, flags: np.ndarray, channels: Sequence[str]) -> list[Event]:

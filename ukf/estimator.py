@@ -244,7 +244,7 @@ class Estimator:
         """
         try:
             result = self._predict_and_correct(times, inputs, values, recorder)
-        except (FilterError, ArithmeticError, np.linalg.LinAlgError) as problem:
+        except (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError) as problem:
             self._restart(float(times[-1]), str(problem))
             unknown = np.full(values.size, np.nan)
             result = unknown, unknown.copy(), np.full(values.size, ABSENT, np.uint8), float("nan"), 0.0

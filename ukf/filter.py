@@ -131,6 +131,7 @@ def predict(
     """Return the belief one step on, (28) and (29); `noise` (n, n) is Rw. Raises FilterError as `draw` does."""
     before = draw(belief, weights, step=step)
     after = propagate(before)
+    _check_points(after, before.shape)
     return Prediction(*_moments(before, belief.mean, after, weights.mean, weights.covariance, noise))
 
 
@@ -152,6 +153,7 @@ def update(
     """
     points = draw(belief, weights, step=step)
     seen = observe(points)
+    _check_points(seen, (weights.count, measurement.size))
     result = _correct(
         belief.mean, belief.covariance, points, seen, weights.mean, weights.covariance, measurement, noise
     )
@@ -168,6 +170,7 @@ def predict_root(belief: RootBelief, propagate: Points, noise_root: np.ndarray, 
     """
     before = place(belief.mean, belief.root, weights.spread, weights.count)
     after = propagate(before)
+    _check_points(after, before.shape)
     gain = centre_gain(weights)
     return RootPrediction(
         *_root_moments(before, belief.mean, after, weights.mean, weights.covariance, gain, noise_root)
@@ -184,6 +187,7 @@ def update_root(
     """
     points = place(belief.mean, belief.root, weights.spread, weights.count)
     seen = observe(points)
+    _check_points(seen, (weights.count, measurement.size))
     gain = centre_gain(weights)
     return RootCorrection(
         *_root_correct(belief.mean, points, seen, weights.mean, weights.covariance, gain, measurement, noise_root)
@@ -230,6 +234,12 @@ def linearise(function: Points, at: np.ndarray, increments: np.ndarray) -> tuple
     values = function(np.vstack([at, at + np.diag(increments), at - np.diag(increments)]))
     n = at.size
     return values[0], np.ascontiguousarray(((values[1 : n + 1] - values[n + 1 :]) / (2 * increments[:, None])).T)
+
+
+def _check_points(points: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise ValueError for points of a wrong shape, at which compiled code does not look."""
+    if points.shape != shape:
+        raise ValueError(f"a model function returned points of shape {points.shape}; expected {shape}")
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:

@@ -61,7 +61,12 @@ def _judge(memory, time, values, innovation, variance, std, fastest, gate):  # t
         _note_change(memory[k], values[k])
         if memory[k, 3] > 0:
             repeating += 1
-        if np.isnan(memory[k, 6]) and _leaps(memory[k], time, innovation[k], variance[k], fastest[k], gate):
+        frozen = _is_frozen(memory[k], std[k])
+        if (
+            not frozen
+            and np.isnan(memory[k, 6])
+            and _leaps(memory[k], time, innovation[k], variance[k], fastest[k], gate)
+        ):
             leaping += 1
             memory[k, 6] = time
     together = leaping > 1 and 2 * leaping > present
@@ -70,10 +75,11 @@ def _judge(memory, time, values, innovation, variance, std, fastest, gate):  # t
             continue
         if together or abs(innovation[k]) <= gate * np.sqrt(variance[k]) or _lost(memory, k, time):
             memory[k, 6] = np.nan
-        if not np.isnan(memory[k, 6]):
-            flags[k] = OUTLIER
-        elif _is_frozen(memory[k], std[k]) and repeating < present:
+        if _is_frozen(memory[k], std[k]) and repeating < present:
             flags[k] = FROZEN
+            memory[k, 1] = np.nan  # what it shows when it thaws is no leap
+        elif not np.isnan(memory[k, 6]):
+            flags[k] = OUTLIER
         else:
             _note_used(memory[k], time, innovation[k], variance[k])
         memory[k, 2] = time

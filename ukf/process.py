@@ -35,7 +35,7 @@ class Process:
                 f"augmented state {next(iter(self._columns))!r}: the engine {type(engine).__name__} has one set of "
                 'parameters for all sigma points. Use the engine "semi-recursive", or leave the quantity out.'
             )
-        self._plain = not self._columns and not self._lags
+        self._plain = not extras and not self._lags
 
     def over(self, inputs: np.ndarray, times: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """Return the function points (m, n) -> points (m, n) from times[0] to times[-1] (s,) with inputs (s, 4)."""

@@ -144,4 +144,4 @@ def _note_gaps(time: np.ndarray, events: list[tuple[float, str, str]]) -> None:
     steps = np.diff(time)
     usual = float(np.median(steps))
     for k in np.flatnonzero((steps > 10 * usual) & (steps > 0.05)):
-        events.append((float(time[k]), "time", f"gap of {steps[k]:.3f} s: predicted through by the model"))
+        events.append((float(time[k]), "time", f"gap of {steps[k]:.3f} s, predicted through by the model"))

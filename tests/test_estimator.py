@@ -1,0 +1,472 @@
+"""The estimator on the crane: against filterpy, live against batch, and with everything that goes wrong in recordings."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.engine import ExudynEngine
+from crane_exudyn.errors import CraneError
+from crane_exudyn.inputs import SpoolPath
+from ukf.augment import Augment
+from ukf.bounds import Bounds, crane_bounds
+from ukf.estimator import Estimator
+from ukf.filter import Belief
+from ukf.lengths import cylinder_lengths
+from ukf.monitor import FROZEN, OUTLIER
+from ukf.noise import PaperNoise, ProcessNoise, paper_process_noise, paper_start_covariance
+from ukf.sigma_points import merwe
+from ukf.signals import Signals
+from ukf.tuning import busiest, tune
+from validation.semi_recursive import SemiRecursiveEngine
+
+CRANE = Crane.load("patu655")
+STD = {"z1": np.radians(0.05), "z4": np.radians(0.05), "p1": 3e4, "p2": 3e4, "p3": 3e4, "p4": 3e4}
+ROWS = {"z1": 0, "z4": 1, "dz1": 2, "dz4": 3, "p1": 4, "p2": 5, "p3": 6, "p4": 7}
+FOUR = ("z1", "z4", "p1", "p4")
+
+
+def pulses(time):
+    """A lift and a tilt, both there and back, within three seconds."""
+    u = np.zeros((time.size, 2))
+    u[(time > 0.3) & (time < 1.2), 0] = 0.4
+    u[(time > 1.6) & (time < 2.4), 0] = -0.4
+    u[(time > 0.6) & (time < 1.5), 1] = 0.3
+    u[(time > 1.9) & (time < 2.6), 1] = -0.3
+    return u
+
+
+def run_of(crane: Crane = CRANE, duration: float = 3.0, dt: float = 1e-3):
+    """Time, commands, inputs and states of a run of the semi-recursive engine."""
+    engine = SemiRecursiveEngine(crane)
+    time = np.arange(round(duration / dt) + 1) * dt
+    commands = pulses(time)
+    inputs = np.column_stack([SpoolPath(crane).run(time, commands), np.full((time.size, 2), np.nan)])
+    states = engine.simulate(engine.static_start(0.2, -0.75), time, inputs)
+    return time, commands, inputs, states
+
+
+TIME, COMMANDS, INPUTS, TRUTH = run_of()
+
+
+def readings(names, rng, std=STD, states=TRUTH):
+    out = {n: states[:, ROWS[n]].copy() for n in names if n in ROWS}
+    if "z4_abs" in names:
+        out["z4_abs"] = states[:, 0] + states[:, 1]
+    lengths = cylinder_lengths(CRANE, states[:, :2])
+    out |= {n: lengths[:, i] for i, n in enumerate(("s1", "s2")) if n in names}
+    return {n: v + std.get(n, 0.0) * rng.normal(size=v.size) for n, v in out.items()}
+
+
+def recording(names=FOUR, seed=1, every=1, std=STD, time=TIME, commands=COMMANDS, states=TRUTH):
+    values = readings(names, np.random.default_rng(seed), std, states)
+    return Signals(time, commands, {n: (time[::every], v[::every]) for n, v in values.items()})
+
+
+def estimator(names=FOUR, **options):
+    std = {n: STD.get(n, 1e-3) for n in names}
+    return Estimator(options.pop("crane", CRANE), options.pop("engine", "semi-recursive"), std, **options)
+
+
+def error(estimate, states=TRUTH, time=TIME, after=0.5):
+    """RMS error in degrees, degrees per second and bar, once the start is over."""
+    at = np.searchsorted(time, estimate.time + 1e-9) - 1
+    late = estimate.time >= after
+    unit = np.array([*[np.degrees(1.0)] * 4, *[1e-5] * 4])
+    return np.sqrt(np.mean(((estimate.mean[:, :8] - states[at])[late] * unit) ** 2, axis=0))
+
+
+@pytest.mark.parametrize("make", [SemiRecursiveEngine, lambda crane: ExudynEngine(crane, 17)])
+def test_equals_filterpy_on_the_crane(make):
+    """filterpy gets one sigma point at a time, we all 17 at once: the engines are pure, so only rounding is left."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+    engine, single = make(CRANE), make(CRANE)
+    names, steps, noise = list(FOUR), 40, PaperNoise(pressure=2e8)  # all sigma points stay above the vapour floor
+    start = Belief(TRUTH[300] + np.array([0.01, -0.01, 0, 0, 3e5, 3e5, 3e5, 3e5]), 1e-4 * paper_start_covariance())
+    part = slice(300, 300 + steps + 1)
+    data = readings(names, np.random.default_rng(3))
+    y = np.column_stack([data[n] for n in names])[part]
+    signals = Signals(TIME[part], COMMANDS[part], {n: (TIME[part], y[:, i]) for i, n in enumerate(names)})
+    ours = Estimator(CRANE, engine, {n: STD[n] for n in names}, noise, start=start, gate=None).run(signals)
+    spool = SpoolPath(CRANE).run(TIME[part], COMMANDS[part])
+    w = np.column_stack([spool, np.full((steps + 1, 2), np.nan)])
+    theirs = UnscentedKalmanFilter(
+        8, 4, 1e-3,
+        fx=lambda x, dt, k: single.propagate(x[None], w[k - 1 : k + 1], dt, TIME[part][k - 1])[0],
+        hx=lambda x: x[[0, 1, 4, 7]],
+        points=MerweScaledSigmaPoints(8, 0.99, 0.0, 0.0),
+    )  # fmt: skip
+    theirs.x, theirs.P = start.mean.copy(), start.covariance.copy()
+    theirs.Q, theirs.R = paper_process_noise(1e-3, pressure=2e8), np.diag([STD[n] ** 2 for n in names])
+    scale = np.array([1.0, 1.0, 1.0, 1.0, 1e7, 1e7, 1e7, 1e7])
+    for k in range(1, steps + 1):
+        theirs.predict(dt=TIME[part][k] - TIME[part][k - 1], k=k)
+        theirs.update(y[k])
+        np.testing.assert_allclose(ours.mean[k] / scale, theirs.x / scale, atol=1e-8)  # of rad, rad/s and 0.1 Pa
+        np.testing.assert_allclose(ours.std[k] / scale, np.sqrt(np.diag(theirs.P)) / scale, atol=1e-8)
+
+
+def test_live_equals_batch():
+    start = Belief(TRUTH[0], np.diag([0.01, 0.01, 0.05, 0.05, *[5e5] * 4]) ** 2)
+    signals = recording(every=5)
+    live, batch = estimator(start=start), estimator(start=start)
+    expected = batch.run(signals)
+    scale = np.array([1.0, 1.0, 1.0, 1.0, 1e7, 1e7, 1e7, 1e7])
+    # between its samples the live estimator takes the commands as linear, so it is given those of its own instants
+    batch = batch.run(Signals(TIME[::5], COMMANDS[::5], signals.sensors))
+    for k, t in enumerate(expected.time[:200]):
+        now = live.step(COMMANDS[5 * k], {n: v[k] for n, (_, v) in signals.sensors.items()}, t)
+        np.testing.assert_allclose(now.mean / scale, batch.mean[k] / scale, atol=1e-9)
+        np.testing.assert_allclose(now.std / scale, batch.std[k] / scale, atol=1e-9)
+    assert now["z1"] == now.mean[0] and "p4" in repr(now)
+    with pytest.raises(CraneError, match="no sensor"):
+        live.step((0, 0), {"z9": 1.0})
+    with pytest.raises(CraneError, match="u2"):
+        live.step({"u1": 0.0}, {})
+
+
+def test_live_refuses_no_time_and_says_so():
+    live = estimator()
+    live.step((0.0, 0.0), {"z1": 0.2, "z4": -0.75, "p1": 50e5, "p4": 38e5}, 1.0)
+    mean = live.belief.mean
+    live.step((0.0, 0.0), {"z1": 0.2}, 1.0)
+    live.step((0.0, 0.0), {"z1": 0.2}, 0.5)
+    assert live.belief.mean is mean and len(live.events) == 2
+    now = live.step((0.0, 0.0), {}, 1.01)
+    assert now.time == 1.01 and now.innovation == {}
+
+
+@pytest.mark.parametrize("method", ["ukf", "sr-ukf", "ckf", "ekf"])
+def test_all_filters_follow_the_crane(method):
+    estimate = estimator(method=method).run(recording())
+    e = error(estimate)
+    assert (e[:2] < 0.03).all() and (e[2:4] < 0.5).all() and (e[4:] < 1.0).all()
+    assert not estimate.events
+
+
+def test_sensors_of_other_kinds():
+    """Cylinder lengths, absolute angle and rates in place of the angles; s is not linear in the state."""
+    std = STD | {"s1": 2e-4, "s2": 2e-4, "z4_abs": STD["z4"], "dz1": 0.01}
+    for names in (("s1", "s2", "p1", "p4"), ("z1", "z4_abs", "dz1", "p2", "p3")):
+        values = recording(names, std=std)
+        estimate = Estimator(CRANE, "semi-recursive", {n: std[n] for n in names}).run(values)
+        assert (error(estimate)[:2] < 0.1).all()
+        assert estimate.nis_mean == pytest.approx(len(names), rel=0.1)
+
+
+def test_sensors_with_clocks_of_their_own():
+    values = readings(FOUR, np.random.default_rng(2))
+    sensors = {"z1": (TIME[::10], values["z1"][::10]), "z4": (TIME[3::25] + 4e-4, values["z4"][3::25])}
+    sensors |= {"p1": (TIME[::2], values["p1"][::2]), "p4": (TIME[1::7], values["p4"][1::7])}
+    estimate = estimator().run(Signals(TIME, COMMANDS, sensors))
+    assert (np.isfinite(estimate.measured).sum(axis=0) == [v[0].size for v in sensors.values()]).all()
+    assert (error(estimate)[:2] < 0.1).all()
+    assert not estimate.events
+
+
+def test_hundred_hertz_is_followed_with_inner_steps():
+    estimate = estimator().run(recording(every=10))
+    assert estimate.time.size == 301
+    assert (error(estimate)[:2] < 0.05).all() and (error(estimate)[4:] < 2.0).all()
+
+
+def test_gap_and_missing_samples():
+    signals = recording()
+    keep = (TIME < 1.0) | (TIME > 1.8)
+    sensors = {n: (t[keep], v[keep]) for n, (t, v) in signals.sensors.items()}
+    sensors["p1"][1][50:90] = np.nan
+    estimate = estimator().run(Signals(TIME, COMMANDS, sensors))
+    assert [e.where for e in estimate.events] == ["time"] and "gap" in estimate.events[0].text
+    assert estimate.events[0].start == pytest.approx(1.0, abs=2e-3)
+    assert (error(estimate, after=2.0)[:2] < 0.1).all()
+    growth = (
+        estimate.std[np.searchsorted(estimate.time, 1.79), 0] / estimate.std[np.searchsorted(estimate.time, 0.99), 0]
+    )
+    assert growth > 2.0
+
+
+def test_repeated_and_backward_stamps_are_told_and_left_out():
+    signals = recording(every=5)
+    t = signals.sensors["z1"][0].copy()
+    t[100], t[200] = t[99], t[198]
+    sensors = dict(signals.sensors) | {"z1": (t, signals.sensors["z1"][1])}
+    estimate = estimator().run(Signals(TIME, COMMANDS, sensors))
+    told = [e for e in estimate.events if e.where == "z1"]
+    assert len(told) == 1 and told[0].count == 2
+    assert (error(estimate)[:2] < 0.05).all()
+
+
+def test_frozen_sensor_is_recognised_and_left_out():
+    signals = recording()
+    values = signals.sensors["z4"][1].copy()
+    values[700:1500] = values[700]
+    sensors = dict(signals.sensors) | {"z4": (TIME, values)}
+    estimate = estimator().run(Signals(TIME, COMMANDS, sensors))
+    frozen = [e for e in estimate.events if "frozen" in e.text]
+    assert len(frozen) == 1 and frozen[0].where == "z4"
+    assert frozen[0].start == pytest.approx(0.725, abs=0.01) and frozen[0].end == pytest.approx(1.499, abs=0.01)
+    assert (estimate.flags[800:1500, 1] == FROZEN).all() and (estimate.flags[1600:, 1] != FROZEN).all()
+    assert (error(estimate, after=1.6)[:2] < 0.1).all()
+
+
+@pytest.mark.parametrize("back", [True, False])
+def test_jump_of_fifty_bar_is_rejected(back):
+    signals = recording(std=STD | {"p4": 1.5e5})
+    values = signals.sensors["p4"][1].copy()
+    values[1000 : 2000 if back else None] += 50e5
+    sensors = {n: STD[n] for n in FOUR} | {"p4": 1.5e5}
+    shown = Signals(TIME, COMMANDS, dict(signals.sensors) | {"p4": (TIME, values)})
+    estimate = Estimator(CRANE, "semi-recursive", sensors).run(shown)
+    rejected = estimate.flags[:, 3] == OUTLIER
+    assert rejected[1000:2000].all() and not rejected[:1000].any()
+    if back:
+        assert not rejected[2010:].any()
+    jump = [e for e in estimate.events if e.where == "p4"]
+    assert len(jump) == 1 and jump[0].start == pytest.approx(1.0, abs=2e-3)
+    assert (error(estimate)[4:] < 2.0).all()
+
+
+def test_single_spikes_are_rejected():
+    signals = recording()
+    values = signals.sensors["p1"][1].copy()
+    values[[600, 1100, 1101]] += 30e5
+    estimate = estimator().run(Signals(TIME, COMMANDS, dict(signals.sensors) | {"p1": (TIME, values)}))
+    assert (estimate.flags[:, 2] == OUTLIER).nonzero()[0].tolist() == [600, 1100, 1101]
+
+
+def test_a_wrong_model_is_not_taken_for_wrong_sensors():
+    """A pump 40 bar too high and a valve 30 % too large: innovations grow, no sample is rejected, inconsistency is said."""
+    wrong = CRANE.with_parameters(
+        {"supply.pump_pressure": 140e5, "valves.lift.flow_coefficient": 1.3 * CRANE["valves.lift.flow_coefficient"]}
+    )
+    estimate = estimator(crane=wrong, noise=ProcessNoise((1e-3, 1e-3), (1e10,) * 4)).run(recording())
+    assert not [e for e in estimate.events if "rejected" in e.text]
+    assert not estimate.consistent and "narrow" in estimate.verdict
+    assert (error(estimate)[:2] < 1.0).all()
+
+
+def test_right_model_is_called_consistent():
+    """With process noise as it is in the truth (none but the little that the filter assumes)."""
+    estimate = estimator(noise=ProcessNoise((1e-7, 1e-7), (1e4,) * 4)).run(recording())
+    assert estimate.consistent, repr(estimate)
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "tolerance"),
+    [
+        ({"payload.mass": 120.0}, "payload.mass", 5.0),
+        ({"supply.pump_pressure": 115e5}, "supply.pump_pressure", 1e5),
+    ],
+)
+def test_unknown_parameters_are_found(changes, name, tolerance):
+    crane = CRANE.with_parameters(changes)
+    time, commands, _, states = run_of(crane)
+    signals = recording(tuple(STD), time=time, commands=commands, states=states)
+    estimate = estimator(tuple(STD), augment=(name,)).run(signals)
+    assert estimate[name][-1] == pytest.approx(changes[name], abs=tolerance)
+    assert estimate.units[name] in ("kg", "Pa")
+
+
+def test_unknown_inputs_are_found():
+    """A moment on the lift boom, a force on the outer boom, a leak into nowhere: each is found while the others are free."""
+    engine = SemiRecursiveEngine(CRANE)
+    disturbances = {"torque.O": 400.0, "force.y": -300.0, "flow.p2": -1e-5}
+    states = [engine.static_start(0.2, -0.75)]
+    for k in range(TIME.size - 1):
+        parameters = {n: np.array([v]) for n, v in disturbances.items()}
+        states.append(engine.propagate(states[-1][None], INPUTS[k : k + 2], 1e-3, TIME[k], parameters)[0])
+    augment = (Augment("torque.O", 500.0), Augment("force.y", 500.0), Augment("flow.p2", 2e-5))
+    signals = recording(tuple(STD), states=np.array(states))
+    estimate = estimator(tuple(STD), augment=augment).run(signals)
+    for name, value in disturbances.items():
+        assert estimate[name][-1] == pytest.approx(value, abs=0.15 * abs(value))
+
+
+def test_sensor_bias_is_found():
+    signals = recording(tuple(STD))
+    sensors = dict(signals.sensors) | {"p3": (TIME, signals.sensors["p3"][1] + 4e5)}
+    found = estimator(tuple(STD), augment=("bias.p3",)).run(Signals(TIME, COMMANDS, sensors))
+    assert found["bias.p3"][-1] == pytest.approx(4e5, abs=0.5e5)
+    with pytest.raises(CraneError, match="no sensor"):
+        estimator(("z1", "p1"), augment=("bias.p3",))
+
+
+def test_sensor_effects_of_the_crane_are_in_the_measurement_function():
+    crane = CRANE.with_effect("sensor_bias@p1", {"b": 5e5}).with_effect("sensor_lag@z1", {"tau": 0.05})
+    signals = recording()
+    shown = TRUTH[:, 0].copy()
+    decay = np.exp(-1e-3 / 0.05)
+    for k in range(1, shown.size):  # the exact follower of a piecewise linear signal
+        slope = (TRUTH[k, 0] - TRUTH[k - 1, 0]) / 1e-3
+        shown[k] = TRUTH[k, 0] - slope * 0.05 + (shown[k - 1] - TRUTH[k - 1, 0] + slope * 0.05) * decay
+    noise = np.random.default_rng(8).normal(size=shown.size) * STD["z1"]
+    sensors = dict(signals.sensors) | {"p1": (TIME, signals.sensors["p1"][1] + 5e5), "z1": (TIME, shown + noise)}
+    estimate = estimator(crane=crane).run(Signals(TIME, COMMANDS, sensors))
+    assert estimate.state_names[8] == "reading.z1"
+    assert (error(estimate)[:2] < 0.05).all() and error(estimate)[4] < 0.5
+
+
+def test_smoother_is_better_than_the_filter():
+    off = TRUTH[0] + np.array([0.0, 0.0, 0.0, 0.0, 8e5, 8e5, -8e5, -8e5])
+    start = Belief(off, np.diag([0.01, 0.01, 0.05, 0.05, *[1e6] * 4]) ** 2)
+    estimate = estimator(("z1", "z4"), start=start).run(recording(("z1", "z4"), every=10), smooth=True)
+    assert estimate.smoothed is not None
+    early = (estimate.time > 0.05) & (estimate.time < 1.5)
+    truth = TRUTH[::10]
+    for i in (2, 3, 4, 7):
+        filtered = np.sqrt(np.mean((estimate.mean[early, i] - truth[early, i]) ** 2))
+        smoothed = np.sqrt(np.mean((estimate.smoothed.mean[early, i] - truth[early, i]) ** 2))
+        assert smoothed < filtered
+    assert (estimate.smoothed.std <= estimate.std * (1 + 1e-9)).all()
+
+
+def test_tuning_raises_the_likelihood():
+    """A truth that is shaken by known noise: the search finds its size to half an order of magnitude."""
+    engine, rng = SemiRecursiveEngine(CRANE), np.random.default_rng(6)
+    true = ProcessNoise((1e-2, 1e-2), (1e10,) * 4)
+    root = np.linalg.cholesky(true.covariance(5e-3) + 1e-30 * np.eye(8))
+    states = [engine.static_start(0.2, -0.75)]
+    for k in range(0, 1500, 5):
+        step = engine.propagate(states[-1][None], INPUTS[[k, k + 5]], 5e-3)[0]
+        states.append(step + root @ rng.normal(size=8))
+    time = TIME[:1501:5]
+    signals = recording(tuple(STD), time=time, commands=COMMANDS[:1501:5], states=np.array(states))
+    found = tune(CRANE, signals, STD, start=ProcessNoise((1e-5, 1e-5), (1e7,) * 4), evaluations=35)
+    assert found.after > found.before
+    assert np.log10(found.noise.acceleration) == pytest.approx([-2, -2], abs=0.7)
+    assert np.log10(found.noise.pressure) == pytest.approx([10] * 4, abs=0.7)
+
+
+def test_busiest_stretch():
+    part = busiest(recording(), 1.0)
+    assert part.command_time[-1] - part.command_time[0] == pytest.approx(1.0, abs=0.01)
+    assert all(t.size for t, _ in part.sensors.values())
+
+
+def test_ten_minutes_stay_finite():
+    """600 s at 5 Hz with long inner steps; the crane swings about for the first three seconds and then rests."""
+    time = np.arange(0, 600.01, 0.2)
+    commands = pulses(time)
+    engine = SemiRecursiveEngine(CRANE, step=2e-2)
+    inputs = np.column_stack([SpoolPath(CRANE).run(time, commands), np.full((time.size, 2), np.nan)])
+    states = engine.simulate(engine.static_start(0.2, -0.75), time, inputs, step=2e-2)
+    signals = recording(time=time, commands=commands, states=states)
+    estimate = estimator(engine=engine, max_step=2e-2).run(signals)
+    assert np.isfinite(estimate.mean).all() and np.isfinite(estimate.std).all()
+    assert (error(estimate, states, time, after=20.0)[:2] < 0.05).all()
+
+
+class Failing(SemiRecursiveEngine):
+    """An engine that fails once in a while."""
+
+    count = 0
+
+    def propagate(self, states, inputs, dt, time=0.0, parameters=None):
+        """Fail at every 400th call."""
+        self.count += 1
+        if self.count % 400 == 0:
+            raise CraneError("the step did not converge")
+        return super().propagate(states, inputs, dt, time, parameters)
+
+
+def test_a_failing_engine_restarts_the_filter_and_is_told():
+    estimate = estimator(engine=Failing(CRANE)).run(recording(every=5))
+    restarts = [e for e in estimate.events if e.where == "filter"]
+    assert restarts and restarts[0].count == 7 and "did not converge" in restarts[0].text
+    assert np.isfinite(estimate.mean).all() and (error(estimate)[:2] < 1.0).all()
+
+
+def test_unphysical_sigma_points_keep_mean_and_covariance():
+    """Carrying the excess through leaves the statistics of a state at the vapour floor as they are; clipping would not."""
+    bounds = Bounds(np.array([0.0, -np.inf]), np.array([np.inf, np.inf]))
+    belief, weights = Belief(np.array([0.5, 1.0]), np.array([[4.0, 1.0], [1.0, 2.0]])), merwe(2)
+    from ukf import filter as kf
+
+    seen = []
+
+    def carried(points):
+        inside, excess = bounds.split(points)
+        seen.append(inside)
+        return inside + (0.0 if excess is None else excess)
+
+    after = kf.predict(belief, carried, np.zeros((2, 2)), weights)
+    np.testing.assert_allclose(after.mean, belief.mean, atol=1e-14)
+    np.testing.assert_allclose(after.covariance, belief.covariance, atol=1e-14)
+    assert (seen[0][:, 0] >= 0.0).all()
+    clipped = kf.predict(belief, lambda p: bounds.split(p)[0], np.zeros((2, 2)), weights)
+    assert clipped.mean[0] > 0.6 and clipped.covariance[0, 0] < 3.5
+
+
+def test_mean_is_projected_along_the_covariance():
+    bounds = Bounds(np.array([0.0, -np.inf]), np.array([np.inf, np.inf]))
+    covariance = np.array([[4.0, 2.0], [2.0, 9.0]])
+    np.testing.assert_allclose(bounds.project(np.array([-1.0, 5.0]), covariance), [0.0, 5.5])
+    inside = np.array([1.0, 5.0])
+    assert bounds.project(inside, covariance) is inside
+
+
+def test_bounds_are_the_ends_of_the_strokes():
+    bounds = crane_bounds(CRANE, lambda z: cylinder_lengths(CRANE, z), 8)
+    assert (bounds.lower[4:] == CRANE["fluid.vapour_pressure"]).all()
+    for i, cylinder in enumerate(("lift", "tilt")):
+        empty = CRANE[f"cylinders.{cylinder}.empty_length"]
+        full = empty + CRANE[f"cylinders.{cylinder}.chamber_range"]
+        for limit in (bounds.lower[i], bounds.upper[i]):
+            z = np.array([[CRANE.initial.z1, CRANE.initial.z4]])
+            z[0, i] = limit
+            assert empty < cylinder_lengths(CRANE, z)[0, i] < full
+    assert bounds.lower[0] < TRUTH[:, 0].min() and bounds.upper[0] > TRUTH[:, 0].max()
+
+
+def test_engine_without_parameters_refuses_augmented_states():
+    class Plain:
+        state_names = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
+
+        def propagate(self, states, inputs, dt, time=0.0):
+            return states
+
+    with pytest.raises(CraneError, match="semi-recursive"):
+        estimator(engine=Plain(), augment=("payload.mass",))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sensors": {}}, "no sensor"),
+        ({"sensors": {"z2": 0.1}}, "z2"),
+        ({"sensors": {"z1": -1.0}}, "positive"),
+        ({"method": "kalman"}, "no filter"),
+        ({"engine": "matlab"}, "no engine"),
+        ({"augment": ("payload.mas",)}, "payload.mass"),
+        ({"augment": ("bias.z1", "bias.z1")}, "twice"),
+        ({"augment": (Augment("payload.mass", std=0.0),)}, "positive"),
+        ({"augment": ("internal_leakage@lift.q",)}, "no such parameter"),
+    ],
+)
+def test_bad_arguments_are_refused(options, message):
+    options = {"engine": "semi-recursive", "sensors": {"z1": 1e-3}} | options
+    with pytest.raises(CraneError, match=message):
+        Estimator(CRANE, **options)
+
+
+def test_recording_without_the_sensors_is_refused():
+    with pytest.raises(CraneError, match="none of the estimator's sensors"):
+        estimator(("z1",)).run(recording(("p1",)))
+
+
+def test_csv_plot_and_document(tmp_path):
+    estimate = estimator(augment=("payload.mass",)).run(recording(every=10))
+    estimate.to_csv(tmp_path / "out.csv")
+    table = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True, deletechars="")
+    assert table.size == estimate.time.size
+    np.testing.assert_allclose(table["z1[rad]"], estimate["z1"], rtol=1e-8)
+    assert (table["payload.mass_low95[kg]"] < table["payload.mass_high95[kg]"]).all()
+    figure = estimate.plot(TRUTH[::10])
+    assert len(figure.axes) == 9 + 5
+    document = estimate.document()
+    assert document["filter"]["consistent"] == estimate.consistent and document["final"]["p1"]["unit"] == "Pa"
