@@ -21,6 +21,8 @@ from .fit.solve import Fit
 from .fit.staged import LOOSE, SHORT, STIFF, TIGHT, all_parameters, first_knots, informed_directions, timing_of
 from .fit.variables import Variable, effect_variables
 from .search.candidates import scaled, starts
+from .search.lean import leaner
+from .search.manoeuvre import best_manoeuvre
 from .search.screen import Score, screen
 from .search.weigh import Hypothesis, Weighed, at_bound, deviations, fitted_values, open_loop_error, weigh
 
@@ -125,7 +127,9 @@ class Diagnosis:
         from crane_exudyn.files import write_text
 
         rows = ["effect,evidence,probability,error_after,check_error_after"]
-        rows += [f"{c.name},{c.evidence},{c.probability},{c.error_after},{c.check_error_after}" for c in self.candidates]
+        rows += [
+            f"{c.name},{c.evidence},{c.probability},{c.error_after},{c.check_error_after}" for c in self.candidates
+        ]
         write_text(path, "\n".join(rows) + "\n")
 
 
@@ -203,10 +207,10 @@ def diagnose(
     nothing, as_given = Hypothesis(), _as_given(crane, data)
     parameters = weigh(crane, data, search.shared, search.base, nothing, (LOOSE, TIGHT, STIFF))
     progress("screening all effects", 0.2)
-    loose = _singles(search)
+    loose = _singles(search, PROOF if _good(parameters) else 1.0)
     progress("fitting the likely effects", 0.5)
     finished = _finish(search, loose)
-    if not finished or not _good(finished[0]):
+    if not (_good(parameters) or (finished and _good(finished[0]))):
         progress("trying pairs", 0.7)
         finished = _with_pairs(search, loose, finished, parameters)
     progress("weighing", 0.9)
@@ -227,9 +231,9 @@ def _as_given(crane: Crane, data: FitData) -> Weighed:
     return weigh(crane, data, [timing_of(data)], loose, Hypothesis(), (TIGHT, STIFF))
 
 
-def _singles(search: _Search) -> list[Weighed]:
-    """Return single effects fitted in short windows, best first: those that the screen holds likely."""
-    chosen = _likely(search.scores(search.base), FITTED)
+def _singles(search: _Search, least: float) -> list[Weighed]:
+    """Return single effects fitted in short windows, best first: those of which the screen expects at least that gain."""
+    chosen = [s for s in _likely(search.scores(search.base), FITTED) if s.gain >= least]
     hypotheses = [(Hypothesis({s.start.key: scaled(s.start, s.amplitude)}), search.base) for s in chosen]
     return _best_of_each(search.run(hypotheses, (LOOSE,)))
 
@@ -261,12 +265,16 @@ def _finish(search: _Search, loose: Sequence[Weighed], most: int = FINISHED) -> 
     return search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))
 
 
-def _with_pairs(search: _Search, loose: Sequence[Weighed], finished: Sequence[Weighed], parameters: Weighed) -> list[Weighed]:
+def _with_pairs(
+    search: _Search, loose: Sequence[Weighed], finished: Sequence[Weighed], parameters: Weighed
+) -> list[Weighed]:
     """Return the finished fits with pairs added: the leading single effects, each with what the screen finds beside it."""
     hypotheses: list[tuple[Hypothesis, Fit]] = []
     for first in loose[:3]:
         for score in _likely(search.scores(first.fit), 5):
-            both = {k: fitted_values(first, k) for k in first.hypothesis.keys} | {score.start.key: scaled(score.start, score.amplitude)}
+            both = {k: fitted_values(first, k) for k in first.hypothesis.keys} | {
+                score.start.key: scaled(score.start, score.amplitude)
+            }
             if len(both) == len(first.hypothesis.keys) + 1:
                 hypotheses.append((Hypothesis(both), first.fit))
     pairs = _best_of_each(search.run(hypotheses, (LOOSE,))) if hypotheses else []
@@ -274,7 +282,9 @@ def _with_pairs(search: _Search, loose: Sequence[Weighed], finished: Sequence[We
     done = search.run([(w.hypothesis, w.fit) for w in pairs[:2]], (TIGHT, STIFF)) if pairs else []
     singles = {w.hypothesis.keys[0]: w.evidence for w in finished}
     bare = max([parameters.evidence, *singles.values()])
-    proven = [w for w in done if w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF]
+    proven = [
+        w for w in done if w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF
+    ]
     return sorted([*finished, *proven], key=lambda w: -w.evidence)
 
 
@@ -283,7 +293,9 @@ def _good(w: Weighed) -> bool:
     return w.level < LEVEL and float(w.bad.mean()) <= SHARE
 
 
-def _conclude(search: _Search, as_given: Weighed, parameters: Weighed, finished: Sequence[Weighed], notes: list[str]) -> Diagnosis:
+def _conclude(
+    search: _Search, as_given: Weighed, parameters: Weighed, finished: Sequence[Weighed], notes: list[str]
+) -> Diagnosis:
     """Return the verdict."""
     best = finished[0] if finished else None
     if best is None or (best.evidence < parameters.evidence + PROOF and _good(parameters)) or _good(as_given):
@@ -291,7 +303,11 @@ def _conclude(search: _Search, as_given: Weighed, parameters: Weighed, finished:
             return _without_effect(search, as_given, parameters, finished, notes)
     if best is None or not _explains(best, parameters):
         return _verdict(search, "unknown", best, parameters, finished, notes)
-    ties = [w for w in finished[1:] if w.evidence > best.evidence - TIE and len(w.hypothesis.keys) <= len(best.hypothesis.keys)]
+    ties = [
+        w
+        for w in finished[1:]
+        if w.evidence > best.evidence - TIE and len(w.hypothesis.keys) <= len(best.hypothesis.keys)
+    ]
     return _verdict(search, "tied" if ties else "effect", best, parameters, finished, notes, ties)
 
 
@@ -318,6 +334,10 @@ def _verdict(
 ) -> Diagnosis:  # fmt: skip
     named = verdict in ("effect", "tied")
     chosen = best if named and best is not None else parameters
+    if verdict in ("effect", "tied", "parameters"):
+        lean = leaner(search.crane, search.data, chosen)
+        best, finished, parameters = _exchanged(chosen, lean, best, finished, parameters)
+        chosen = lean
     everything = sorted([parameters, *finished], key=lambda w: -w.evidence)
     weights = np.exp(np.clip([w.evidence - everything[0].evidence for w in everything], -700, 0))
     candidates = tuple(_candidate(w, float(p)) for w, p in zip(everything, weights / weights.sum(), strict=True))
@@ -327,8 +347,22 @@ def _verdict(
     return Diagnosis(
         search.data.name, verdict, crane, search.crane, {} if verdict == "adequate" else moved_parameters(search, chosen),
         candidates, best.hypothesis.keys if named and best else (), tuple(" + ".join(w.hypothesis.keys) for w in ties),
+        next_manoeuvre=_telling(search, chosen, ties[0]) if ties else "",
         where=left_over(best or parameters) if verdict == "unknown" else (), notes=tuple(notes), late=chosen.fit.late,
     )  # fmt: skip
+
+
+def _telling(search: _Search, chosen: Weighed, other: Weighed) -> str:
+    noise = {s.channel: s.noise for s in search.data.samples}
+    return best_manoeuvre(chosen.fit.crane, other.fit.crane, noise, search.data.channels)
+
+
+def _exchanged(
+    old: Weighed, new: Weighed, best: Weighed | None, finished: Sequence[Weighed], parameters: Weighed
+) -> tuple[Weighed | None, list[Weighed], Weighed]:
+    """Put the leaner fit in the place of the one it replaces."""
+    swap = lambda w: new if w is old else w  # noqa: E731
+    return (swap(best) if best is not None else None), [swap(w) for w in finished], swap(parameters)
 
 
 def _candidate(w: Weighed, probability: float) -> Candidate:
@@ -340,7 +374,9 @@ def _candidate(w: Weighed, probability: float) -> Candidate:
             unit = _sensor_unit(key) if p.unit == "channel" else p.unit
             parameters[prefix + p.name] = {"value": values[p.name], "std": spread.get(p.name, math.inf), "unit": unit}
     bounds = tuple(f"{k}:{p}" for k in w.hypothesis.keys for p in at_bound(w, k))
-    return Candidate(w.hypothesis.keys, parameters, w.evidence, probability, w.fit.crane, at_bound=bounds, level=w.level)
+    return Candidate(
+        w.hypothesis.keys, parameters, w.evidence, probability, w.fit.crane, at_bound=bounds, level=w.level
+    )
 
 
 def _sensor_unit(key: str) -> str:
@@ -350,7 +386,9 @@ def _sensor_unit(key: str) -> str:
 def moved_parameters(search: _Search, chosen: Weighed) -> dict[str, dict[str, Any]]:
     """Return the nominal parameters that moved by more than a tenth of their uncertainty: value, std, nominal, unit."""
     found = {}
-    prior = {n: (k.std if math.isfinite(k.std) else 0.25 * (k.upper - k.lower)) for n, k in search.crane.uncertainty.items()}
+    prior = {
+        n: (k.std if math.isfinite(k.std) else 0.25 * (k.upper - k.lower)) for n, k in search.crane.uncertainty.items()
+    }
     spread = _posterior(search, chosen, prior)
     for name, nominal in search.crane.values.items():
         value = chosen.fit.crane.values[name]
@@ -367,7 +405,9 @@ def _posterior(search: _Search, chosen: Weighed, prior: Mapping[str, float]) -> 
     for name in prior:
         weights = np.array([v.weights.get(name, 0.0) for _, v in directions])
         index = [i for i, _ in directions]
-        before = float(sum(w**2 * (1.0 if math.isfinite(v.prior) else 0.0) for w, (_, v) in zip(weights, directions, strict=True)))
+        before = float(
+            sum(w**2 * (1.0 if math.isfinite(v.prior) else 0.0) for w, (_, v) in zip(weights, directions, strict=True))
+        )
         after = float(weights @ cov[np.ix_(index, index)] @ weights)
         alone = any(not math.isfinite(v.prior) and w for w, (_, v) in zip(weights, directions, strict=True))
         variance[name] = after if alone else max(variance[name] - before, 0.0) + after
@@ -385,11 +425,15 @@ def left_over(w: Weighed) -> tuple[Mapping[str, Any], ...]:
         else:
             found.append({"channel": "all", "from": start, "to": end, "phase": "", "score": error})
     for entry in found:
-        entry["text"] = f"from {entry['from']:.2f} to {entry['to']:.2f} s errors reach {entry['score']:.1f} times the noise"
+        entry["text"] = (
+            f"from {entry['from']:.2f} to {entry['to']:.2f} s errors reach {entry['score']:.1f} times the noise"
+        )
     return tuple(sorted(found, key=lambda e: -e["score"]))
 
 
-def _with_errors(d: Diagnosis, search: _Search, recording: Recording, check: Recording | None, as_given: Weighed) -> Diagnosis:
+def _with_errors(
+    d: Diagnosis, search: _Search, recording: Recording, check: Recording | None, as_given: Weighed
+) -> Diagnosis:
     """Add open-loop errors on both recordings: of the crane as given, of the candidates that came near, of the choice."""
     before, _ = open_loop_error(search.crane, search.data, as_given.fit, as_given.fit.late)
     check_data = FitData.of(check, search.crane) if check is not None else None
@@ -402,7 +446,13 @@ def _with_errors(d: Diagnosis, search: _Search, recording: Recording, check: Rec
             after, _ = open_loop_error(c.crane, search.data, search.base, d.late)
             check_after = _check_error(c.crane, check_data, d.late)
         candidates.append(
-            replace(c, error_before=before, error_after=after, check_error_before=check_before, check_error_after=check_after)
+            replace(
+                c,
+                error_before=before,
+                error_after=after,
+                check_error_before=check_before,
+                check_error_after=check_after,
+            )
         )
     chosen = next((c for c in candidates if c.crane == d.crane), None)
     after = chosen.error_after if chosen else before

@@ -76,7 +76,14 @@ class FitData:
         grid = start + step * np.arange(int(np.floor((end - start) / step + 1e-6)) + 2)
         noise = recording.noise()
         samples = tuple(
-            _samples(c, recording.channels[c].time, recording.channels[c].values, crane.sensors.get(c, noise.get(c)), grid, rate)
+            _samples(
+                c,
+                recording.channels[c].time,
+                recording.channels[c].values,
+                crane.sensors.get(c, noise.get(c)),
+                grid,
+                rate,
+            )
             for c in sensors
         )
         on_grid = np.column_stack([np.interp(grid, times, commands[:, i]) for i in range(2)])
@@ -108,9 +115,13 @@ def _grid_step(interval: float) -> float:
     return 2.5e-3 if interval > 2.5e-3 else 1e-3
 
 
-def _samples(channel: str, time: np.ndarray, values: np.ndarray, noise: float | None, grid: np.ndarray, rate: float) -> Samples:
+def _samples(
+    channel: str, time: np.ndarray, values: np.ndarray, noise: float | None, grid: np.ndarray, rate: float
+) -> Samples:
     if not noise or not np.isfinite(noise):
-        raise CraneError(f"Channel {channel}: its noise cannot be estimated from the data. Give sensors.{channel} in the crane file.")
+        raise CraneError(
+            f"Channel {channel}: its noise cannot be estimated from the data. Give sensors.{channel} in the crane file."
+        )
     block = max(1, int(np.floor(1.0 / (rate * np.median(np.diff(time))) + 1e-6))) if len(time) > 1 else 1
     if block > 1:
         whole = len(time) // block * block

@@ -7,7 +7,8 @@ window is an open-loop run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import multiprocessing
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -119,7 +120,9 @@ def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
     """Return columns from models that differ from the base by a step each; equal inputs are stored once."""
     signals, index = [base.W], []
     for model in moved:
-        same = next((i for i, w in enumerate(signals) if w is model.W or np.array_equal(w, model.W, equal_nan=True)), None)
+        same = next(
+            (i for i, w in enumerate(signals) if w is model.W or np.array_equal(w, model.W, equal_nan=True)), None
+        )
         if same is None:
             signals.append(model.W)
         index.append(len(signals) - 1 if same is None else same)
@@ -209,7 +212,9 @@ def _shown(
     return gain * z + offset, dz
 
 
-def normal_equations(windows: Sequence[Window], knots: np.ndarray, base: Model, columns: Columns, stiffness: float) -> Linear:
+def normal_equations(
+    windows: Sequence[Window], knots: np.ndarray, base: Model, columns: Columns, stiffness: float
+) -> Linear:
     """Return the linearised fit.
 
     Args:
@@ -225,16 +230,25 @@ def normal_equations(windows: Sequence[Window], knots: np.ndarray, base: Model, 
         np.zeros((K, nx)), np.zeros(m), {}, {}, np.zeros(K), np.zeros(K), np.zeros(max(K - 1, 0)),
     )  # fmt: skip
     channels = windows[0].data.channels
-    with ThreadPoolExecutor(THREADS) as pool:
-        swept = pool.map(lambda k: sweep_window(windows[k], knots[k], base, columns, channels), range(K))
-        for k, part in enumerate(swept):
-            linear.failed |= part.failed
-            if linear.failed:
-                return linear
-            _add_data(linear, k, part, channels, scale)
-            if k + 1 < K:
-                _add_jump(linear, k, part, knots[k + 1], scale, stiffness)
+    for k, part in enumerate(_swept(windows, knots, base, columns, channels)):
+        linear.failed |= part.failed
+        if linear.failed:
+            return linear
+        _add_data(linear, k, part, channels, scale)
+        if k + 1 < K:
+            _add_jump(linear, k, part, knots[k + 1], scale, stiffness)
     return linear
+
+
+def _swept(
+    windows: Sequence[Window], knots: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...]
+) -> Iterator[Swept]:
+    """Yield the windows swept, in order; the compiled sweep lets two threads work side by side."""
+    if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
+        yield from (sweep_window(w, x0, base, columns, channels) for w, x0 in zip(windows, knots, strict=True))
+        return
+    with ThreadPoolExecutor(THREADS) as pool:
+        yield from pool.map(lambda pair: sweep_window(*pair, base, columns, channels), zip(windows, knots, strict=True))
 
 
 def _add_data(linear: Linear, k: int, part: Swept, channels: tuple[str, ...], scale: np.ndarray) -> None:

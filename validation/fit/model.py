@@ -47,7 +47,10 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0) -> Model:
 def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:
     """Return spool positions (N, 2) on the grid; equal commands and valves are computed once."""
     E = crane.effect_vector()
-    key = tuple((crane[f"valves.{name}.time_constant"], hooks.delay(E, c), hooks.backlash(E, c)) for c, name in enumerate(("lift", "tilt")))
+    key = tuple(
+        (crane[f"valves.{name}.time_constant"], hooks.delay(E, c), hooks.backlash(E, c))
+        for c, name in enumerate(("lift", "tilt"))
+    )
     return _spool_path(_Driven(crane, data), (*key, late))
 
 

@@ -98,14 +98,20 @@ def with_prior(reduced: Reduced, variables: Sequence[Variable], u: np.ndarray) -
     return reduced.H + np.diag(weight), reduced.g + weight * u
 
 
-def bounded_step(H: np.ndarray, g: np.ndarray, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float) -> np.ndarray:
+def bounded_step(
+    H: np.ndarray, g: np.ndarray, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
+) -> np.ndarray:
     """Return the step of least quadratic cost with u + step within bounds (active-set on the damped system)."""
     m = len(u)
     A = H + np.diag(damping * np.maximum(np.diag(H), 1e-12) + 1e-10)
     step, fixed = np.zeros(m), np.zeros(m, dtype=bool)
     for _ in range(3 * m + 1):
         free = ~fixed
-        step[free] = np.linalg.lstsq(A[np.ix_(free, free)], -(g + A @ (step * fixed))[free], rcond=None)[0] if free.any() else 0.0
+        step[free] = (
+            np.linalg.lstsq(A[np.ix_(free, free)], -(g + A @ (step * fixed))[free], rcond=None)[0]
+            if free.any()
+            else 0.0
+        )
         low, high = u + step < lower - 1e-15, u + step > upper + 1e-15
         out = (low | high) & free
         if not out.any():
@@ -166,7 +172,13 @@ def fit(
 
 
 def _evaluate(
-    crane: Crane, data: FitData, windows: Sequence[Window], knots: np.ndarray, variables: Sequence[Variable], u: np.ndarray, stiffness: float
+    crane: Crane,
+    data: FitData,
+    windows: Sequence[Window],
+    knots: np.ndarray,
+    variables: Sequence[Variable],
+    u: np.ndarray,
+    stiffness: float,
 ) -> _Point:
     base = model_at(crane, variables, u, data)
     columns: Columns = columns_of(crane, variables, u, base, data)
@@ -211,7 +223,14 @@ def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffne
     return None
 
 
-def _finish(crane: Crane, variables: Sequence[Variable], windows: Sequence[Window], point: _Point, guess: np.ndarray, converged: bool) -> Fit:
+def _finish(
+    crane: Crane,
+    variables: Sequence[Variable],
+    windows: Sequence[Window],
+    point: _Point,
+    guess: np.ndarray,
+    converged: bool,
+) -> Fit:
     linear, m = point.linear, len(point.u)
     cov = np.full((m, m), math.nan)
     if m and not linear.failed:

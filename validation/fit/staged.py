@@ -86,10 +86,14 @@ def informed_directions(result: Fit) -> list[NominalDirection]:
     return [*timing, *free, *principal([nominal[i] for i in gaussian], vectors[:, keep])]
 
 
-def residuals(crane: Crane, data: FitData, x0: np.ndarray, late: float = 0.0) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def residuals(
+    crane: Crane, data: FitData, x0: np.ndarray, late: float = 0.0
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return per channel the sample times and the residuals in noise units of an open-loop run from x0 (nx,)."""
     model = model_of(crane, data, late)
-    X, status, last = kernel.simulate(np.asarray(x0, dtype=float), model.W, data.step, float(data.time[0]), model.P, model.E)
+    X, status, last = kernel.simulate(
+        np.asarray(x0, dtype=float), model.W, data.step, float(data.time[0]), model.P, model.E
+    )
     if status != kernel.OK:
         X[last + 1 :] = X[last]
     Y, _ = output_rows(data.channels, X, model.P)

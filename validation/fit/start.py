@@ -27,7 +27,9 @@ def knots_of(crane: Crane, data: FitData, windows: Sequence[Window]) -> np.ndarr
     return np.array([_state(crane, engine, data, samples, data.time[w.start]) for w in windows])
 
 
-def _state(crane: Crane, engine: SemiRecursiveEngine, data: FitData, samples: dict[str, Samples], t: float) -> np.ndarray:
+def _state(
+    crane: Crane, engine: SemiRecursiveEngine, data: FitData, samples: dict[str, Samples], t: float
+) -> np.ndarray:
     z1, dz1 = _angle(crane, data, samples, "z1", t)
     z4, dz4 = _angle(crane, data, samples, "z4", t)
     if "z4" not in samples and "z4_abs" in samples:

@@ -51,7 +51,7 @@ class EffectParameter:
 
     @property
     def name(self) -> str:
-        """"name@place:parameter"."""
+        """ "name@place:parameter"."""
         return f"{self.key}:{self.parameter.name}"
 
     @property
@@ -67,7 +67,9 @@ class EffectParameter:
     @property
     def scale(self) -> float:
         """Size of the value at which u has moved by one."""
-        return sensor_scale(self.key) if self.parameter.unit == "channel" else abs(self.parameter.typical - self._origin)
+        return (
+            sensor_scale(self.key) if self.parameter.unit == "channel" else abs(self.parameter.typical - self._origin)
+        )
 
     @property
     def _origin(self) -> float:

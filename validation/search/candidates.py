@@ -71,6 +71,8 @@ def scaled(start: Start, amplitude: float) -> dict[str, float]:
     for p in effect.parameters:
         value = start.values.get(p.name, p.neutral)
         if not p.shape:
-            value = value / max(amplitude, 1e-6) if math.isinf(p.neutral) else p.neutral + amplitude * (value - p.neutral)
+            value = (
+                value / max(amplitude, 1e-6) if math.isinf(p.neutral) else p.neutral + amplitude * (value - p.neutral)
+            )
         values[p.name] = min(max(value, p.lower), p.upper)
     return values

@@ -78,7 +78,11 @@ def join(a: Columns, b: Columns) -> Columns:
 
 def _scores(starts: Sequence[Start], H: np.ndarray, g: np.ndarray, m: int) -> list[Score]:
     """Project the fit's own variables out of the probes' normal equations and score each probe alone."""
-    cross = np.linalg.lstsq(H[:m, :m], np.column_stack([H[:m, m:], g[:m]]), rcond=None)[0] if m else np.zeros((0, len(g) + 1))
+    cross = (
+        np.linalg.lstsq(H[:m, :m], np.column_stack([H[:m, m:], g[:m]]), rcond=None)[0]
+        if m
+        else np.zeros((0, len(g) + 1))
+    )
     gradient = g[m:] - H[m:, :m] @ cross[:, -1]
     curvature = np.diag(H)[m:] - np.einsum("ij,ji->i", H[m:, :m], cross[:, :-1])
     found = []

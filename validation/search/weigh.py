@@ -52,10 +52,17 @@ class Weighed:
 
 
 def weigh(
-    crane: Crane, data: FitData, variables: Sequence[Variable], before: Fit, hypothesis: Hypothesis, stages: Sequence[Stage]
+    crane: Crane,
+    data: FitData,
+    variables: Sequence[Variable],
+    before: Fit,
+    hypothesis: Hypothesis,
+    stages: Sequence[Stage],
 ) -> Weighed:
     """Return a hypothesis fitted through the stages, from the knots (and where it has them the values) of an earlier fit."""
-    own: list[EffectParameter] = [v for key, values in hypothesis.effects.items() for v in effect_variables(key, values)]
+    own: list[EffectParameter] = [
+        v for key, values in hypothesis.effects.items() for v in effect_variables(key, values)
+    ]
     known = {v.name: x for v, x in zip(before.variables, before.u, strict=True)}
     shared = np.array([known.get(v.name, 0.0) for v in variables])
     u = np.concatenate([shared, [known.get(v.name, v.to_u(v.start)) for v in own]])

@@ -1,0 +1,96 @@
+"""`patu add` puts an effect into a crane file; `patu remove` takes it out again, exactly."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from crane_exudyn.errors import CraneError
+
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapOption, load_crane, load_recording
+from .output import Printer, announce_compilation, write_json
+
+if TYPE_CHECKING:
+    from crane_exudyn.crane import Crane
+
+EffectArgument = Annotated[
+    str, typer.Argument(metavar="EFFECT[@PLACE]", help="Effect and place, such as dead_band@tilt.")
+]
+CraneOutput = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file to write; standard output if absent."),
+]
+
+
+def command(
+    effect: EffectArgument,
+    fit: Annotated[
+        Path | None, typer.Option("--fit", metavar="REC", help="Recording to fit its parameters to.")
+    ] = None,
+    values: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter, with its unit.")
+    ] = None,
+    output: CraneOutput = None,
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    mapping: MapOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones."""
+    chosen = load_crane(crane, effects)
+    if fit is None:
+        from validation.history import added, with_typical
+
+        result = added(chosen, with_typical(chosen, effect, _parse(effect, values or [])), recording="", evidence=0.0)
+        document: dict[str, object] = {}
+    else:
+        announce_compilation()
+        from validation.search.fitted import fitted_effect
+
+        result, document = fitted_effect(chosen, effect, load_recording(fit, mapping), _parse(effect, values or []))
+    _write(result, output, json, {"effect": effect, **document})
+
+
+def remove(
+    effect: EffectArgument,
+    output: CraneOutput = None,
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Take an effect out of a crane file; what moved when it was added goes back to where it was."""
+    from validation.history import removed
+
+    _write(removed(load_crane(crane, effects), effect), output, json, {"effect": effect})
+
+
+def _parse(key: str, entries: list[str]) -> dict[str, float]:
+    from crane_exudyn.crane_toml import unit_at
+    from crane_exudyn.effects import registry
+    from crane_exudyn.errors import nearest
+    from crane_exudyn.units import to_si
+
+    effect, place = registry.split_key(key)
+    units = {p.name: unit_at(p.unit, place) for p in effect.parameters}
+    found = {}
+    for entry in entries:
+        name, equals, text = (part.strip() for part in entry.partition("="))
+        if not equals or name not in units:
+            raise CraneError(f"--set {entry!r}: {effect.name} has no parameter {name!r}.{nearest(name, list(units))}")
+        found[name] = to_si(text, units[name], f"--set {name}")
+    return found
+
+
+def _write(crane: Crane, output: Path | None, json: str | None, document: dict[str, object]) -> None:
+    if output is not None:
+        crane.save(output)
+    elif json != "-":
+        sys.stdout.write(crane.to_toml())
+    write_json(
+        json, document | {"crane": str(output) if output else crane.name, "effects": [e.key for e in crane.effects]}
+    )
+    if output is not None:
+        Printer(json).line(f"{crane!r}\nWritten: {output}")

@@ -1,0 +1,108 @@
+"""`patu diagnose`: which physical effect is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import (
+    DEFAULT_CRANE,
+    CheckOption,
+    CraneOption,
+    EffectsOption,
+    JsonOption,
+    MapOption,
+    RecordingArgument,
+    ReportOption,
+    load_crane,
+    load_recording,
+)
+from .output import Printer, announce_compilation, progress, write_json
+
+if TYPE_CHECKING:
+    from validation.diagnosis import Diagnosis
+
+JobsOption = Annotated[int, typer.Option("--jobs", metavar="N", help="Processes to use.", min=1)]
+
+
+def command(
+    recording: RecordingArgument,
+    check: CheckOption = None,
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    mapping: MapOption = None,
+    jobs: JobsOption = 2,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the weighing.")] = None,
+    report: ReportOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Find which physical effect the model lacks.
+
+    First the nominal parameters may move within their uncertainty; then every effect at every place is weighed, alone and in
+    pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
+    """
+    chosen = load_crane(crane, effects)
+    measured = load_recording(recording, mapping)
+    other = None if check is None else load_recording(check, mapping)
+    announce_compilation()
+    from validation.diagnosis import diagnose
+
+    with progress("Diagnose") as done:
+        result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda text, share: done(share))
+    if plot is not None:
+        from validation.plots import save
+
+        save(result.plot(), plot)
+    if report is not None:
+        from validation.search.reports import report_diagnosis
+
+        report_diagnosis(result, report)
+    write_json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())
+    tell(Printer(json), result)
+
+
+def tell(printer: Printer, d: Diagnosis) -> None:
+    """Print verdict, candidates, parameters that moved, and what to do next."""
+    from validation.diagnosis import sentence
+
+    printer.line(f"Verdict: {d.verdict} — {sentence(d)}.")
+    printer.table(
+        "Weighed, best first", ("explanation", "log evidence", "probability", "error after", "on check"), _rows(d)
+    )
+    if d.effects or d.verdict == "parameters":
+        chosen = next((c for c in d.candidates if c.effects == d.effects), d.candidates[0])
+        for name, p in chosen.parameters.items():
+            printer.line(f"  {name} = {p['value']:.4g} ± {2 * p['std']:.2g} {p['unit']} (95 %)")
+    moved = list(d.parameters.items())[:6]
+    if moved:
+        printer.table(
+            "Nominal parameters that moved most",
+            ("parameter", "value", "std", "nominal", "unit"),
+            [(n, p["value"], p["std"], p["nominal"], p["unit"]) for n, p in moved],
+        )
+    for entry in d.where[:5]:
+        printer.line(f"  left over: {entry['text']}")
+    for note in d.notes:
+        printer.line(f"note: {note}")
+    if d.next_manoeuvre:
+        printer.line(f"Next: {d.next_manoeuvre}")
+    printer.line(f"({d.seconds:.0f} s)")
+
+
+def _rows(d: Diagnosis) -> list[tuple[object, ...]]:
+    return [
+        (
+            c.name,
+            round(c.evidence - d.candidates[0].evidence, 1),
+            f"{c.probability:.3f}",
+            _plain(c.error_after),
+            _plain(c.check_error_after),
+        )
+        for c in d.candidates[:8]
+    ]
+
+
+def _plain(value: float) -> str:
+    return f"{value:.3g}" if value == value else "-"

@@ -1,0 +1,62 @@
+"""Adding effects to a crane file and taking them away again, with the file keeping account of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.errors import CraneError, nearest
+
+
+def added(before: Crane, after: Crane, **evidence: Any) -> Crane:
+    """Return `after` with a history entry that tells what changed since `before`, enough to undo it exactly."""
+    keys = [e.key for e in after.effects if before.effect(e.key) is None]
+    moved = {n: {"from": before.values[n], "to": v} for n, v in after.values.items() if v != before.values[n]}
+    adjusted = {
+        e.key: dict(e.parameters)
+        for e in before.effects
+        if (now := after.effect(e.key)) and dict(now.parameters) != dict(e.parameters)
+    }
+    entry: dict[str, Any] = {"added": keys or ["parameters"], **evidence, "parameters": moved}
+    return after.with_history(entry | ({"effects_before": adjusted} if adjusted else {}))
+
+
+def removed(crane: Crane, key: str) -> Crane:
+    """Return the crane without what the history says was added under that name, exactly as it was before.
+
+    Only the last entry of the history can be undone together with the parameters that moved with it; an effect from further back
+    is taken out alone.
+
+    Raises:
+        CraneError: the crane has no such effect.
+    """
+    keys = [e.key for e in crane.effects]
+    last = crane.history[-1] if crane.history else {}
+    if key in last.get("added", []):
+        return _undone(crane, last)
+    if key not in keys:
+        raise CraneError(f"{crane.name} has no effect {key!r}.{nearest(key, keys) if keys else ' It has none at all.'}")
+    return crane.without_effect(key)
+
+
+def _undone(crane: Crane, entry: Mapping[str, Any]) -> Crane:
+    from dataclasses import replace
+
+    result = crane.with_parameters({n: change["from"] for n, change in entry.get("parameters", {}).items()})
+    for key in entry["added"]:
+        if result.effect(key) is not None:
+            result = result.without_effect(key)
+    for key, values in entry.get("effects_before", {}).items():
+        result = result.with_effect(key, values)
+    return replace(result, history=crane.history[:-1])
+
+
+def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
+    """Return the crane with an effect at the given values, or where none are given at values that are met in practice."""
+    effect, _ = registry.split_key(key)
+    if crane.effect(key) is not None:
+        raise CraneError(f"{crane.name} has {key!r} already. Remove it first, or fit it anew with `patu improve`.")
+    typical = dict(effect.probes[0]) if effect.probes else {effect.parameters[0].name: effect.parameters[0].typical}
+    return crane.with_effect(key, dict(values) or typical)

@@ -1,0 +1,186 @@
+"""Compare, diagnose, add, until nothing more is justified."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.recording import Recording
+
+from .diagnosis import Candidate, Diagnosis, diagnose, sentence
+from .fit.data import FitData
+from .fit.model import model_of, output_rows, shown
+from .fit.staged import SHORT, first_knots
+from .history import added
+from .search.weigh import open_loop_error
+
+#: an effect that does not explain everything is still added if the error on what was not fitted falls by this share
+WORTH = 0.1
+#: the two engines' errors may differ by this share before it is said
+AGREEMENT = 0.05
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: what was added (None: the model as given, "parameters", or effects) and what that did to the errors.
+
+    Errors are open-loop RMS in noise units on the Exudyn engine; search_error is the one that the search's engine reported.
+    """
+
+    added: str | None
+    error: float
+    check_error: float
+    nis_mean: float
+    verdict: str
+    search_error: float = math.nan
+    text: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON of improve."""
+        return {
+            k: getattr(self, k)
+            for k in ("added", "error", "check_error", "nis_mean", "verdict", "search_error", "text")
+        }
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """The steps from the crane as given to the one that explains the recording as far as effects are justified."""
+
+    recording: str
+    steps: tuple[Step, ...]
+    crane: Crane
+    verdict: str
+    diagnoses: tuple[Diagnosis, ...]
+
+    def to_dict(self, path: str | Path = "") -> dict[str, Any]:
+        """Return the JSON of improve; `path` is where the crane file was written."""
+        return {"steps": [s.to_dict() for s in self.steps], "crane": str(path), "verdict": self.verdict}
+
+    def __repr__(self) -> str:
+        errors = " -> ".join(f"{s.error:.3g}" for s in self.steps)
+        names = ", ".join(s.added for s in self.steps if s.added) or "nothing"
+        return f"<Improvement on {self.recording}: added {names}; error {errors} noise units; left: {self.verdict}>"
+
+    def plot(self) -> Any:
+        """Return a figure of the falling error."""
+        from .search.plots import improvement_figure
+
+        return improvement_figure(self)
+
+
+Progress = Callable[[str, float], None]
+
+
+def improve(
+    crane: Crane,
+    recording: Recording,
+    check: Recording | None = None,
+    *,
+    jobs: int = 2,
+    most: int = 4,
+    told: Callable[[Step], None] = lambda step: None,
+    progress: Progress = lambda text, share: None,
+) -> Improvement:
+    """Return the crane improved step by step; each step's errors are confirmed on the Exudyn engine.
+
+    Args:
+        crane: the crane file as given.
+        recording, check: learned from, and only predicted.
+        jobs: processes to use.
+        most: at most so many steps.
+        told: called with each step as soon as it is known.
+        progress: called with a text and the share that is done of the current step.
+    """
+    current, best = crane, crane
+    steps: list[Step] = []
+    diagnoses: list[Diagnosis] = []
+    while True:
+        d = diagnose(current, recording, check, jobs=jobs, progress=progress)
+        diagnoses.append(d)
+        if not steps:
+            steps.append(_step(None, crane, d, recording, check, d.verdict))
+            told(steps[-1])
+        chosen = _worth_adding(d, steps[-1])
+        if chosen is None or len(steps) > most:
+            return Improvement(
+                recording.name, tuple(steps), best, d.verdict if len(steps) == 1 else _left(d), tuple(diagnoses)
+            )
+        name = chosen.name
+        entry = {
+            "recording": recording.name,
+            "evidence": chosen.evidence,
+            "verdict": d.verdict,
+            "error_before": steps[-1].error,
+        }
+        best = added(best, replace(chosen.crane, history=best.history), **entry)
+        steps.append(_step(name, best, d, recording, check, d.verdict))
+        told(steps[-1])
+        if not chosen.effects:
+            return Improvement(recording.name, tuple(steps), best, "adequate", tuple(diagnoses))
+        for key in chosen.effects:
+            acting = chosen.crane.effect(key)
+            assert acting is not None
+            current = current.with_effect(key, acting.parameters)
+
+
+def _left(d: Diagnosis) -> str:
+    """Return the verdict on what is left after a step: parameters that moved along are part of the step."""
+    return "adequate" if d.verdict == "parameters" else d.verdict
+
+
+def _worth_adding(d: Diagnosis, last: Step) -> Candidate | None:
+    """Return what a diagnosis justifies to add: its choice, or the best candidate if the error falls by a tenth all the same."""
+    if d.verdict == "adequate" or (d.verdict == "parameters" and last.added is not None):
+        return None
+    if d.verdict in ("effect", "tied", "parameters"):
+        return next(c for c in d.candidates if c.effects == d.effects)
+    best = next((c for c in d.candidates if c.effects), None)
+    if best is None or math.isnan(best.error_after):
+        return None
+    judged = best.check_error_after if not math.isnan(best.check_error_after) else best.error_after
+    before = last.check_error if not math.isnan(best.check_error_after) else last.error
+    return best if judged < (1.0 - WORTH) * before else None
+
+
+def _step(
+    name: str | None, crane: Crane, d: Diagnosis, recording: Recording, check: Recording | None, verdict: str
+) -> Step:
+    error, searched = exudyn_error(crane, recording, d.late)
+    check_error = exudyn_error(crane, check, d.late)[0] if check is not None else math.nan
+    text = sentence(d)
+    if abs(error - searched) > AGREEMENT * max(error, searched):
+        text += f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
+    return Step(name, error, check_error, nis_mean(crane, recording), verdict, searched, text)
+
+
+def exudyn_error(crane: Crane, recording: Recording, late: float) -> tuple[float, float]:
+    """Return the open-loop RMS error in noise units on the Exudyn engine, and on the engine of the search, from the same start."""
+    from crane_exudyn.engine import ExudynEngine
+
+    data = FitData.of(recording, crane)
+    searched, fit = open_loop_error(crane, data, first_knots(crane, data, SHORT), late)
+    model = model_of(crane, data.shifted(late))
+    squares, count = 0.0, 0
+    engine = ExudynEngine(crane)
+    for window, x0 in zip(fit.windows, fit.knots, strict=True):
+        rows = slice(window.start, window.start + len(window.data.time))
+        X = engine.simulate(x0, window.data.time, model.W[rows])
+        Z = shown(data.channels, output_rows(data.channels, X, model.P)[0], model.E, data.step)
+        for j, s in enumerate(window.data.samples):
+            r = (s.values - Z[s.index, j] - s.fraction * (Z[s.index + 1, j] - Z[s.index, j])) / s.noise
+            squares, count = squares + float(r @ r), count + len(r)
+    return math.sqrt(squares / max(count, 1)), searched
+
+
+def nis_mean(crane: Crane, recording: Recording) -> float:
+    """Return the mean normalised innovation squared of the filter over a recording (expected: the number of sensors)."""
+    from ukf.estimator import Estimator
+
+    noise = recording.noise()
+    std = {c: crane.sensors.get(c, noise[c]) for c in recording.sensors}
+    return float(Estimator(crane, "semi-recursive", std, max_step=2.5e-3).run(recording).nis_mean)

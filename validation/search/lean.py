@@ -1,0 +1,82 @@
+"""The fewest nominal parameters that have to move.
+
+A fit that moves everything that is uncertain explains a recording as well as one that moves what was wrong, but predicts worse: small moves
+that the data hardly determine add up elsewhere. So the chosen explanation is fitted again with the nominal parameters held, and those are
+let go one by one that bring more evidence than their freedom costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+
+from ..fit.data import FitData
+from ..fit.linear import columns_of, model_at, normal_equations
+from ..fit.solve import Fit, reduce, with_prior
+from ..fit.staged import STIFF, TIGHT, timing_of
+from ..fit.variables import Variable, effect_variables, uncertain_parameters
+from .weigh import Weighed, weigh
+
+#: log evidence that a parameter must bring to be let go, and at most so many of them
+_WORTH, _MOST = 2.0, 10
+
+
+def leaner(crane: Crane, data: FitData, full: Weighed) -> Weighed:
+    """Return the explanation with the fewest moved parameters, or `full` where moving everything is better supported."""
+    own = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
+    held = [timing_of(data), *own]
+    bare = weigh(crane, data, held, full.fit, full.hypothesis, (TIGHT, STIFF))
+    tried = [full, bare]
+    let_go = needed(crane, data, bare.fit)
+    if let_go:
+        tried.append(weigh(crane, data, [*held, *let_go], full.fit, full.hypothesis, (TIGHT, STIFF)))
+        more = needed(crane, data, tried[-1].fit, most=4)
+        if more:
+            again = [*held, *let_go, *more]
+            tried.append(weigh(crane, data, again, tried[-1].fit, full.hypothesis, (TIGHT, STIFF)))
+    return max(tried, key=lambda w: w.evidence)
+
+
+def needed(crane: Crane, data: FitData, fit: Fit, most: int = _MOST) -> list[Variable]:
+    """Return the nominal parameters whose freedom the linearised fit supports, the most telling first."""
+    names = {v.name for v in fit.variables}
+    offered: list[Variable] = [v for v in uncertain_parameters(crane) if v.name not in names]
+    variables = [*fit.variables, *offered]
+    u = np.concatenate([fit.u, np.zeros(len(offered))])
+    base = model_at(crane, variables, u, data)
+    linear = normal_equations(
+        fit.windows, fit.knots, base, columns_of(crane, variables, u, base, data), STIFF.stiffness
+    )
+    if linear.failed:
+        return []
+    H, g = with_prior(reduce(linear, fit.knots, fit.knots), variables, u)
+    return [offered[j] for j in _forward(H, g, len(fit.u), most, offered)]
+
+
+def _forward(H: np.ndarray, g: np.ndarray, m: int, most: int, offered: Sequence[Variable]) -> list[int]:
+    """Choose columns one by one by the evidence they add, those chosen and the first m projected out."""
+    chosen: list[int] = []
+    while len(chosen) < most:
+        fixed = [*range(m), *(m + j for j in chosen)]
+        solved = (
+            np.linalg.lstsq(H[np.ix_(fixed, fixed)], np.column_stack([H[fixed], g[fixed]]), rcond=None)[0]
+            if fixed
+            else None
+        )
+        slope = g - (H[:, fixed] @ solved[:, -1] if solved is not None else 0.0)
+        bend = np.diag(H) - (np.einsum("ij,ji->i", H[:, fixed], solved[:, :-1]) if solved is not None else 0.0)
+        gains = {}
+        for j, variable in enumerate(offered):
+            if j in chosen or not bend[m + j] > 1e-9:
+                continue
+            prior = 1.0 if np.isfinite(variable.prior) else 0.25
+            total = bend[m + j] + (0.0 if np.isfinite(variable.prior) else prior)
+            gains[j] = 0.5 * slope[m + j] ** 2 / total - 0.5 * np.log(max(total / prior, 1.0))
+        best = max(gains, key=lambda j: gains[j], default=None)
+        if best is None or gains[best] < _WORTH:
+            break
+        chosen.append(best)
+    return chosen
