@@ -14,7 +14,7 @@ def command(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            "--only", metavar="PART", help="start_up, open_loop, filters, diagnose or memory; may be repeated."
+            "--only", metavar="PART", help="start_up, open_loop, filters, diagnosis or memory; may be repeated."
         ),
     ] = None,
     crane: CraneOption = DEFAULT_CRANE,

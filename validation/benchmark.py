@@ -5,6 +5,7 @@ Kernels are compiled before the clock starts; times are the best of a few repeti
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 import time
@@ -248,6 +249,38 @@ def _naive(crane: Crane, experiment: Any) -> float:
     return seconds_of(walk)
 
 
+def diagnosis(results: Results, crane: Crane) -> None:
+    """A diagnosis of 25 s at 200 Hz against all effects and places with two processes, and where its time goes."""
+    from .diagnosis import diagnose
+
+    diagnose_once = partial(diagnose, crane, leaking_recording(crane), jobs=2)
+    stages: list[tuple[str, float]] = []
+    begin = time.perf_counter()
+    found = diagnose_once(progress=lambda text, _: stages.append((text, time.perf_counter())))
+    end = time.perf_counter()
+    results.add("diagnosis", end - begin, "s", "real_time")
+    results.add("diagnosis.weighed", len(found.candidates), "1")
+    ends = [at for _, at in stages[1:]] + [end]
+    for (text, at), until in zip(stages, ends, strict=True):
+        results.add(f"diagnosis.{text.replace(' ', '_')}", until - at, "s", "diagnosis")
+
+
+def leaking_recording(crane: Crane, rate: float = 200.0) -> Any:
+    """Return a recording of the paper's cycle on a crane whose lift cylinder leaks: z1, z4, all pressures, with noise."""
+    from crane_exudyn.recording import Recording
+    from crane_exudyn.simulation import simulate
+    from ukf.process import engine_of
+
+    leaking = crane.with_effect("internal_leakage@lift", {"k": 5e-12})
+    run = simulate(leaking, engine=engine_of("semi-recursive", leaking))
+    every = slice(None, None, round(1.0 / (rate * _STEP)))
+    rng = np.random.default_rng(0)
+    noise = {"z1": math.radians(0.05), "z4": math.radians(0.05)} | dict.fromkeys(("p1", "p2", "p3", "p4"), 0.3e5)
+    measured = {n: run[n][every] + std * rng.normal(size=len(run.time[every])) for n, std in noise.items()}
+    commands = {n: run[n][every] for n in ("u1", "u2")}
+    return Recording.from_arrays("leaking lift cylinder", run.time[every], commands | measured)
+
+
 def memory(results: Results, crane: Crane) -> None:
     """Memory of this process: now, and how much four open-loop runs more leave behind."""
     from ukf.process import engine_of
@@ -267,5 +300,6 @@ PARTS: dict[str, Callable[[Results, Crane], None]] = {
     "start_up": start_up,
     "open_loop": open_loop,
     "filters": filters,
+    "diagnosis": diagnosis,
     "memory": memory,
 }
