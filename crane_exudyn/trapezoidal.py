@@ -92,18 +92,20 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0, status, la
 
 
 @njit
-def _tangents(P, E, w, s1, s2, ds1, ds2, p, rates, Fv, Fp, Rv, Rp):
+def _tangents(P, E, w, h, s1, s2, ds1, ds2, p, rates, Fv, Fp, Rv, Rp):
     """Fill the derivatives of cylinder forces and pressure rates after cylinder speeds and pressures, by differences.
+
+    A speed at the end of the step moves the length by h/2 of it, which belongs to the derivative after the speed.
 
     rates (4,): raw pressure rates. Fv (2,): dF_c/dv_c. Fp (2, 4), Rv (4, 2), Rp (4, 4) likewise. Chamber j and j + 2 belong to
     different cylinders and are moved together, except where an effect ties both cylinders to the supply.
     """
     F1, F2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
     tied = hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
-    G1, G2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1 + _DV, ds2 + _DV, p)
+    moved, ds = np.empty(4), 0.5 * h * _DV
+    G1, G2 = hyd.cylinder_forces(P, E, w, s1 + ds, s2 + ds, ds1 + _DV, ds2 + _DV, p)
     Fv[0], Fv[1] = (G1 - F1) / _DV, (G2 - F2) / _DV
-    moved = np.empty(4)
-    hyd.all_pressure_rates(P, E, w, s1, s2, ds1 + _DV, ds2 + _DV, p, moved)
+    hyd.all_pressure_rates(P, E, w, s1 + ds, s2 + ds, ds1 + _DV, ds2 + _DV, p, moved)
     for i in range(4):
         Rv[i, i // 2] = (moved[i] - rates[i]) / _DV
     for j in range(2):
@@ -176,21 +178,17 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0, statu
         for i in range(nu):
             D[0, i], D[1, i] = red.cylinder_rates(arms, N[i], e1x, e1y, e2x, e2y)
         Rp[:] = 0.0
-        _tangents(Pk, Ek, w[k], s1, s2, ds1, ds2, pk, rates, Fv, Fp, Rv, Rp)
-        # joints first: d is the change of velocity that closes them
+        _tangents(Pk, Ek, w[k], h, s1, s2, ds1, ds2, pk, rates, Fv, Fp, Rv, Rp)
         start_g = n * (width + 4) + rows * k
         for i in range(rows):
             g[i] = -residual[start_g + i]
-        red.chain(arms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, g, d)
+        red.chain(arms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, g, d)  # the change of velocity that closes the joints
         _fill_system(Ek, h, mk, N, D, vk, Fv, Fp, Rv, Rp, work, A)
-        d1, d2 = red.cylinder_rates(arms, d, e1x, e1y, e2x, e2y)
         red.mass_times(mk, d, work)
-        for i in range(nu):
-            b[i] = D[0, i] * Fv[0] * d1 + D[1, i] * Fv[1] * d2
-            for j in range(width):
-                b[i] -= N[i, j] * (residual[width * k + j] / scale + 2.0 / h * work[j])
-        for j in range(4):
-            b[nu + j] = -residual[n * width + 4 * k + j] - Rv[j, 0] * d1 - Rv[j, 1] * d2
+        for j in range(width):
+            work[j] = residual[width * k + j] / scale + 2.0 / h * work[j]
+        d1, d2 = red.cylinder_rates(arms, d, e1x, e1y, e2x, e2y)
+        _fill_right_side(N, D, Fv, Rv, d1, d2, work, residual[n * width + 4 * k :], b)
         _hold_floor(Pk, h, rates, pk, p0[k], dp0[k], nu, A, b)
         if not red.solve(A, b):
             status[k] = SINGULAR
@@ -199,6 +197,16 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0, statu
         status[k], last[k] = _judge(change, last[k]), change
         active += status[k] == ITERATING
     return active
+
+
+@njit
+def _fill_right_side(N, D, Fv, Rv, d1, d2, force, rate, b):
+    """Fill b for residuals `force` (nq,) and `rate` (4,), and cylinder speeds d1, d2 that closing the joints adds."""
+    nu = N.shape[0]
+    for i in range(nu):
+        b[i] = D[0, i] * Fv[0] * d1 + D[1, i] * Fv[1] * d2 - red.dot(N[i], force)
+    for j in range(4):
+        b[nu + j] = -rate[j] - Rv[j, 0] * d1 - Rv[j, 1] * d2
 
 
 @njit
