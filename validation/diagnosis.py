@@ -18,7 +18,7 @@ from crane_exudyn.recording import Recording
 
 from .fit.data import FitData
 from .fit.solve import Fit
-from .fit.staged import LOOSE, SHORT, STIFF, TIGHT, all_parameters, first_knots, informed_directions, timing_of
+from .fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions, timing_of
 from .fit.variables import Variable, effect_variables
 from .search.candidates import scaled, starts
 from .search.lean import leaner
@@ -215,13 +215,22 @@ def diagnose(
         finished = _with_pairs(search, loose, finished, parameters)
     progress("weighing", 0.9)
     result = _conclude(search, as_given, parameters, finished, notes)
+    if result.verdict == "unknown":
+        result = replace(result, where=_where(crane, recording) or result.where)
     return replace(_with_errors(result, search, recording, check, as_given), seconds=time.perf_counter() - began)
+
+
+def _where(crane: Crane, recording: Recording) -> tuple[Mapping[str, Any], ...]:
+    """Return which balance is violated when, as `compare` finds it."""
+    from .compare import compare
+
+    return tuple(finding.to_dict() for finding in compare(crane, recording).where)
 
 
 def _prepare(crane: Crane, data: FitData, jobs: int, progress: Progress) -> _Search:
     """Fit all nominal parameters in short windows and keep the directions that the data speak about."""
     base = all_parameters(crane, data)
-    own = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
+    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
     return _Search(crane, data, jobs, progress, base, [*informed_directions(base), *own])
 
 
@@ -298,9 +307,9 @@ def _conclude(
 ) -> Diagnosis:
     """Return the verdict."""
     best = finished[0] if finished else None
-    if best is None or (best.evidence < parameters.evidence + PROOF and _good(parameters)) or _good(as_given):
-        if _good(parameters) or _good(as_given):
-            return _without_effect(search, as_given, parameters, finished, notes)
+    enough = _good(as_given) or _good(parameters)
+    if enough and (best is None or best.evidence < max(parameters.evidence, as_given.evidence) + PROOF):
+        return _without_effect(search, as_given, parameters, finished, notes)
     if best is None or not _explains(best, parameters):
         return _verdict(search, "unknown", best, parameters, finished, notes)
     ties = [
@@ -385,7 +394,7 @@ def _sensor_unit(key: str) -> str:
 
 def moved_parameters(search: _Search, chosen: Weighed) -> dict[str, dict[str, Any]]:
     """Return the nominal parameters that moved by more than a tenth of their uncertainty: value, std, nominal, unit."""
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     prior = {
         n: (k.std if math.isfinite(k.std) else 0.25 * (k.upper - k.lower)) for n, k in search.crane.uncertainty.items()
     }
@@ -416,7 +425,7 @@ def _posterior(search: _Search, chosen: Weighed, prior: Mapping[str, float]) -> 
 
 def left_over(w: Weighed) -> tuple[Mapping[str, Any], ...]:
     """Return the stretches of the recording that a fit leaves unexplained, worst first."""
-    found = []
+    found: list[dict[str, Any]] = []
     for k in np.flatnonzero(w.bad):
         window, error = w.fit.windows[k].data, float(w.fit.linear.window_error[k])
         start, end = float(window.time[0]), float(window.time[-1])
@@ -435,38 +444,30 @@ def _with_errors(
     d: Diagnosis, search: _Search, recording: Recording, check: Recording | None, as_given: Weighed
 ) -> Diagnosis:
     """Add open-loop errors on both recordings: of the crane as given, of the candidates that came near, of the choice."""
-    before, _ = open_loop_error(search.crane, search.data, as_given.fit, as_given.fit.late)
-    check_data = FitData.of(check, search.crane) if check is not None else None
-    check_before = _check_error(search.crane, check_data, as_given.fit.late)
-    best = d.candidates[0].evidence if d.candidates else 0.0
-    candidates = []
-    for i, c in enumerate(d.candidates):
-        after, check_after = math.nan, math.nan
-        if i < 2 or c.evidence > best - 3 * TIE:
-            after, _ = open_loop_error(c.crane, search.data, search.base, d.late)
-            check_after = _check_error(c.crane, check_data, d.late)
-        candidates.append(
-            replace(
-                c,
-                error_before=before,
-                error_after=after,
-                check_error_before=check_before,
-                check_error_after=check_after,
-            )
+    best = max((c.evidence for c in d.candidates), default=0.0)
+    near = [c for i, c in enumerate(d.candidates) if i < 2 or c.evidence > best - 3 * TIE or c.effects == d.effects]
+    cranes = [(search.crane, as_given.fit), *((c.crane, search.base) for c in near)]
+    tasks = [delayed(_error)(crane, recording, d.late, fit) for crane, fit in cranes]
+    tasks += [delayed(_error)(crane, check, d.late, None) for crane, _ in cranes] if check is not None else []
+    errors = Parallel(n_jobs=search.jobs, max_nbytes=None)(tasks)
+    learned, checked = errors[: len(cranes)], errors[len(cranes) :] or [math.nan] * len(cranes)
+    before, check_before = learned[0], checked[0]
+    after = {id(c): (e, k) for c, e, k in zip(near, learned[1:], checked[1:], strict=True)}
+    candidates = [
+        replace(
+            c, error_before=before, check_error_before=check_before,
+            error_after=after.get(id(c), (math.nan,) * 2)[0], check_error_after=after.get(id(c), (math.nan,) * 2)[1],
         )
-    chosen = next((c for c in candidates if c.crane == d.crane), None)
-    after = chosen.error_after if chosen else before
-    check_after = chosen.check_error_after if chosen else check_before
-    if math.isnan(after):
-        after, _ = open_loop_error(d.crane, search.data, search.base, d.late)
-        check_after = _check_error(d.crane, check_data, d.late)
+        for c in d.candidates
+    ]  # fmt: skip
+    unchanged = d.verdict in ("adequate", "unknown")
+    chosen = None if unchanged else next(c for c in candidates if c.effects == d.effects)
     return replace(
-        d, candidates=tuple(candidates), error_before=before, error_after=after,
-        check_error_before=check_before, check_error_after=check_after,
+        d, candidates=tuple(candidates), error_before=before, check_error_before=check_before,
+        error_after=chosen.error_after if chosen else before,
+        check_error_after=chosen.check_error_after if chosen else check_before,
     )  # fmt: skip
 
 
-def _check_error(crane: Crane, data: FitData | None, late: float) -> float:
-    if data is None:
-        return math.nan
-    return open_loop_error(crane, data, first_knots(crane, data, SHORT), late)[0]
+def _error(crane: Crane, recording: Recording, late: float, knots: Fit | None) -> float:
+    return open_loop_error(crane, recording, late, knots)[0]

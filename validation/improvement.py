@@ -14,7 +14,7 @@ from crane_exudyn.recording import Recording
 from .diagnosis import Candidate, Diagnosis, diagnose, sentence
 from .fit.data import FitData
 from .fit.model import model_of, output_rows, shown
-from .fit.staged import SHORT, first_knots
+from .fit.staged import rms
 from .history import added
 from .search.weigh import open_loop_error
 
@@ -162,19 +162,16 @@ def exudyn_error(crane: Crane, recording: Recording, late: float) -> tuple[float
     """Return the open-loop RMS error in noise units on the Exudyn engine, and on the engine of the search, from the same start."""
     from crane_exudyn.engine import ExudynEngine
 
-    data = FitData.of(recording, crane)
-    searched, fit = open_loop_error(crane, data, first_knots(crane, data, SHORT), late)
-    model = model_of(crane, data.shifted(late))
-    squares, count = 0.0, 0
-    engine = ExudynEngine(crane)
-    for window, x0 in zip(fit.windows, fit.knots, strict=True):
-        rows = slice(window.start, window.start + len(window.data.time))
-        X = engine.simulate(x0, window.data.time, model.W[rows])
-        Z = shown(data.channels, output_rows(data.channels, X, model.P)[0], model.E, data.step)
-        for j, s in enumerate(window.data.samples):
-            r = (s.values - Z[s.index, j] - s.fraction * (Z[s.index + 1, j] - Z[s.index, j])) / s.noise
-            squares, count = squares + float(r @ r), count + len(r)
-    return math.sqrt(squares / max(count, 1)), searched
+    searched, fit = open_loop_error(crane, recording, late)
+    data = FitData.of(recording, crane, rate=math.inf).shifted(late)
+    model = model_of(crane, data)
+    X = ExudynEngine(crane).simulate(fit.knots[0], data.time, model.W)
+    Z = shown(data.channels, output_rows(data.channels, X, model.P)[0], model.E, data.step)
+    parts = {}
+    for j, s in enumerate(data.samples):
+        predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
+        parts[s.channel] = (data.time[s.index], (s.values - predicted) / s.noise)
+    return rms(parts), searched
 
 
 def nis_mean(crane: Crane, recording: Recording) -> float:

@@ -11,6 +11,7 @@ import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -83,7 +84,7 @@ def cut(data: FitData, seconds: float) -> list[Window]:
     steps = len(data.time) - 1
     number = max(1, round(steps * data.step / seconds))
     edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
-    return [Window(int(a), data.part(int(a), int(b))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [Window(int(a), data.part(int(a), int(b))) for a, b in pairwise(edges)]
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,7 @@ def _swept(
         yield from (sweep_window(w, x0, base, columns, channels) for w, x0 in zip(windows, knots, strict=True))
         return
     with ThreadPoolExecutor(THREADS) as pool:
-        yield from pool.map(lambda pair: sweep_window(*pair, base, columns, channels), zip(windows, knots, strict=True))
+        yield from pool.map(lambda k: sweep_window(windows[k], knots[k], base, columns, channels), range(len(windows)))
 
 
 def _add_data(linear: Linear, k: int, part: Swept, channels: tuple[str, ...], scale: np.ndarray) -> None:

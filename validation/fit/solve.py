@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -76,7 +77,8 @@ def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
     H = linear.Hxx + np.diag(weak)
     g = linear.gx + weak * (knots - guess) / JUMP[:nx]
     right = np.concatenate([linear.Hxu, g[:, :, None]], axis=2)
-    factors, off = [], linear.Hxo
+    factors: list[Any] = []
+    off = linear.Hxo
     for k in range(K):
         if k:
             link = cho_solve(factors[k - 1], off[k - 1])
@@ -249,8 +251,3 @@ def reknot(fit: Fit, data: FitData, windows: Sequence[Window]) -> np.ndarray:
     """Return first states of other windows that begin where windows of the fit begin."""
     starts = [w.start for w in fit.windows]
     return np.array([fit.knots[int(np.argmin(np.abs(np.array(starts) - w.start)))] for w in windows])
-
-
-def frozen(fit: Fit) -> Fit:
-    """Return the fit with its values taken over as the crane's own, no variable left."""
-    return replace(fit, variables=(), u=np.zeros(0), cov=np.zeros((0, 0)))

@@ -66,7 +66,7 @@ def first_knots(crane: Crane, data: FitData, seconds: float = SHORT) -> np.ndarr
     return knots_of(crane, data, cut(data, seconds))
 
 
-def informed_directions(result: Fit) -> list[NominalDirection]:
+def informed_directions(result: Fit) -> list[Variable]:
     """Return the combinations of nominal parameters that a fit of all of them found the data to speak about.
 
     The others stay at their nominal values: the data could not move them, so they need not be carried along.
@@ -123,5 +123,5 @@ def timing_of(data: FitData) -> Timing:
 
 def all_parameters(crane: Crane, data: FitData, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
     """Return the fit of all uncertain nominal parameters in windows."""
-    variables = [*uncertain_parameters(crane), timing_of(data)]
+    variables: list[Variable] = [*uncertain_parameters(crane), timing_of(data)]
     return staged(crane, data, variables, np.zeros(len(variables)), first_knots(crane, data), stages)

@@ -12,7 +12,7 @@ from crane_exudyn.recording import Recording
 
 from ..fit.data import FitData
 from ..fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions
-from ..fit.variables import effect_variables
+from ..fit.variables import Variable, effect_variables
 from ..history import added
 from .candidates import scaled, starts
 from .screen import screen
@@ -34,7 +34,7 @@ def fitted_effect(
         )
     data = FitData.of(recording, crane)
     base = all_parameters(crane, data)
-    own = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
+    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
     shared = [*informed_directions(base), *own]
     begins = [
         scaled(s.start, s.amplitude)
@@ -46,8 +46,8 @@ def fitted_effect(
         raise CraneError(f"{recording.name} says nothing about {key!r}: no channel shows it.")
     best = max(loose, key=lambda w: w.evidence)
     done = weigh(crane, data, shared, best.fit, best.hypothesis, (TIGHT, STIFF))
-    before, _ = open_loop_error(crane, data, base)
-    after, _ = open_loop_error(done.fit.crane, data, base, done.fit.late)
+    before, _ = open_loop_error(crane, recording)
+    after, _ = open_loop_error(done.fit.crane, recording, done.fit.late)
     found, spread = fitted_values(done, key), deviations(done, key)
     document = {
         "parameters": {n: {"value": v, "std": spread.get(n)} for n, v in found.items()},

@@ -26,8 +26,8 @@ _WORTH, _MOST = 2.0, 10
 
 def leaner(crane: Crane, data: FitData, full: Weighed) -> Weighed:
     """Return the explanation with the fewest moved parameters, or `full` where moving everything is better supported."""
-    own = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
-    held = [timing_of(data), *own]
+    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
+    held: list[Variable] = [timing_of(data), *own]
     bare = weigh(crane, data, held, full.fit, full.hypothesis, (TIGHT, STIFF))
     tried = [full, bare]
     let_go = needed(crane, data, bare.fit)

@@ -10,11 +10,12 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
+from crane_exudyn.recording import Recording
 
 from ..fit.data import FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, Stage, residuals, rms, staged
+from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, Stage, first_knots, residuals, rms, staged
 from ..fit.variables import EffectParameter, Variable, effect_variables
 
 #: a window counts as explained up to this error, in noise units
@@ -83,11 +84,24 @@ def threshold(fit: Fit) -> np.ndarray:
     return np.maximum(EXPLAINED, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(counts, 1)))
 
 
-def open_loop_error(crane: Crane, data: FitData, knots: Fit | np.ndarray, late: float = 0.0) -> tuple[float, Fit]:
-    """Return the RMS error, in noise units, of an open-loop run of a crane whose start alone is fitted, and that fit."""
-    stages = (STIFF, WHOLE) if isinstance(knots, Fit) else (LOOSE, TIGHT, STIFF, WHOLE)
-    fit = staged(crane, data.shifted(late), (), np.zeros(0), knots, stages)
-    return rms(residuals(fit.crane, data.shifted(late), fit.knots[0])), fit
+def open_loop_error(
+    crane: Crane, recording: Recording, late: float = 0.0, knots: Fit | None = None
+) -> tuple[float, Fit]:
+    """Return the RMS error over all samples, in noise units, of an open-loop run whose start alone is fitted, and that fit.
+
+    Args:
+        crane: the crane as it is.
+        recording: what it is held against.
+        late: seconds by which the commands come after their stamps.
+        knots: a fit to this recording from which to take first states; guessed from the measurements if there is none.
+    """
+    data = FitData.of(recording, crane).shifted(late)
+    if knots is None:
+        fit = staged(crane, data, (), np.zeros(0), first_knots(crane, data), (LOOSE, TIGHT, STIFF, WHOLE))
+    else:
+        fit = staged(crane, data, (), np.zeros(0), knots, (STIFF, WHOLE))
+    every = FitData.of(recording, crane, rate=math.inf).shifted(late)
+    return rms(residuals(crane, every, fit.knots[0])), fit
 
 
 def fitted_values(weighed: Weighed, key: str) -> dict[str, float]:
