@@ -283,9 +283,10 @@ class Scene:
             reached.append(pose(self.crane, t.z1[::step], t.z4[::step]).points.reshape(-1, 2))
         low, high = np.min(np.vstack(reached), axis=0) - 0.45, np.max(np.vstack(reached), axis=0) + 0.45
         wide, tall = high - low
-        height = max(1.22 * tall, 1.06 * wide * self.size[1] / self.size[0])  # room for the heading
+        above, below = 0.14, 0.06 if self.colour is None else 0.20  # shares of the height for heading and colour scales
+        height = max(tall / (1.0 - above - below), 1.06 * wide * self.size[1] / self.size[0])
         x, y = (low + high) / 2.0
-        return (float(x), float(y + 0.04 * height), 0.0), float(height)
+        return (float(x), float(y + 0.5 * (above - below) * height), 0.0), float(height)
 
     # -- what changes with time ----------------------------------------------------------------------------------------
 
@@ -569,9 +570,10 @@ def _scales(trajectories: Sequence[Trajectory], colour: Colour | None) -> dict[s
 
 
 def _round_up(value: float) -> float:
-    """Return the next of 1, 2, 5, 10, … times a power of ten."""
+    """Return the next round number: 1, 1.5, 2, 3, 4, 5, 6, 8 or 10 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(max(value, 1e-6)))
-    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-12))
+    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    return next(step * power for step in steps if step * power >= value * (1.0 - 1e-12))
 
 
 # -- colours ---------------------------------------------------------------------------------------------------------

@@ -197,8 +197,14 @@ def mark_intervals(axes: Axes, marks: Sequence[tuple[float, float, str]], *, tex
         for start, end, words in marks:
             axes.axvspan(start, end, facecolor="#f3e3b3", edgecolor="#b08d2a", hatch="///", alpha=0.5, lw=0, zorder=0)
             if text:
-                at = ((start + end) / 2, 1.02)
-                axes.annotate(words, at, xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=8)
+                box = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "#b08d2a", "linewidth": 0.6}
+                where: dict[str, Any] = {
+                    "xycoords": ("data", "axes fraction"),
+                    "ha": "center",
+                    "va": "top",
+                    "zorder": 9,
+                }
+                axes.annotate(words, ((start + end) / 2, 0.96), fontsize=8, bbox=box, **where)
 
 
 def legend_above(made: Figure) -> None:
