@@ -183,7 +183,10 @@ def _effect(table: Any, where: str) -> Acting:
                 f"{where}: effect {table['name']!r}: unknown key {key!r}.{nearest(key, ['name', 'place', 'parameters'])}"
             )
     place = str(table.get("place", ""))
-    effect, _ = registry.split_key(f"{table['name']}@{place}" if place else str(table["name"]))
+    try:
+        effect, _ = registry.split_key(f"{table['name']}@{place}" if place else str(table["name"]))
+    except CraneError as problem:
+        raise CraneError(f"{where}: {problem}") from problem
     units = {p.name: unit_at(p.unit, place) for p in effect.parameters}
     numbers = _read(table.get("parameters", {}), units, f"{where}: effect {effect.name!r}")
     return Acting(effect.name, place, MappingProxyType(complete(effect, numbers)))

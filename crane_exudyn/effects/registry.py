@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import sys
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -126,6 +127,7 @@ def load_file(path: str | Path) -> list[type[Effect]]:
     spec = importlib.util.spec_from_file_location(f"user_effects_{file.stem}", file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # so that its source can be found: worker processes and the cache of compiled code need it
     try:
         spec.loader.exec_module(module)
     except Exception as problem:
