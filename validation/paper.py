@@ -144,7 +144,7 @@ class Case:
 
     @property
     def published(self) -> dict[str, float] | None:
-        """The published row, where there is one for this case."""
+        """The published row, where there is one for this case (it is for the whole cycle)."""
         return PUBLISHED if (self.model_error, self.inputs) == (0.15, 1) else None
 
     @property
@@ -249,6 +249,7 @@ def run_case(
     *,
     tuning: str = "paper",
     crane: Crane | None = None,
+    duration: float = DURATION,
     experiment: Experiment | None = None,
     open_loop: np.ndarray | None = None,
     progress: Callable[[float], None] | None = None,
@@ -262,11 +263,12 @@ def run_case(
         seed: of the sensors' noise.
         tuning: "paper", or "own" for the estimator's own means.
         crane: the real system; default the built-in crane.
+        duration: length of the run, s.
         experiment, open_loop: what an earlier case has computed already for the same engine, inputs, seed and error.
         progress: called with the fraction of the filter's run that is done.
     """
     crane = crane if crane is not None else Crane.load("patu655")
-    experiment = experiment if experiment is not None else real_system(crane, inputs, engine, seed)
+    experiment = experiment if experiment is not None else real_system(crane, inputs, engine, seed, duration)
     wrong = wrong_crane(crane, model_error)
     open_loop = open_loop if open_loop is not None else simulation_model(wrong, experiment, engine)
     model, used = engine_of(engine, wrong), engine

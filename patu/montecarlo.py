@@ -1,0 +1,97 @@
+"""`patu montecarlo`: is the filter consistent, over many runs?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
+from .output import Printer, announce_compilation, progress, write_json
+
+if TYPE_CHECKING:
+    from validation.montecarlo import Series
+
+
+def command(
+    runs: Annotated[int, typer.Option("--runs", "-n", metavar="N", help="How many runs.")] = 20,
+    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="J", help="Processes on this machine.")] = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster; local for one made here."),
+    ] = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE", help="Every finished run, a line each; a killed series goes on."
+        ),
+    ] = None,
+    model_error: Annotated[
+        float, typer.Option("--error", metavar="SHARE", help="Error of the filter's model; 0 for a perfect one.")
+    ] = 0.0,
+    inputs: Annotated[int, typer.Option("--inputs", metavar="1|2|3", help="Input set.")] = 3,
+    duration: Annotated[float, typer.Option("--duration", metavar="SECONDS", help="Length of a run.")] = 25.0,
+    step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Time between two samples.")] = 1e-3,
+    method: Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|ekf", help="Which filter.")] = "ukf",
+    seed: Annotated[int, typer.Option("--seed", help="Of the series.")] = 0,
+    engine: EngineOption = "semi-recursive",
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Test over many runs whether the filter is as good as it says: NEES, NIS and coverage against their bounds.
+
+    In every run the crane is shaken by the noise that the filter assumes, and starts where the filter thinks it may. With a perfect
+    model the answer should be yes, with --error it should be no (exit status 1).
+    """
+    _check(runs, inputs, duration, step, model_error, method)
+    chosen = load_crane(crane, effects)
+    announce_compilation()
+    from validation.montecarlo import Settings, run_series
+
+    settings = Settings(model_error, inputs, duration, step, engine, method, seed=seed)
+    with progress(f"{runs} runs") as done:
+        series = run_series(settings, runs, crane=chosen, jobs=jobs, scheduler=scheduler, file=file, progress=done)
+    write_json(json, series.document())
+    tell(Printer(json), series)
+    raise typer.Exit(0 if series.consistent else 1)
+
+
+def _check(runs: int, inputs: int, duration: float, step: float, error: float, method: str) -> None:
+    from crane_exudyn.errors import CraneError, nearest
+
+    methods = ["ukf", "sr-ukf", "ckf", "ekf"]
+    if runs < 1:
+        raise CraneError(f"--runs {runs}: give at least 1.")
+    if inputs not in (1, 2, 3):
+        raise CraneError(f"--inputs {inputs}: there are the input sets 1, 2 and 3.")
+    if not (step > 0 and duration >= 10 * step):
+        raise CraneError(f"--duration {duration:g} with --step {step:g}: a run needs at least ten samples.")
+    if not 0.0 <= error < 1.0:
+        raise CraneError(f"--error {error:g}: give a share between 0 and 1, such as 0.15 for 15 %.")
+    if method not in methods:
+        raise CraneError(f"--method {method!r} is not known.{nearest(method, methods)}")
+
+
+def tell(printer: Printer, series: Series) -> None:
+    """Print NEES at its checkpoints, NIS, coverage and the answer."""
+    d = series.document()
+    low, high = d["nees_bounds"]
+    printer.line(f"NEES over {d['runs']} runs at shares of the run (expected 8, bounds {low:.2f} to {high:.2f})")
+    printer.table(
+        "",
+        ("at", *(f"{100 * float(share):g} %" for share in d["nees"])),
+        [("NEES", *(round(v, 2) for v in d["nees"].values()))],
+    )
+    printer.table(
+        "",
+        ("", *d["coverage95"]),
+        [
+            ("inside 95 %, % of time", *(round(100 * v, 1) for v in d["coverage95"].values())),
+            ("PN-RMSE %", *(float(v) for v in d["pn_rmse"].values())),
+        ],
+    )
+    low, high = d["nis_bounds"]
+    printer.line(f"NIS a measured value {d['nis_per_value']:.4f} (expected 1, bounds {low:.4f} to {high:.4f})")
+    printer.line("Consistent." if d["consistent"] else "Not consistent: the filter is not as good as it says.")

@@ -1,0 +1,155 @@
+"""The paper's experiment and its goals; the Monte Carlo series around it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+from validation import montecarlo, paper
+from validation.metrics import pn_rmse, r2
+
+CRANE = Crane.load("patu655")
+FAST = "semi-recursive"
+
+
+def test_errors_of_the_model_are_the_papers():
+    wrong = paper.wrong_crane(CRANE, 0.15)
+    assert wrong["bodies.lift_boom.mass"] == pytest.approx(1.15 * CRANE["bodies.lift_boom.mass"])
+    assert wrong["bodies.outer_boom.inertia"] == pytest.approx(1.15 * CRANE["bodies.outer_boom.inertia"])
+    assert wrong["bodies.bracket_2.mass"] == pytest.approx(1.05 * CRANE["bodies.bracket_2.mass"])
+    assert wrong["payload.mass"] == 10.0
+    assert wrong["supply.pump_pressure"] - CRANE["supply.pump_pressure"] == pytest.approx(20e5)
+    for joint in "ABCD":
+        assert wrong[f"joints.{joint}.x"] - CRANE[f"joints.{joint}.x"] == pytest.approx(5e-3)
+        assert wrong[f"joints.{joint}.y"] - CRANE[f"joints.{joint}.y"] == pytest.approx(-5e-3)
+    changed = {n for n in CRANE.values if wrong[n] != CRANE[n]}
+    assert len(changed) == 2 + 8 + 8  # payload and pump, four bodies' mass and inertia, four joints' coordinates
+
+
+def test_the_papers_cycle():
+    time = np.array([0.0, 2.0, 4.999, 5.0, 7.0, 9.9, 12.0, 13.9, 14.0, 18.0, 20.9, 21.0])
+    expected = [0, 0.5, 0.5, 0, 0, 0, 0, 0, 0, -0.5, -0.5, 0], [0, 0, 0, 0, 0.35, 0.35, -0.35, -0.35, 0, 0, 0, 0]
+    np.testing.assert_allclose(paper.INPUT_SETS[1](time).T, expected)
+
+
+@pytest.mark.parametrize("inputs", paper.INPUT_SETS)
+def test_input_sets_move_both_booms_within_their_strokes(inputs):
+    truth = paper.real_system(CRANE, inputs, FAST, 0).truth
+    span = np.degrees(np.ptp(truth[:, :2], axis=0))
+    assert (span > 20.0).all()
+    assert (truth[:, 4:] <= 200e5).all()  # `simulate` itself refuses what leaves the stroke
+
+
+def test_published_goal_is_reached_by_the_estimators_own_means():
+    """Every state at or below the published error and inside its 95 % interval at least 90 % of the time; payload to 5 %."""
+    case = paper.run_case(0.15, 1, FAST, 0, tuning="own")
+    assert case.published == paper.PUBLISHED
+    for state, published in paper.PUBLISHED.items():
+        assert case.pn_rmse[state] <= published, state
+        assert case.coverage[state] >= 0.9, state
+        assert case.pn_rmse[state] < 0.2 * case.pn_rmse_open_loop[state]
+    assert case.estimate["payload.mass"][-1] == pytest.approx(25.0, rel=0.05)
+    assert case.estimate["supply.pump_pressure"][-1] == pytest.approx(100e5, rel=0.002)
+    assert case.estimate.consistent
+    assert 2.0 < case.nees_mean < 16.0  # about half and twice the 8 expected; instants of one run are not independent
+
+
+def test_the_papers_tuning_leaves_the_sensor_noise_that_the_formula_says():
+    case = paper.run_case(0.15, 1, FAST, 0, duration=4.0)
+    error = case.estimate.mean[1000:, [4, 7]] - case.experiment.truth[1000:, [4, 7]]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(paper.pressure_floor(), rel=0.1)
+    document = case.document()
+    assert set(document) >= {"model_error", "inputs", "pn_rmse", "published", "coverage95", "nees_mean"}
+    assert not document["consistent"]  # NIS is far too small: the covariances are not those of this crane
+    json.dumps(document, allow_nan=False)
+
+
+def test_pressure_floor_is_the_stationary_kalman_error():
+    """Against the recursion itself, for a constant pressure."""
+    q, r, rng = 259.8e8, (1.5e5) ** 2, np.random.default_rng(0)
+    estimate, variance, errors = 0.0, q, []
+    for _ in range(20000):
+        variance += q
+        gain = variance / (variance + r)
+        estimate += gain * (rng.normal() * np.sqrt(r) - estimate)
+        variance *= 1 - gain
+        errors.append(estimate)
+    assert np.std(errors) == pytest.approx(paper.pressure_floor(), rel=0.03)
+
+
+def test_reproduce_in_order_and_with_the_contract_keys():
+    def short(error, inputs, engine, seed, tunings, crane):
+        return [{"model_error": error, "inputs": inputs, "tuning": t, "realtime_factor": 2.0} for t in tunings], {}
+
+    original = paper._both_tunings
+    paper._both_tunings = short
+    try:
+        result = paper.reproduce((0.05, 0.15), (1, 2), FAST)
+    finally:
+        paper._both_tunings = original
+    order = [(d["tuning"], d["inputs"], d["model_error"]) for d in result.documents]
+    assert order == [(t, i, e) for t in ("paper", "own") for i in (1, 2) for e in (0.05, 0.15)]
+    assert result.document()["realtime_factor"] == 2.0
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(CraneError, match="input set 7"):
+        paper.real_system(CRANE, 7, FAST, 0)
+    with pytest.raises(CraneError, match="tuning"):
+        paper.run_case(0.15, 1, FAST, 0, tuning="mine", duration=0.1)
+
+
+def test_metrics():
+    truth = np.array([[0.0, 1.0], [4.0, 1.0]])
+    estimate = truth + np.array([[0.3, 0.1], [-0.3, 0.1]])
+    np.testing.assert_allclose(pn_rmse(estimate, truth)[0], 100 * 0.3 / 4.0)
+    assert np.isnan(pn_rmse(estimate, truth)[1])
+    assert r2(estimate, truth)[0] == pytest.approx(1 - 0.18 / 8.0)
+
+
+# -- Monte Carlo ---------------------------------------------------------------------------------------------------
+
+SHORT = montecarlo.Settings(duration=1.6, step=8e-3, inputs=2)
+
+
+def test_perfect_model_is_consistent_and_a_wrong_one_is_not():
+    assert montecarlo.run_series(SHORT, 24).consistent
+    wrong = montecarlo.Settings(**{**SHORT.__dict__, "model_error": 0.25})
+    series = montecarlo.run_series(wrong, 6)
+    assert not series.consistent and series.nees[-1] > series.nees_bounds[1]
+
+
+def test_series_is_the_same_by_processes_and_goes_on_where_it_stopped(tmp_path):
+    file = tmp_path / "runs.jsonl"
+    whole = montecarlo.run_series(SHORT, 4)
+    montecarlo.run_series(SHORT, 2, file=file)
+    with file.open("a") as stream:
+        stream.write('{"run": 2, "nees": [1.0')  # killed while it wrote
+    before = file.read_text().splitlines()[:3]
+    seen: list[float] = []
+    again = montecarlo.run_series(SHORT, 4, jobs=2, file=file, progress=seen.append)
+    assert [r["nees"] for r in again.runs] == [r["nees"] for r in whole.runs]
+    assert seen == [0.75, 1.0]  # only the two missing runs were made
+    lines = file.read_text().splitlines()
+    assert lines[:3] == before and len(lines) == 5 and all(json.loads(line) for line in lines)
+
+
+def test_file_of_another_series_is_refused(tmp_path):
+    file = tmp_path / "runs.jsonl"
+    montecarlo.finished(file, SHORT, CRANE)
+    with pytest.raises(CraneError, match="another series"):
+        montecarlo.finished(file, montecarlo.Settings(seed=9), CRANE)
+    with pytest.raises(CraneError, match="does not exist"):
+        montecarlo.finished(tmp_path / "no" / "runs.jsonl", SHORT, CRANE)
+
+
+def test_missing_dask_is_told(monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "dask.distributed", None)
+    with pytest.raises(CraneError, match="cluster"), montecarlo.backend("tcp://nowhere:1"):
+        pass

@@ -1,0 +1,275 @@
+"""Is the filter consistent? Many runs of a crane that is shaken as the filter believes it to be.
+
+In each run the true start is drawn from the filter's own start belief, the true state gets the filter's own process noise at every
+step, and the sensors their noise. If model, filter and covariances agree, NEES is χ² with 8 degrees of freedom at any instant
+over the runs, and NIS χ² with as many as there are sensors. With model errors they do not agree, and the same numbers say so.
+
+Runs go through joblib, on the cores of one machine or on a Dask cluster. Every finished run is a line of a file, so that a
+killed series goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
+from crane_exudyn.inputs import SpoolPath
+from ukf.consistency import mean_bounds, nees
+from ukf.estimator import Estimator
+from ukf.filter import Belief
+from ukf.linear_algebra import semidefinite_root
+from ukf.noise import ProcessNoise
+from ukf.process import engine_of
+from ukf.signals import Signals
+
+from . import paper
+
+#: shares of the run at which NEES is compared over the runs: instants of one run are not independent
+CHECKPOINTS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+#: standard deviations of the start: rad, rad/s, Pa
+START = np.array([*np.radians([1.0, 1.0]), 0.02, 0.02, *[2e5] * 4])
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all runs of a series share.
+
+    Attributes:
+        model_error: of the booms' masses in the filter's model (`paper.wrong_crane`); 0 for a perfect model.
+        inputs: input set of `paper.INPUT_SETS`; 3 keeps all chambers full of oil, so that nothing but the laws is nonlinear.
+        duration, step: length of a run and time between two samples, s.
+        engine, method: which engine and which filter.
+        acceleration, pressure: densities of the process noise, rad²/s³ and Pa²/s.
+        seed: of the series; run k draws from (seed, k).
+    """
+
+    model_error: float = 0.0
+    inputs: int = 3
+    duration: float = 25.0
+    step: float = 1e-3
+    engine: str = "semi-recursive"
+    method: str = "ukf"
+    acceleration: float = 1e-4
+    pressure: float = 1e9
+    seed: int = 0
+
+    @property
+    def noise(self) -> ProcessNoise:
+        """The process noise of truth and filter."""
+        return ProcessNoise((self.acceleration,) * 2, (self.pressure,) * 4)
+
+
+def one_run(settings: Settings, number: int, crane: Crane) -> dict[str, Any]:
+    """Return NEES, NIS, coverage and verdict of one run."""
+    rng = np.random.default_rng([settings.seed, number])
+    time = np.arange(round(settings.duration / settings.step) + 1) * settings.step
+    commands = paper.INPUT_SETS[settings.inputs](time)
+    model = engine_of(settings.engine, crane)
+    nominal = model.static_start(crane.initial.z1, crane.initial.z4)
+    truth = shaken(model, crane, nominal + START * rng.normal(size=8), time, commands, settings, rng)
+    sensors = {
+        n: (time, truth[:, paper.STATES.index(n)] + s * rng.normal(size=time.size)) for n, s in paper.SENSOR_STD.items()
+    }
+    believed = crane if settings.model_error == 0 else paper.wrong_crane(crane, settings.model_error)
+    filter_ = Estimator(
+        believed,
+        model if believed is crane else settings.engine,
+        paper.SENSOR_STD,
+        settings.noise,
+        settings.method,
+        start=Belief(nominal, np.diag(START**2)),
+        gate=None,
+        max_step=settings.step,
+    )
+    estimate = filter_.run(Signals(time, commands, sensors), keep_covariance=True)
+    assert estimate.covariance is not None
+    values = nees(estimate.mean - truth, estimate.covariance)
+    at = [round(share * (time.size - 1)) for share in CHECKPOINTS]
+    return {
+        "run": number,
+        "nees": [float(values[k]) for k in at],
+        "nees_mean": float(values.mean()),
+        "nis_sum": float(np.nansum(estimate.nis)),
+        "nis_dof": float(estimate.dof.sum()),
+        "coverage95": estimate.coverage(truth),
+        "pn_rmse": dict(zip(paper.STATES, paper.metrics.pn_rmse(estimate.mean, truth).tolist(), strict=True)),
+        "consistent": estimate.consistent,
+        "events": len(estimate.events),
+    }
+
+
+def shaken(
+    model: Any,
+    crane: Crane,
+    start: np.ndarray,
+    time: np.ndarray,
+    commands: np.ndarray,
+    settings: Settings,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Return the states (N, 8) of a crane that gets the process noise of `settings` at every step."""
+    inputs = np.column_stack([SpoolPath(crane).run(time, commands), np.full((time.size, 2), np.nan)])
+    root = semidefinite_root(settings.noise.covariance(settings.step))
+    states = np.empty((time.size, 8))
+    states[0] = start
+    pushes = rng.normal(size=(time.size, 8)) @ root.T
+    for k in range(1, time.size):
+        h = time[k] - time[k - 1]
+        states[k] = model.propagate(states[k - 1][None], inputs[k - 1 : k + 1], h, time[k - 1])[0] + pushes[k]
+    return states
+
+
+@dataclass(frozen=True)
+class Series:
+    """All runs of a series, in the order of their numbers."""
+
+    settings: Settings
+    runs: tuple[dict[str, Any], ...]
+
+    @property
+    def nees(self) -> np.ndarray:
+        """Mean NEES over the runs at each of the CHECKPOINTS."""
+        return np.mean([r["nees"] for r in self.runs], axis=0)
+
+    @property
+    def nees_bounds(self) -> tuple[float, float]:
+        """Interval that holds each of these means with 99.8 %, so that all of them together stay inside with about 99 %."""
+        return mean_bounds(8, len(self.runs), 0.998)
+
+    @property
+    def nis(self) -> float:
+        """NIS a measured value, over all runs; 1 is expected."""
+        return float(sum(r["nis_sum"] for r in self.runs) / sum(r["nis_dof"] for r in self.runs))
+
+    @property
+    def nis_bounds(self) -> tuple[float, float]:
+        """Interval that holds the NIS a measured value with 99 %."""
+        return mean_bounds(1, sum(r["nis_dof"] for r in self.runs), 0.99)
+
+    @property
+    def consistent(self) -> bool:
+        """Whether NEES and NIS are inside their bounds."""
+        low, high = self.nees_bounds
+        return bool(
+            ((low <= self.nees) & (self.nees <= high)).all() and self.nis_bounds[0] <= self.nis <= self.nis_bounds[1]
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the series as JSON."""
+        coverage = {s: float(np.mean([r["coverage95"][s] for r in self.runs])) for s in paper.STATES}
+        errors = {s: float(np.mean([r["pn_rmse"][s] for r in self.runs])) for s in paper.STATES}
+        return {
+            "settings": asdict(self.settings),
+            "runs": len(self.runs),
+            "nees": dict(zip(map(str, CHECKPOINTS), self.nees.tolist(), strict=True)),
+            "nees_bounds": list(self.nees_bounds),
+            "nis_per_value": self.nis,
+            "nis_bounds": list(self.nis_bounds),
+            "coverage95": coverage,
+            "pn_rmse": errors,
+            "runs_called_consistent": sum(r["consistent"] for r in self.runs),
+            "consistent": self.consistent,
+        }
+
+
+def run_series(
+    settings: Settings,
+    runs: int,
+    *,
+    crane: Crane | None = None,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    file: str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Series:
+    """Return a series of runs 0 … runs - 1; those that `file` already holds are not run again.
+
+    Args:
+        jobs: processes on this machine.
+        scheduler: address of a Dask scheduler, or "local" for one on this machine; then `jobs` is left to Dask.
+        file: JSON lines; the first one holds settings and crane, each other one a finished run.
+
+    Raises:
+        CraneError: the file belongs to another series.
+    """
+    from joblib import Parallel, delayed
+
+    crane = crane if crane is not None else Crane.load("patu655")
+    path = None if file is None else Path(file)
+    done = {} if path is None else finished(path, settings, crane)
+    missing = [k for k in range(runs) if k not in done]
+    with backend(scheduler):
+        calls = (delayed(one_run)(settings, k, crane) for k in missing)
+        for result in Parallel(n_jobs=jobs if scheduler is None else -1, return_as="generator_unordered")(calls):
+            done[result["run"]] = result
+            if path is not None:
+                append(path, result)
+            if progress is not None:
+                progress(len(done) / runs)
+    return Series(settings, tuple(done[k] for k in sorted(done) if k < runs))
+
+
+@contextmanager
+def backend(scheduler: str | None) -> Iterator[None]:
+    """Yield with joblib's work going to a Dask scheduler, or to processes of this machine where there is none."""
+    if scheduler is None:
+        yield
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise CraneError(
+            "A Dask scheduler is asked for, but Dask is not installed. Install it: pip install 'crane-exudyn[cluster]'."
+        ) from None
+    from joblib import parallel_config
+
+    with Client(None if scheduler == "local" else scheduler), parallel_config(backend="dask"):
+        yield
+
+
+def finished(path: Path, settings: Settings, crane: Crane) -> dict[int, dict[str, Any]]:
+    """Return the runs that the file holds, by number; begin the file where there is none.
+
+    A last line that was cut off when the series was killed is dropped, and its run done again.
+    """
+    head = {"settings": asdict(settings), "crane": crane.to_toml()}
+    if not path.exists():
+        if not path.resolve().parent.is_dir():
+            raise CraneError(
+                f"{path}: the folder {path.resolve().parent} does not exist. Create it, or give another path."
+            )
+        path.write_text(json.dumps(head) + "\n", encoding="utf-8")
+        return {}
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    found = [_parsed(line) for line in lines]
+    if not found or found[0] != head:
+        raise CraneError(
+            f"{path}: holds runs of another series (other settings or another crane). Give another file, or delete it."
+        )
+    whole = [line for line, value in zip(lines, found, strict=True) if value is not None]
+    if len(whole) < len(lines):
+        path.write_text("".join(whole), encoding="utf-8")
+    return {r["run"]: r for r in found[1:] if r is not None}
+
+
+def _parsed(line: str) -> dict[str, Any] | None:
+    """Return what a line holds, or None for one that was cut off."""
+    try:
+        value = json.loads(line) if line.endswith("\n") else None
+    except ValueError:
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def append(path: Path, result: dict[str, Any]) -> None:
+    """Add one run to the file, as one write."""
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(result) + "\n")
