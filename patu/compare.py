@@ -51,22 +51,98 @@ def command(
     with progress("Comparing", json) as step:
         result = compare(chosen, measured, engine, progress=step)
     write_json(json, result.to_dict())
-    tell(Printer(json), result)
+    printer = Printer(json)
+    tell(printer, result)
+    for path in save_figures(result, output) if output is not None else ():
+        printer.line(f"Picture: {path}")
+    if report is not None:
+        printer.line(f"Report: {write(report, result)}")
 
 
 def tell(printer: Printer, result: Comparison) -> None:
-    """Print the tables and the sentences."""
+    """Print the verdict, the tables and the worst places."""
     printer.line(f"{result.recording} against {result.crane} on {result.engine}")
     for note in result.notes:
         printer.line(f"note: {note}")
+    printer.table("Open loop, start fitted", _COLUMNS, error_rows(result))
+    printer.line(filter_words(result))
+    printer.table("What the balances lack, by work done (± 95 %)", *balance_table(result))
+    if result.where:
+        printer.table("Where the model fails, worst first", ("score", "where"), worst(result))
+        if len(result.where) > _SHOWN:
+            printer.line(f"… and {len(result.where) - _SHOWN} more; --json gives all.")
+    printer.line(result.verdict)
+
+
+def error_rows(result: Comparison) -> list[tuple[object, ...]]:
+    """Return the table of channels."""
     white = result.estimate.whiteness
-    rows = [
+    return [
         (n, c.unit, c.rmse, c.pn_rmse, c.bias, c.noise_std, c.error_over_noise, c.r2, white.get(n))
         for n, c in result.channels.items()
     ]
-    printer.table("Open loop, start fitted", _COLUMNS, rows)
+
+
+def filter_words(result: Comparison) -> str:
+    """Return what the filter's innovations say."""
     low, high = result.estimate.nis_bounds
-    word = "consistent" if result.estimate.consistent else "not consistent"
-    printer.line(f"Filter: mean NIS {result.estimate.nis_mean:.3g}, expected {low:.3g} … {high:.3g}: {word}.")
-    for finding in result.where[:_SHOWN]:
-        printer.line(f"  {finding.score:6.1f}  {finding.text}")
+    word = "consistent with the model" if result.estimate.consistent else "NOT consistent with the model"
+    return f"Filter that trusts the model: mean NIS {result.estimate.nis_mean:.3g}, expected {low:.3g} … {high:.3g}; {word}."
+
+
+def balance_table(result: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not zero."""
+    from validation.balances import EQUATIONS
+    from validation.findings import VIOLATED, people_unit, rounded
+
+    units = [people_unit(e) for e in EQUATIONS]
+    columns = ("work", *(f"{e} {unit}" for e, (unit, _) in zip(EQUATIONS, units, strict=True)))
+    rows = []
+    for kind, mean, std in result.scores.by_kind():
+        cells = [
+            rounded(m / factor, 1.96 * s / factor) + ("*" if abs(m) > VIOLATED * s else " ")
+            for m, s, (_, factor) in zip(mean, std, units, strict=True)
+        ]
+        rows.append((kind, *cells))
+    return columns, rows
+
+
+def worst(result: Comparison, most: int = _SHOWN) -> list[tuple[str, str]]:
+    """Return score and sentence of the worst places."""
+    return [(f"{f.score:.1f}", f.text) for f in result.where[:most]]
+
+
+def save_figures(result: Comparison, folder: Path) -> list[Path]:
+    """Write all pictures to a folder and return their paths."""
+    from validation import plots
+
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, figure in result.figures().items():
+        paths.append(folder / f"{name}.png")
+        plots.save(figure, paths[-1])
+    return paths
+
+
+_CAPTIONS = {
+    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, dark is bad.",
+    "open_loop": "The crane started as the recording starts and then saw only the commands.",
+    "balances": "Flow and moment that each balance lacks, with 95 % interval from the sensors' noise.",
+    "balances_by_work": "The same, averaged over each kind of work.",
+}
+
+
+def write(folder: Path, result: Comparison) -> Path:
+    """Write the report and return its path."""
+    from validation.report import Mood, Picture, Section, Table, write_report
+
+    pictures = {name: Picture(figure, _CAPTIONS[name]) for name, figure in result.figures().items()}
+    sections: list[Section] = [
+        ("Where the model fails", [pictures["where"], Table(("score", "where"), worst(result, 20))]),
+        ("What the balances lack", [Table(*balance_table(result)), pictures["balances_by_work"], pictures["balances"]]),
+        ("Open loop", [Table(_COLUMNS, error_rows(result)), pictures["open_loop"]]),
+        ("Filter", [filter_words(result), *result.notes]),
+    ]
+    title = f"{result.recording} against {result.crane}"
+    mood: Mood = "good" if not result.where and result.error < 1.2 else "bad"
+    return write_report(folder, title, result.verdict, sections, parameters={"engine": result.engine}, mood=mood)

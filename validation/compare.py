@@ -23,33 +23,34 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from ukf.estimate import Estimate
 from ukf.estimator import Estimator
+from ukf.noise import ProcessNoise
 from ukf.signals import Signals
 
-from .balances import EQUATIONS, Balances, balances_of
+from .balances import Balances, balances_of
+from .findings import Finding, Scores, people_unit, scores_of
 from .fit.data import FitData
 from .fit.model import model_of, output_rows, shown, spool_path
 from .fit.solve import Fit
-from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged
+from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged, timing_of
 from .fitness import check_recording, usable
 from .metrics import pn_rmse, r2, rmse
 from .phases import Phase, phases_of
 
 if TYPE_CHECKING:
-    pass
+    from matplotlib.figure import Figure
 
 Engine = Literal["semi-recursive", "exudyn"]
+Series = dict[str, tuple[np.ndarray, np.ndarray]]
 
-#: unit for people by the first letter(s) of a channel, and what one of it is in SI
-_UNITS = {"dz": ("deg/s", np.pi / 180), "z": ("deg", np.pi / 180), "p": ("bar", 1e5), "s": ("mm", 1e-3)}
-#: a phase counts as badly predicted when the innovations' RMS is so many times what the filter expects
-_PREDICTED_BADLY = 1.5
-#: a balance counts as violated when its residual is so many standard deviations from zero
-_VIOLATED = 4.0
+#: what the filter allows the model to be wrong by: next to nothing, so that whatever the model lacks is left in the innovations
+_TRUSTING = ProcessNoise(acceleration=(1e-6, 1e-6), pressure=(1e6, 1e6, 1e6, 1e6))
+#: a lateness of the commands beyond this is told, s
+_LATE = 1e-3
 
 
 @dataclass(frozen=True)
 class ChannelError:
-    """Open-loop error of one channel in `unit`: RMS, bias (mean of measured minus model), and what they mean."""
+    """Open-loop error of one channel in `unit`: RMSE, bias (mean of measured minus model), and what they mean."""
 
     unit: str
     rmse: float
@@ -61,37 +62,17 @@ class ChannelError:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One place where the model fails: a channel or an equation, from, to (s), phase of work, score, and a sentence.
-
-    The score is in standard deviations: of what the filter expects for a channel, of its own uncertainty for a balance.
-    """
-
-    kind: Literal["channel", "equation"]
-    name: str
-    start: float
-    end: float
-    phase: str
-    score: float
-    text: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the finding as the JSON of compare has it."""
-        place = {self.kind: self.name, "from": self.start, "to": self.end}
-        return place | {"phase": self.phase, "score": self.score, "text": self.text}
-
-
-@dataclass(frozen=True)
 class Comparison:
     """A crane laid beside a recording; SI but for `channels`, which are in the unit they state.
 
     Attributes:
         channels: open-loop errors by channel.
         estimate: the filter's run: innovations, NIS, whiteness.
-        phases: what the crane was doing when.
-        balances: residual flow of each chamber and residual moment of each joint, with uncertainty.
+        balances: residual flow of each chamber and residual moment of each joint over time, with uncertainty.
+        scores: how well each phase of work is explained, by channel and by equation.
         where: where the model fails, worst first.
-        measured, simulated: channel -> (time (n,), values (n,)), the simulation at the measured instants.
+        measured, simulated: channel -> (time (n,), values (n,)), the open-loop run at the measured instants.
+        commands: time (N,) and spool commands (N, 2).
         notes: what a reader should know about the recording.
     """
 
@@ -100,17 +81,32 @@ class Comparison:
     engine: str
     channels: Mapping[str, ChannelError]
     estimate: Estimate = field(repr=False)
-    phases: Sequence[Phase] = field(repr=False)
     balances: Balances = field(repr=False)
+    scores: Scores = field(repr=False)
     where: Sequence[Finding]
     measured: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
     simulated: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
+    commands: tuple[np.ndarray, np.ndarray] = field(repr=False)
     notes: tuple[str, ...] = ()
 
     @property
     def error(self) -> float:
         """Open-loop RMS error over all channels in units of the noise; 1 means nothing is left but noise."""
         return float(np.sqrt(np.mean([c.error_over_noise**2 for c in self.channels.values()])))
+
+    @property
+    def phases(self) -> Sequence[Phase]:
+        """What the crane was doing when."""
+        return self.scores.phases
+
+    @property
+    def verdict(self) -> str:
+        """The answer in two sentences: how large the error is, and where the model fails first."""
+        size = f"The open-loop error is {self.error:.3g} times the noise of the sensors."
+        if not self.where:
+            return size + " No channel and no balance of the model is clearly off in any phase of work."
+        first = next((f for f in self.where if f.kind == "equation"), self.where[0])
+        return f"{size} {first.text[0].upper()}{first.text[1:]}."
 
     def to_dict(self) -> dict[str, Any]:
         """Return the comparison as `patu compare --json` writes it."""
@@ -126,6 +122,39 @@ class Comparison:
             },
             "where": [finding.to_dict() for finding in self.where],
         }
+
+    def plot(self) -> Figure:
+        """Return the picture for a glance: what fails when, above the commands that were given."""
+        from .compare_figures import where_figure
+
+        return where_figure(self)
+
+    def figures(self) -> dict[str, Figure]:
+        """Return all pictures by name: "where", "open_loop", "balances", "balances_by_work"."""
+        from .compare_figures import figures
+
+        return figures(self)
+
+    def _repr_html_(self) -> str:
+        from .report import table_html
+
+        columns = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²")
+        errors = [
+            (n, c.unit, c.rmse, c.pn_rmse, c.bias, c.noise_std, c.error_over_noise, c.r2)
+            for n, c in self.channels.items()
+        ]
+        worst = [(f.score, f.text) for f in self.where[:8]]
+        title = f"{self.recording} against {self.crane}: open loop"
+        return table_html(columns, errors, title=title, note=self.verdict) + (
+            table_html(("score", "where"), worst, title="Where the model fails") if worst else ""
+        )
+
+    def __repr__(self) -> str:
+        filtered = "consistent" if self.estimate.consistent else "NOT consistent"
+        return (
+            f"<Comparison of {self.recording} with {self.crane}: open-loop error {self.error:.3g} noise units, filter {filtered} "
+            f"(mean NIS {self.estimate.nis_mean:.3g}), {len(self.where)} places where the model fails>"
+        )
 
 
 def compare(
@@ -155,53 +184,58 @@ def compare(
     notes = check_recording(recording, crane)
     kept = usable(recording)
     data = FitData.of(kept, crane)
-    loose = staged(crane, data, (), np.zeros(0), first_knots(crane, data), (LOOSE,))
-    start = staged(crane, data, (), np.zeros(0), loose, (TIGHT, STIFF, WHOLE))
+    loose, start = started(crane, data)
     done(0.3)
-    measured, simulated = open_loop(crane, FitData.of(kept, crane, rate=np.inf), start, engine)
+    whole = FitData.of(kept, crane, rate=np.inf).shifted(start.late)
+    data = data.shifted(start.late)
+    measured, simulated = open_loop(crane, whole, start.knots[0], engine)
     done(0.4)
     estimate = filtered(crane, data, engine, lambda f: done(0.4 + 0.3 * f))
     balances = balances_of(crane, data, loose)
-    spool = spool_path(crane, data)
-    on_instants = np.column_stack([np.interp(balances.time, data.time, u) for u in spool.T])
-    phases = phases_of(crane, balances.time, on_instants, balances.states)
-    noise = {s.channel: s.noise for s in FitData.of(kept, crane, rate=np.inf).samples}
-    channels = {c: _channel_error(c, measured[c][1], simulated[c][1], noise[c]) for c in measured}
-    where = sorted(
-        [*_badly_predicted(estimate, phases), *_violations(balances, phases)], key=lambda f: f.score, reverse=True
-    )
+    channels = {
+        s.channel: _channel_error(s.channel, measured[s.channel][1], simulated[s.channel][1], s.noise)
+        for s in whole.samples
+    }
+    scores = scores_of(estimate, balances, _phases(crane, data, balances))
     done(1.0)
+    if _LATE < abs(start.late) < 0.9 * timing_of(data).upper * timing_of(data).scale:
+        notes.append(f"the commands act {1e3 * start.late:.1f} ms after their stamps; this is allowed for")
     return Comparison(
-        recording.name,
-        crane.name,
-        engine,
-        channels,
-        estimate,
-        phases,
-        balances,
-        where,
-        measured,
-        simulated,
-        tuple(notes),
-    )
+        recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured, simulated,
+        (data.time, data.commands), tuple(notes),
+    )  # fmt: skip
+
+
+def started(crane: Crane, data: FitData) -> tuple[Fit, Fit]:
+    """Return two fits of the crane as it is: one whose short windows follow the machine, one of the open-loop run's start.
+
+    Beside the start, only the lateness of the commands against the sensors (a few ms at most) is free: it belongs to the
+    recorder, not to the crane.
+    """
+    timing = (timing_of(data),)
+    loose = staged(crane, data, timing, np.zeros(1), first_knots(crane, data), (LOOSE,))
+    return loose, staged(crane, data, timing, loose.u, loose, (TIGHT, STIFF, WHOLE))
 
 
 # -- the three looks -------------------------------------------------------------------------------------------------
 
-Series = dict[str, tuple[np.ndarray, np.ndarray]]
 
+def open_loop(crane: Crane, data: FitData, x0: np.ndarray, engine: Engine) -> tuple[Series, Series]:
+    """Return measured and simulated channels, (time, values) each at the measured instants, of a run that sees only commands.
 
-def open_loop(crane: Crane, data: FitData, start: Fit, engine: Engine) -> tuple[Series, Series]:
-    """Return measured and simulated channels, (time, values) each at the measured instants, of a run that sees only commands."""
+    Raises:
+        CraneError: the run on the Exudyn engine leaves what the crane can do.
+    """
     measured = {s.channel: (data.time[s.index] + s.fraction * data.step, s.values) for s in data.samples}
     if engine == "semi-recursive":
-        left = residuals(crane, data, start.knots[0])
-        simulated = {s.channel: (left[s.channel][0], s.values - left[s.channel][1] * s.noise) for s in data.samples}
-        return measured, simulated
+        left = residuals(crane, data, x0)
+        return measured, {
+            s.channel: (left[s.channel][0], s.values - left[s.channel][1] * s.noise) for s in data.samples
+        }
     from crane_exudyn.engine import ExudynEngine
 
     model = model_of(crane, data)
-    X = ExudynEngine(crane).simulate(start.knots[0], data.time, model.W, step=data.step)
+    X = ExudynEngine(crane).simulate(x0, data.time, model.W, step=data.step)
     Z = shown(data.channels, output_rows(data.channels, X, model.P)[0], model.E, data.step)
     simulated = {
         s.channel: (measured[s.channel][0], Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j]))
@@ -210,13 +244,27 @@ def open_loop(crane: Crane, data: FitData, start: Fit, engine: Engine) -> tuple[
     return measured, simulated
 
 
+class _Following(Estimator):
+    """An estimator without limits on the angles: a recording may pass a dead centre, and measured angles say on which side."""
+
+    def _all_bounds(self, lengths: Any) -> Any:
+        return super()._all_bounds(None)
+
+
 def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[float], None] | None = None) -> Estimate:
-    """Return the filter's run over the recording, at the recording's own noise."""
+    """Return the run of a filter that trusts the model, and believes every sample."""
     sensors = {s.channel: (data.time[s.index] + s.fraction * data.step, s.values) for s in data.samples}
     supply = {n: (data.time, v) for n, v in zip(("pp", "pt"), data.supply.T, strict=True) if np.isfinite(v).any()}
     signals = Signals(data.time, data.commands, sensors, supply, data.name)
     noise = {s.channel: s.noise for s in data.samples}
-    return Estimator(crane, engine, sensors=noise, max_step=data.step).run(signals, progress=progress)
+    estimator = _Following(crane, engine, sensors=noise, noise=_TRUSTING, max_step=data.step, gate=None)
+    return estimator.run(signals, progress=progress)
+
+
+def _phases(crane: Crane, data: FitData, balances: Balances) -> list[Phase]:
+    spool = spool_path(crane, data)
+    at_instants = np.column_stack([np.interp(balances.time, data.time, u) for u in spool.T])
+    return phases_of(crane, balances.time, at_instants, balances.states)
 
 
 def _channel_error(channel: str, measured: np.ndarray, simulated: np.ndarray, noise: float) -> ChannelError:
@@ -227,77 +275,3 @@ def _channel_error(channel: str, measured: np.ndarray, simulated: np.ndarray, no
         unit, error / factor, float(pn_rmse(*both)[0]), noise / factor, error / noise,
         float(np.mean(measured - simulated)) / factor, float(r2(*both)[0]),
     )  # fmt: skip
-
-
-def people_unit(channel: str) -> tuple[str, float]:
-    """Return the unit in which people read a channel, and what one of it is in SI."""
-    return next(_UNITS[head] for head in _UNITS if channel.startswith(head))
-
-
-# -- where it fails --------------------------------------------------------------------------------------------------
-
-
-def _badly_predicted(estimate: Estimate, phases: Sequence[Phase]) -> list[Finding]:
-    """Return the phases and channels in which the filter's next-sample prediction errs by more than it expects."""
-    found = []
-    relative = estimate.innovation / estimate.innovation_std
-    for phase in phases:
-        inside = (estimate.time >= phase.start) & (estimate.time < phase.end)
-        for j, channel in enumerate(estimate.channel_names):
-            values = relative[inside, j]
-            values = values[np.isfinite(values)]
-            if len(values) < 5:
-                continue
-            score = float(np.sqrt(np.mean(values**2)))
-            if score > max(_PREDICTED_BADLY, 1.0 + 4.0 / np.sqrt(2.0 * len(values))):
-                error = float(np.sqrt(np.nanmean(estimate.innovation[inside, j] ** 2)))
-                text = f"{phase.words}, {channel} is {_amount(channel, error)} (RMS) away from what the filter expects next"
-                text += f": {score:.1f} times what noise explains"
-                found.append(Finding("channel", channel, phase.start, phase.end, phase.kind, score, text))
-    return found
-
-
-def _amount(channel: str, value: float) -> str:
-    unit, factor = people_unit(channel)
-    return f"{value / factor:.2g} {unit}"
-
-
-def _violations(balances: Balances, phases: Sequence[Phase]) -> list[Finding]:
-    """Return the phases and equations whose mean residual is clearly not zero."""
-    found = []
-    for phase in phases:
-        means, stds = balances.mean(phase.first, phase.last)
-        for equation, mean, std in zip(EQUATIONS, means, stds, strict=True):
-            score = abs(float(mean / std))
-            if score > _VIOLATED:
-                text = f"{phase.words}, {violation(equation, float(mean), float(std))}"
-                found.append(Finding("equation", equation, phase.start, phase.end, phase.kind, score, text))
-    return found
-
-
-_BODY = {"torque.O": "joint O (lift boom)", "torque.A": "joint A (outer boom)"}
-_SIDE = {
-    "p1": "lift, piston side", "p2": "lift, rod side", "p3": "tilt, piston side", "p4": "tilt, rod side"
-}  # fmt: skip
-
-
-def violation(equation: str, mean: float, std: float) -> str:
-    """Return what a residual means, ± its 95 % interval: flows in l/min, moments in N m."""
-    if equation.startswith("flow."):
-        chamber = equation.removeprefix("flow.")
-        amount = rounded(abs(mean) * 6e4, 1.96 * std * 6e4)
-        return f"chamber {chamber} ({_SIDE[chamber]}) receives {amount} l/min {'more' if mean > 0 else 'less'} than the model says"
-    amount = rounded(abs(mean), 1.96 * std)
-    way = "upwards" if mean > 0 else "downwards"
-    return f"{_BODY[equation]} is turned {way} by {amount} N m more than the model says"
-
-
-def rounded(value: float, uncertainty: float) -> str:
-    """Return "2.1 ± 0.3": the uncertainty with one or two leading digits, the value to the same place."""
-    places = max(
-        0,
-        1
-        - int(np.floor(np.log10(max(uncertainty, 1e-12))))
-        - (uncertainty / 10 ** np.floor(np.log10(max(uncertainty, 1e-12))) >= 3),
-    )
-    return f"{value:.{places}f} ± {uncertainty:.{places}f}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,10 +66,10 @@ def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndar
     kinds = _smooth(labels(crane, time, spool, states), time)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(kinds)) + 1, [len(kinds)]])
     found = []
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         pieces = max(1, int(np.ceil((time[b - 1] - time[a]) / LONGEST - 1e-9)))
         cuts = np.round(np.linspace(a, b, pieces + 1)).astype(int)
-        for i, j in zip(cuts[:-1], cuts[1:], strict=True):
+        for i, j in itertools.pairwise(cuts):
             end = time[min(j, len(time) - 1)]
             found.append(Phase(KINDS[kinds[a]], int(i), int(j), float(time[i]), float(end)))
     return found
@@ -114,7 +115,7 @@ def _smooth(kinds: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return the kinds with pieces shorter than SHORTEST joined to the piece before them (the first one to the next)."""
     kinds, least = kinds.copy(), max(1, int(np.ceil(SHORTEST / (time[1] - time[0]))))
     edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1), len(kinds)]
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         if b - a < least:
             kinds[a:b] = kinds[a - 1] if a else kinds[min(b, len(kinds) - 1)]
     return kinds

@@ -1,0 +1,169 @@
+"""Pictures of a comparison: what fails when, the open-loop run, and the residual of every balance."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from . import plots
+from .balances import EQUATIONS
+from .findings import PREDICTED_BADLY, VIOLATED, people_unit
+from .phases import KINDS, Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
+    from matplotlib.figure import Figure
+
+    from .compare import Comparison
+
+#: colours of the kinds of work: extending warm, retracting cold, what is special dark
+_COLORS = {
+    "rest": "#eeeeee", "lift extending": "#F0C27B", "lift retracting": "#A7CBE8", "tilt extending": "#E39B57",
+    "tilt retracting": "#6FA3CF", "both moving": "#B9A3C9", "reversal": "#7A5C8E", "low pressure": "#3E6E5A", "end of stroke": "#333333",
+}  # fmt: skip
+_LABELS = {
+    "torque.O": "moment at O", "torque.A": "moment at A", "flow.p1": "flow into p1", "flow.p2": "flow into p2",
+    "flow.p3": "flow into p3", "flow.p4": "flow into p4",
+}  # fmt: skip
+#: scores at which the map is white and at which it is darkest
+_PALE, _DARK = 1.0, 100.0
+
+
+def figures(comparison: Comparison) -> dict[str, Figure]:
+    """Return all pictures by name."""
+    return {
+        "where": where_figure(comparison),
+        "open_loop": open_loop_figure(comparison),
+        "balances": balances_figure(comparison),
+        "balances_by_work": by_work_figure(comparison),
+    }
+
+
+def _stacked(ratios: Sequence[float], height: float) -> Figure:
+    """Return a figure of panels on one time axis whose heights are as these numbers, `height` inches in all."""
+    from matplotlib.figure import Figure
+
+    with plots.style():
+        made = Figure(figsize=(7.6, height), layout="constrained")
+        made.subplots(len(ratios), 1, sharex=True, gridspec_kw={"height_ratios": list(ratios)})
+    return made
+
+
+def where_figure(comparison: Comparison) -> Figure:
+    """Return a map of time against channels and equations: the darker, the worse the model; what the crane did stands above."""
+    scores = comparison.scores
+    rows = [*scores.channel_names, *(_LABELS[e] for e in EQUATIONS)]
+    values = np.column_stack([scores.channels, np.abs(scores.equations) / (VIOLATED / PREDICTED_BADLY)]).T
+    made = _stacked((1.0, 0.22, 0.27 * len(rows)), 2.2 + 0.27 * len(rows))
+    with plots.style():
+        command_axes, strip, map_axes = made.axes
+        _commands(command_axes, comparison)
+        _strip(strip, scores.phases)
+        mesh = _map(map_axes, scores.phases, rows, values)
+        map_axes.axhline(len(scores.channel_names), color="#444444", lw=1.2)
+        bar = made.colorbar(mesh, ax=[command_axes, strip, map_axes], aspect=40, pad=0.01)
+        bar.set_label("times what noise explains")
+        bar.set_ticks([1, 3, 10, 30, 100], labels=["1", "3", "10", "30", "100"])
+        made.suptitle(f"Where {comparison.crane} fails on {comparison.recording}", x=0.01, ha="left", fontsize=11)
+    return made
+
+
+def _commands(axes: Axes, comparison: Comparison) -> None:
+    time, commands = comparison.commands
+    for name, u, look in zip(("u1 lift", "u2 tilt"), commands.T, ("-", (0, (4, 2))), strict=True):
+        axes.plot(*plots.thin(time, u), label=name, linestyle=look, color="#111111" if look == "-" else "#D55E00")
+    axes.set_ylabel("command")
+    axes.set_ylim(-1.05 * max(0.2, np.abs(commands).max()), 1.05 * max(0.2, np.abs(commands).max()))
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2)
+
+
+def _strip(axes: Axes, phases: Sequence[Phase]) -> None:
+    for phase in phases:
+        axes.axvspan(phase.start, phase.end, color=_COLORS[phase.kind], lw=0)
+    axes.set_yticks([])
+    axes.grid(visible=False)
+    from matplotlib.patches import Patch
+
+    present = [k for k in KINDS if any(p.kind == k for p in phases)]
+    axes.legend(
+        [Patch(color=_COLORS[k]) for k in present], present, loc="lower left", bbox_to_anchor=(0.0, 1.0),
+        ncols=5, fontsize=7.5, handlelength=1.2, columnspacing=1.0, borderpad=0.1,
+    )  # fmt: skip
+
+
+def _map(axes: Axes, phases: Sequence[Phase], rows: Sequence[str], values: np.ndarray) -> QuadMesh:
+    from matplotlib.colors import LogNorm
+
+    edges = np.array([*(p.start for p in phases), phases[-1].end])
+    shown = np.clip(np.nan_to_num(values, nan=_PALE), _PALE, _DARK)
+    mesh = axes.pcolormesh(edges, np.arange(len(rows) + 1), shown, cmap="OrRd", norm=LogNorm(_PALE, _DARK))
+    axes.set_yticks(np.arange(len(rows)) + 0.5, rows)
+    axes.invert_yaxis()
+    axes.grid(visible=False)
+    axes.vlines(edges, 0, len(rows), color="white", lw=0.6)
+    axes.hlines(np.arange(len(rows)), edges[0], edges[-1], color="white", lw=0.6)
+    axes.set_xlim(edges[0], edges[-1])
+    axes.set_xlabel("time / s")
+    return mesh
+
+
+def open_loop_figure(comparison: Comparison) -> Figure:
+    """Return every channel over time, measured and simulated open loop."""
+    made = plots.figure(len(comparison.channels), height=1.45)
+    with plots.style():
+        for axes, (name, error) in zip(made.axes, comparison.channels.items(), strict=True):
+            lines = {"measured": comparison.measured[name], "simulated": comparison.simulated[name]}
+            plots.draw_lines(axes, comparison.measured[name][0], lines, channel=name)
+            axes.set_title(f"error {error.error_over_noise:.3g} × noise", loc="right", fontsize=9)
+        made.axes[-1].set_xlabel("time / s")
+    plots.legend_above(made)
+    return made
+
+
+def balances_figure(comparison: Comparison) -> Figure:
+    """Return what each balance lacks over time, with its 95 % interval, on the colours of the work that was done."""
+    balances = comparison.balances
+    made = _stacked((0.18, *[1.0] * len(EQUATIONS)), 1.35 * len(EQUATIONS) + 0.8)
+    with plots.style():
+        _strip(made.axes[0], comparison.phases)
+        for j, (axes, equation) in enumerate(zip(made.axes[1:], EQUATIONS, strict=True)):
+            unit, factor = people_unit(equation)
+            t, y, s = plots.thin(balances.time, balances.values[:, j] / factor, balances.std[:, j] / factor)
+            axes.fill_between(t, y - 1.96 * s, y + 1.96 * s, color="#0072B2", alpha=0.25, lw=0)
+            axes.plot(t, y, color="#0072B2", lw=1.1)
+            axes.axhline(0.0, color="#111111", lw=0.8)
+            axes.set_title(
+                f"{_LABELS[equation]} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0
+            )
+            axes.set_ylabel(unit)
+        made.axes[-1].set_xlim(balances.time[0], balances.time[-1])
+        made.axes[-1].set_xlabel("time / s")
+    return made
+
+
+def by_work_figure(comparison: Comparison) -> Figure:
+    """Return what each balance lacks in each kind of work: bars with 95 % intervals, moments beside flows."""
+    kinds = comparison.scores.by_kind()
+    made = plots.figure(1, len(EQUATIONS), height=0.9 + 0.32 * len(kinds), width=10.5, sharex=False)
+    at = np.arange(len(kinds))
+    with plots.style():
+        for j, (axes, equation) in enumerate(zip(made.axes, EQUATIONS, strict=True)):
+            unit, factor = people_unit(equation)
+            mean = np.array([m[j] for _, m, _ in kinds]) / factor
+            half = 1.96 * np.array([s[j] for _, _, s in kinds]) / factor
+            axes.barh(at, mean, 0.62, color=[_COLORS[k] for k, _, _ in kinds], edgecolor="#555555", lw=0.6)
+            axes.errorbar(mean, at, xerr=half, fmt="none", ecolor="#111111", elinewidth=1.0, capsize=2.0)
+            axes.axvline(0.0, color="#111111", lw=0.8)
+            axes.set_yticks(at, [k for k, _, _ in kinds] if j == 0 else [""] * len(kinds))
+            axes.invert_yaxis()
+            axes.set_xlabel(unit)
+            axes.set_title(_LABELS[equation], loc="left", fontsize=9)
+        for group in (made.axes[:2], made.axes[2:]):  # one scale for what has one unit
+            widest = 1.05 * max(abs(x) for axes in group for x in axes.get_xlim())
+            for axes in group:
+                axes.set_xlim(-widest, widest)
+    return made

@@ -1,0 +1,176 @@
+"""Where a model fails, in sentences: which channel is badly predicted or which balance violated, when, and during what work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from ukf.estimate import Estimate
+
+from .balances import EQUATIONS, Balances
+from .phases import KINDS, Phase
+
+#: a phase counts as badly predicted when the innovations' RMS is so many times what the filter expects
+PREDICTED_BADLY = 1.5
+#: a balance counts as violated when its mean residual is so many standard deviations from zero
+VIOLATED = 4.0
+#: unit for people by the first letter(s) of a channel or equation, and what one of it is in SI
+_UNITS = {
+    "dz": ("deg/s", math.pi / 180), "z": ("deg", math.pi / 180), "p": ("bar", 1e5), "s": ("mm", 1e-3),
+    "flow.": ("l/min", 1e-3 / 60.0), "torque.": ("N m", 1.0),
+}  # fmt: skip
+_SIDE = {"p1": "lift, piston side", "p2": "lift, rod side", "p3": "tilt, piston side", "p4": "tilt, rod side"}
+_BODY = {"O": "lift boom", "A": "outer boom"}
+#: a joint counts as turning from this mean rate on, rad/s
+_TURNING = 5e-3
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One place where the model fails: a channel or an equation, from, to (s), phase of work, score, and a sentence.
+
+    The score is in standard deviations: for a channel of what the filter expects (RMS), for an equation of the mean residual.
+    `value` is in SI: the RMS innovation of a channel, the mean residual of an equation.
+    """
+
+    kind: Literal["channel", "equation"]
+    name: str
+    start: float
+    end: float
+    phase: str
+    score: float
+    text: str
+    value: float = math.nan
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the finding as the JSON of compare and diagnose has it."""
+        place = {self.kind: self.name, "from": self.start, "to": self.end}
+        return place | {"phase": self.phase, "score": self.score, "text": self.text}
+
+
+@dataclass(frozen=True)
+class Scores:
+    """How well each phase is explained; F phases, k channels, 6 equations.
+
+    Attributes:
+        channels (F, k): RMS innovation over what the filter expects, NaN with fewer than five samples; errors (F, k): in SI.
+        samples (F, k): number of samples.
+        means, stds (F, 6): mean residual of each balance and its standard deviation, SI.
+        turning (F, 2): mean rates of the joints O and A, rad/s.
+    """
+
+    phases: Sequence[Phase]
+    channel_names: tuple[str, ...]
+    channels: np.ndarray
+    errors: np.ndarray
+    samples: np.ndarray
+    means: np.ndarray
+    stds: np.ndarray
+    turning: np.ndarray
+
+    @property
+    def equations(self) -> np.ndarray:
+        """Mean residual of each balance in its standard deviations (F, 6), signed."""
+        return self.means / self.stds
+
+    def findings(self) -> list[Finding]:
+        """Return all places where the model fails, worst first."""
+        return sorted([*self._predictions(), *self._violations()], key=lambda f: f.score, reverse=True)
+
+    def _predictions(self) -> list[Finding]:
+        limit = np.maximum(PREDICTED_BADLY, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(self.samples, 1)))
+        found = []
+        for i, j in np.argwhere(self.channels > limit):
+            phase, name, score = self.phases[i], self.channel_names[j], float(self.channels[i, j])
+            text = f"{phase.words}, {name} is {told(name, self.errors[i, j])} (RMS) off what the filter expects"
+            text += f", {score:.1f} times what noise explains"
+            found.append(
+                Finding("channel", name, phase.start, phase.end, phase.kind, score, text, float(self.errors[i, j]))
+            )
+        return found
+
+    def _violations(self) -> list[Finding]:
+        found = []
+        for i, j in np.argwhere(np.abs(self.equations) > VIOLATED):
+            phase, name, mean = self.phases[i], EQUATIONS[j], float(self.means[i, j])
+            rate = float(self.turning[i, j]) if j < 2 else 0.0
+            text = f"{phase.words}, {violation(name, mean, float(self.stds[i, j]), rate)}"
+            score = float(abs(self.equations[i, j]))
+            found.append(Finding("equation", name, phase.start, phase.end, phase.kind, score, text, mean))
+        return found
+
+    def by_kind(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
+        """Return (kind of work, mean residuals (6,), standard deviations (6,)) over all phases of each kind, in KINDS' order."""
+        found = []
+        for kind in KINDS:
+            chosen = [i for i, phase in enumerate(self.phases) if phase.kind == kind]
+            if chosen:
+                weight = np.array([[self.phases[i].end - self.phases[i].start] for i in chosen])
+                weight = weight / weight.sum()
+                std = np.sqrt(((weight * self.stds[chosen]) ** 2).sum(axis=0))
+                found.append((kind, (weight * self.means[chosen]).sum(axis=0), std))
+        return found
+
+
+def scores_of(estimate: Estimate, balances: Balances, phases: Sequence[Phase]) -> Scores:
+    """Return how well each phase is explained by filter and balances."""
+    relative = estimate.innovation / estimate.innovation_std
+    edges = np.searchsorted(estimate.time, [(p.start, p.end) for p in phases])
+    shape = (len(phases), len(estimate.channel_names))
+    channels, errors, samples = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, dtype=int)
+    for i, (a, b) in enumerate(edges):
+        for j in range(shape[1]):
+            known = np.isfinite(relative[a:b, j])
+            samples[i, j] = known.sum()
+            if samples[i, j] >= 5:
+                channels[i, j] = np.sqrt(np.mean(relative[a:b, j][known] ** 2))
+                errors[i, j] = np.sqrt(np.mean(estimate.innovation[a:b, j][known] ** 2))
+    pairs = [balances.mean(p.first, p.last) for p in phases]
+    turning = np.array([balances.states[p.first : p.last, 2:4].mean(axis=0) for p in phases])
+    means, stds = np.array([m for m, _ in pairs]), np.array([s for _, s in pairs])
+    return Scores(phases, estimate.channel_names, channels, errors, samples, means, stds, turning)
+
+
+# -- words -----------------------------------------------------------------------------------------------------------
+
+
+def people_unit(name: str) -> tuple[str, float]:
+    """Return the unit in which people read a channel or a balance, and what one of it is in SI."""
+    return next(_UNITS[head] for head in _UNITS if name.startswith(head))
+
+
+def told(name: str, value: float) -> str:
+    """Return a value in SI as people read it, such as "1.2 bar"."""
+    unit, factor = people_unit(name)
+    return f"{value / factor:.2g} {unit}"
+
+
+def violation(equation: str, mean: float, std: float, rate: float = 0.0) -> str:
+    """Return what a mean residual says, ± half its 95 % interval; `rate` is that of the joint, for moments."""
+    unit, factor = people_unit(equation)
+    amount = f"{rounded(abs(mean) / factor, 1.96 * std / factor)} {unit}"
+    place = equation.rpartition(".")[2]
+    if equation.startswith("flow."):
+        return (
+            f"chamber {place} ({_SIDE[place]}) receives {amount} {'more' if mean > 0 else 'less'} than the model says"
+        )
+    motion = ""
+    if abs(rate) > _TURNING:
+        motion = ", against its motion" if rate * mean < 0 else ", along with its motion"
+    way = "upwards" if mean > 0 else "downwards"
+    return f"joint {place} turns the {_BODY[place]} {way} with {amount} more than the model says{motion}"
+
+
+def rounded(value: float, uncertainty: float) -> str:
+    """Return such as "2.1 ± 0.3": the uncertainty with one leading digit (two below 3), the value to the same place."""
+    if not (math.isfinite(uncertainty) and uncertainty > 0.0):
+        return f"{value:.3g} ± {uncertainty:g}"
+    power = math.floor(math.log10(uncertainty))
+    places = -power + (1 if uncertainty / 10.0**power < 3.0 else 0)
+    if places >= 0:
+        return f"{value:.{places}f} ± {uncertainty:.{places}f}"
+    return f"{round(value, places):.0f} ± {round(uncertainty, places):.0f}"
