@@ -14,15 +14,18 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.base import SENSORS
+from crane_exudyn.effects.base import CYLINDERS, SENSORS
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+
+if TYPE_CHECKING:
+    from .hidden_plant import Dialect, Law
 
 DURATION = 25.0
 KINDS = ("effect", "two", "none", "parameters", "unknown")
@@ -33,6 +36,8 @@ SENSOR_SETS = (("z1", "z4", "p1", "p2", "p3", "p4"), ("z1", "z4", "p1", "p4"))
 
 #: angles in degrees that manoeuvres keep to, and those that a run may reach before it is drawn again
 _PLANNED = ((-8.0, 58.0), (-112.0, -12.0))
+#: the same for a machine whose end stop is to be hit: lift at 92 deg, tilt at -191 deg
+_PAST_THE_STOP = ((50.0, 125.0), (-225.0, -120.0))
 _ALLOWED = ((-20.0, 75.0), (-140.0, 8.0))
 #: rough speeds in deg/s at fully open spools, extending and retracting; plans need no more
 _SPEED = ((25.0, 31.0), (-55.0, -53.0))
@@ -154,26 +159,42 @@ class Manoeuvre:
         return np.column_stack([np.interp(time, t, u) for t, u in self.corners])
 
 
-def draw_manoeuvre(rng: np.random.Generator, *, cycle: float | None = 0.01) -> Manoeuvre:
+Range = tuple[float, float]
+
+
+def draw_manoeuvre(
+    rng: np.random.Generator, *, cycle: float | None = 0.01, plan: Sequence[Range] = _PLANNED
+) -> Manoeuvre:
     """Return a random manoeuvre: rests, ramped motions and reversals of both cylinders, roughly within reach.
 
     Args:
         rng: source of the draws.
         cycle: s, corners of the commands are multiples of it, as those of a controller are; None for no such grid.
+        plan: angles in deg of lift and outer boom to keep to.
     """
-    z = [float(rng.uniform(low + 8.0, high - 8.0)) for low, high in _PLANNED]
-    corners = tuple(_corners(rng, c, z[c], cycle) for c in range(2))
+    z = [_start_angle(rng, c, plan[c]) for c in range(2)]
+    corners = tuple(_corners(rng, c, z[c], cycle, plan[c]) for c in range(2))
     low = (float(rng.uniform(10e5, 30e5)), float(rng.uniform(10e5, 30e5)))
     return Manoeuvre(math.radians(z[0]), math.radians(z[1]), low, corners)
 
 
-def _corners(rng: np.random.Generator, c: int, angle: float, cycle: float | None) -> tuple[np.ndarray, np.ndarray]:
+def _start_angle(rng: np.random.Generator, c: int, plan: Range) -> float:
+    """Return an angle (deg) inside the plan, on this side of the stop where the plan goes past it."""
+    low, high = plan
+    if plan == _PAST_THE_STOP[c]:
+        low, high = (low, 85.0) if c == 0 else (-180.0, high)
+    return float(rng.uniform(low + 8.0, high - 8.0))
+
+
+def _corners(
+    rng: np.random.Generator, c: int, angle: float, cycle: float | None, plan: Range
+) -> tuple[np.ndarray, np.ndarray]:
     """Return corner times and commands of one cylinder that starts at an angle (deg)."""
     times, values, t = [0.0], [0.0], float(rng.uniform(0.4, 4.0))
     while t < DURATION - 1.5:
-        u = _opening(rng, c, angle)
+        u = _opening(rng, c, angle, plan)
         hold = float(rng.uniform(0.1, 0.3) if rng.random() < 0.15 else rng.uniform(0.5, 3.0))
-        hold = min(hold, _time_left(c, angle, u), DURATION - 0.8 - t)
+        hold = min(hold, _time_left(c, angle, u, plan), DURATION - 0.8 - t)
         if hold > 0.08:
             up, down = rng.uniform(0.03, 0.4, 2) * min(1.0, hold)
             times += [t, t + up, t + up + hold, t + up + hold + down]
@@ -184,19 +205,19 @@ def _corners(rng: np.random.Generator, c: int, angle: float, cycle: float | None
     return _on_grid(np.array([*times, DURATION + 1.0]), np.array([*values, 0.0]), cycle)
 
 
-def _opening(rng: np.random.Generator, c: int, angle: float) -> float:
+def _opening(rng: np.random.Generator, c: int, angle: float, plan: Range) -> float:
     """Return a command, more likely towards the middle of the range than away from it."""
-    low, high = _PLANNED[c]
+    low, high = plan
     share = (angle - low) / (high - low)
     size = float(rng.uniform(0.06, 0.6 if c == 0 else 0.4))
     rising = rng.random() > min(max(share, 0.1), 0.9)
     return size if rising == (_SPEED[c][0] > 0.0) else -size
 
 
-def _time_left(c: int, angle: float, u: float) -> float:
+def _time_left(c: int, angle: float, u: float, plan: Range) -> float:
     """Return for how many s a cylinder may move before its angle leaves the planned range."""
     rate = (_SPEED[c][0] if u > 0.0 else -_SPEED[c][1]) * abs(u)
-    end = _PLANNED[c][1] if rate > 0.0 else _PLANNED[c][0]
+    end = plan[1] if rate > 0.0 else plan[0]
     return max(0.0, (end - angle) / rate)
 
 
@@ -215,11 +236,10 @@ _GRID = np.arange(round(DURATION / _STEP) + 1) * _STEP
 
 def _run(crane: Crane, engine: Any, manoeuvre: Manoeuvre) -> np.ndarray:
     """Return the states (N, nx) of a machine through a manoeuvre every ms, from its own static start."""
-    from crane_exudyn.inputs import SpoolPath
+    from .hidden_plant import inputs
 
-    supply = np.tile([crane["supply.pump_pressure"], crane["supply.tank_pressure"]], (_GRID.size, 1))
-    w = np.ascontiguousarray(np.column_stack([SpoolPath(crane).run(_GRID, manoeuvre.commands(_GRID)), supply]))
     start = engine.static_start(manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded)
+    w = inputs(crane, _GRID, manoeuvre.commands(_GRID), ())
     states = np.asarray(engine.simulate(start, _GRID, w, step=_STEP))
     _check_reach(crane, states)
     return states
@@ -351,31 +371,39 @@ def make_case(
     """
     rng = np.random.default_rng(seed)
     kind = kind or str(rng.choice(KINDS, p=(0.6, 0.14, 0.08, 0.08, 0.1)))
-    drawn = (int(rng.integers(2)), int(rng.choice(RATES)), int(rng.random() < 0.35), bool(rng.random() < 0.5))
-    level, rate, chosen, off = (
-        d if given is None else given for d, given in zip(drawn, (noise, rate, sensors, errors))
-    )
-    names = SENSOR_SETS[chosen]
-    stds = {n: NOISES[level][0 if n.startswith("z") else 1] for n in names}
-    crane = crane or Crane.load("patu655")
-    off = kind == "parameters" or (off and kind != "none")
-    machine = draw_machine(
-        crane, rng, errors=off, payload=off and rng.random() < (0.6 if kind == "parameters" else 0.3)
-    )
+    drawn = (int(rng.integers(2)), int(rng.choice(RATES)), int(rng.random() < 0.35), int(rng.random() < 0.5))
+    given = (noise, rate, sensors, errors)
+    level, rate, chosen, off = (int(d if g is None else g) for d, g in zip(drawn, given, strict=True))
+    stds = {n: NOISES[level][0 if n.startswith("z") else 1] for n in SENSOR_SETS[chosen]}
+    nominal = crane or Crane.load("patu655")
+    machine = _machine(nominal, rng, kind, off == 1)
     if keys is None:
-        keys = _pick(rng, kind, names) if kind in ("effect", "two") else []
-    setting = _Setting(rng, kind, keys, stds, int(rate), machine, crane, visible, foreign)
+        keys = _pick(rng, kind, list(stds)) if kind in ("effect", "two") else []
+    return _until_it_does(seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, foreign))
+
+
+def _machine(nominal: Crane, rng: np.random.Generator, kind: str, off: bool) -> Crane:
+    """Return the machine before anything is hidden in it."""
+    if kind == "none" or not (off or kind == "parameters"):
+        return nominal
+    return draw_machine(nominal, rng, errors=True, payload=rng.random() < (0.6 if kind == "parameters" else 0.3))
+
+
+def _until_it_does(seed: int, s: _Setting) -> HiddenCase:
+    """Return a case; manoeuvres and severities are drawn until they do."""
+    problem: CraneError | None = None
     for _ in range(_MOST_DRAWS):
         try:
-            return _try_case(seed, setting)
-        except CraneError as problem:
-            last = problem
-    raise CraneError(f"Case {seed} ({kind}: {', '.join(keys)}): {_MOST_DRAWS} draws failed, the last one thus: {last}")
+            return _try_case(seed, s)
+        except CraneError as found:
+            problem = found
+    raise CraneError(f"Case {seed} ({s.kind}: {', '.join(s.keys)}): {_MOST_DRAWS} draws failed, the last: {problem}")
 
 
 def _try_case(seed: int, s: _Setting) -> HiddenCase:
     """Return a case of new manoeuvres and severities, or raise CraneError where they do not do."""
-    manoeuvres = [draw_manoeuvre(s.rng, cycle=None if s.foreign else 0.01) for _ in range(2)]
+    plan = [_PAST_THE_STOP[c] if f"end_stop@{name}" in s.keys else _PLANNED[c] for c, name in enumerate(CYLINDERS)]
+    manoeuvres = [draw_manoeuvre(s.rng, cycle=None if s.foreign else 0.01, plan=plan) for _ in range(2)]
     if s.kind == "unknown":
         return _unknown_case(seed, s, manoeuvres)
     machine = s.machine
@@ -388,10 +416,33 @@ def _try_case(seed: int, s: _Setting) -> HiddenCase:
     return _recorded(seed, s, manoeuvres, runs, answer)
 
 
-def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre) -> dict[str, np.ndarray]:
-    from .hidden_plant import LawfulEngine
+def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law] = ()) -> dict[str, np.ndarray]:
+    """Return what the machine's sensors show without noise, by the Exudyn engine; laws act beside its effects."""
+    from crane_exudyn.engine import ExudynEngine
+    from crane_exudyn.statics import static_start
 
-    return readings(machine, _run(machine, LawfulEngine(machine), manoeuvre))
+    from .hidden_plant import inputs, simulate
+
+    plain, dialects = _in_dialect(machine) if s.foreign else (machine, [])
+    acting = [*laws, *(law for d in dialects for law in d.laws)]
+    if not acting and not dialects:
+        return readings(machine, _run(machine, ExudynEngine(machine), manoeuvre))
+    w = inputs(plain, _GRID, manoeuvre.commands(_GRID), dialects)
+    states = simulate(plain, static_start(plain, manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded), _GRID, w, acting)
+    _check_reach(machine, states)
+    return readings(machine, states)
+
+
+def _in_dialect(machine: Crane) -> tuple[Crane, list[Dialect]]:
+    """Return the machine without the effects that have a dialect, and those dialects."""
+    from .hidden_plant import DIALECTS, dialect
+
+    spoken = [e for e in machine.effects if e.name in DIALECTS]
+    plain = machine
+    for effect in spoken:
+        plain = plain.without_effect(effect.key)
+    found = [dialect(e.key, e.parameters, plain) for e in spoken]
+    return plain, [d for d in found if d is not None]
 
 
 def _seen(s: _Setting, machine: Crane, manoeuvre: Manoeuvre) -> dict[str, float]:
@@ -400,33 +451,43 @@ def _seen(s: _Setting, machine: Crane, manoeuvre: Manoeuvre) -> dict[str, float]
     seen = {}
     for key in s.keys:
         if key.startswith("end_stop"):
+            _check_hit(machine, whole, CYLINDERS.index(key.partition("@")[2]))
             continue  # without it there is no run to compare with
         seen[key] = visibility(whole, _draft(machine.without_effect(key), manoeuvre), s.noise)
         if not s.visible[0] <= seen[key] <= s.visible[1]:
             raise CraneError(f"{key} moves the channels by {seen[key]:.2g} noise units, asked for {s.visible}.")
     if dict(s.machine.values) != dict(s.nominal.values):
-        seen["parameters"] = visibility(_draft(s.machine, manoeuvre), _draft(s.nominal, manoeuvre), s.noise)
+        seen["parameters"] = visibility(whole, _draft(machine.with_parameters(s.nominal.values), manoeuvre), s.noise)
         if s.kind == "parameters" and seen["parameters"] < s.visible[0]:
             raise CraneError("the parameter errors cannot be seen.")
     return seen
+
+
+def _check_hit(machine: Crane, shown: Mapping[str, np.ndarray], cylinder: int) -> None:
+    """Raise CraneError unless a cylinder stands at its extended end for 0.3 s or more."""
+    from crane_exudyn.geometry import pose
+
+    lengths = pose(machine, shown["z1"], shown["z4"]).lengths[:, cylinder]
+    names = [f"cylinders.{CYLINDERS[cylinder]}.{part}" for part in ("empty_length", "chamber_range")]
+    if np.sum(lengths > sum(machine[n] for n in names)) * _STEP < 0.3:
+        raise CraneError(f"the {CYLINDERS[cylinder]} cylinder does not come to its end.")
 
 
 def _unknown_case(seed: int, s: _Setting, manoeuvres: Sequence[Manoeuvre]) -> HiddenCase:
     """Return a case with a law that is in no effect file."""
     from crane_exudyn.geometry import pose
 
-    from .hidden_plant import LAWS, LawfulEngine, draw_law
+    from .hidden_plant import LAWS, draw_law
 
     name = str(s.keys[0]) if s.keys else str(s.rng.choice(LAWS))
     plain = _draft(s.machine, manoeuvres[0])
     lengths = pose(s.machine, plain["z1"], plain["z4"]).lengths
     law, told = draw_law(name, s.machine, s.rng, {"s1": lengths[:, 0], "s2": lengths[:, 1]})
-    engine = LawfulEngine(s.machine, [law])
-    runs = [readings(s.machine, _run(s.machine, engine, manoeuvres[0]))]
+    runs = [_exact(s.machine, s, manoeuvres[0], [law])]
     seen = visibility(runs[0], plain, s.noise)
     if not s.visible[0] <= seen <= s.visible[1]:
         raise CraneError(f"{name} moves the channels by {seen:.2g} noise units, asked for {s.visible}.")
-    runs.append(readings(s.machine, _run(s.machine, engine, manoeuvres[1])))
+    runs.append(_exact(s.machine, s, manoeuvres[1], [law]))
     answer = _answer(s, s.machine, {name: seen})
     return _recorded(seed, s, manoeuvres, runs, answer | {"law": {"name": name, **told}})
 

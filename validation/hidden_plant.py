@@ -1,15 +1,15 @@
-"""A crane on the Exudyn engine whose laws may differ from step to step, and laws that are in no effect file.
+"""A crane on the Exudyn engine whose laws are changed from outside: laws that are in no effect file, and laws in a dialect.
 
-The library's effects are functions of the state, compiled into the engine. The laws here act from outside: before each step of
-1 ms they look at the state and change parameters or inputs for that step. So they can hold what the library cannot say
-(`LAWS`), and the library's effects in another dialect (`DIALECTS`), as a machine in the field would.
+The library's effects are compiled into the engine. The laws here are asked before each step of 1 ms and change parameters,
+flows or forces for that step. So they can hold what the library cannot say (`LAWS`), and the library's effects as another
+maker's machine would have them (`DIALECTS`): a soft edge, a lag, another order of the same elements.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,105 +17,90 @@ import numpy as np
 from crane_exudyn import geometry
 from crane_exudyn import hydraulics as hyd
 from crane_exudyn.crane import Crane
+from crane_exudyn.effects.base import CHAMBERS, CYLINDERS
 from crane_exudyn.engine import ExudynEngine
-from crane_exudyn.parameters import CYLINDER, CYLINDERS, N_CYLINDER
-
-_DEGREES = np.radians(np.arange(-180.0, 90.0, 0.5))
+from crane_exudyn.inputs import SpoolPath, play
 
 
-@dataclass
+@dataclass(frozen=True)
 class Now:
-    """What a law sees and may change before a step: SI.
+    """What a law may look at: the start of a step, in SI.
 
     Attributes:
-        time: start of the step, s.
-        state: (nx,) state there; not to be changed.
-        P, E: flat vectors of nominal and effect parameters for this step.
-        w0, w1: (12,) inputs [U1 U2 pp pt] and disturbances at the start and the end of the step.
-        lengths: pin-to-pin lengths (s1, s2) in m.
+        time: s.
+        state: (nx,).
+        inputs: (4,) [U1 U2 pp pt].
+        lengths: pin-to-pin lengths (s1, s2), m.
     """
 
     time: float
     state: np.ndarray
-    P: np.ndarray
-    E: np.ndarray
-    w0: np.ndarray
-    w1: np.ndarray
+    inputs: np.ndarray
     lengths: tuple[float, float]
 
+    def pressures(self, cylinder: int) -> tuple[float, float]:
+        """Return (piston side, rod side) in Pa."""
+        return float(self.state[4 + 2 * cylinder]), float(self.state[5 + 2 * cylinder])
 
-Law = Callable[[Now], None]
+
+#: a law returns what differs in the next step: names as in ExudynEngine.propagate's `parameters`, values in SI
+Law = Callable[[Now], Mapping[str, float]]
 
 
-class LawfulEngine(ExudynEngine):
-    """An Exudyn engine for one crane that lets laws change parameters and inputs before every step.
+def simulate(crane: Crane, start: np.ndarray, time: np.ndarray, inputs: np.ndarray, laws: Sequence[Law]) -> np.ndarray:
+    """Return the states (N, nx) of a crane at the even instants `time`, under laws that act from step to step.
 
     Args:
-        crane: the crane, with the library's effects that it has.
-        laws: applied in order, each step anew from the crane's own parameters.
+        crane: with the effects of the library that it has.
+        start: (nx,) state at time[0].
+        time: (N,) s;  inputs: (N, 4) [U1 U2 pp pt] there.
+        laws: none of them may change what another one changes.
     """
-
-    def __init__(self, crane: Crane, laws: Sequence[Law] = ()) -> None:
-        super().__init__(crane)
-        self._laws = tuple(laws)
-        self._own = (crane.parameter_vector(), crane.effect_vector())
-        self._table = _length_tables(crane)
-
-    def _step(
-        self,
-        x: np.ndarray,
-        w0: np.ndarray,
-        w1: np.ndarray,
-        h: float,
-        time: float,
-        halved: int = 0,
-        P: np.ndarray | None = None,
-        E: np.ndarray | None = None,
-    ) -> np.ndarray:
-        if halved or not self._laws:
-            return super()._step(x, w0, w1, h, time, halved, P, E)
-        now = self._now(x[0], w0[0].copy(), w1[0].copy(), time)
-        for law in self._laws:
-            law(now)
-        return super()._step(x, now.w0[None], now.w1[None], h, time, halved, now.P[None], now.E[None])
-
-    def _now(self, state: np.ndarray, w0: np.ndarray, w1: np.ndarray, time: float) -> Now:
-        z1, z4, s1, s2 = self._table
-        lengths = float(np.interp(state[0], z1, s1)), float(np.interp(state[1], z4, s2))
-        return Now(time, state, self._own[0].copy(), self._own[1].copy(), w0, w1, lengths)
+    engine, table = ExudynEngine(crane), _length_tables(crane)
+    states = np.empty((time.size, start.size))
+    states[0] = start
+    for k in range(time.size - 1):
+        x = states[k]
+        lengths = float(np.interp(x[0], table[0], table[1])), float(np.interp(x[1], table[2], table[3]))
+        now = Now(float(time[k]), x, inputs[k], lengths)
+        changes = {name: np.array([value]) for law in laws for name, value in law(now).items()}
+        states[k + 1] = engine.propagate(x[None], inputs[k : k + 2], time[k + 1] - time[k], now.time, changes or None)[
+            0
+        ]
+    return states
 
 
 def _length_tables(crane: Crane) -> tuple[np.ndarray, ...]:
-    """Return (z1, z4, s1 at z1, s2 at z4): each cylinder's length depends on one angle only."""
-    angles = _DEGREES[_DEGREES < math.radians(20.0)]
-    s1 = geometry.pose(crane, _DEGREES, np.full_like(_DEGREES, math.radians(-45.0))).lengths[:, 0]
-    s2 = geometry.pose(crane, np.zeros_like(angles), angles).lengths[:, 1]
-    return _DEGREES, angles, s1, s2
+    """Return (z1, s1 there, z4, s2 there): each cylinder's length depends on one angle only."""
+    z1, z4 = np.radians(np.arange(-90.0, 120.0, 0.25)), np.radians(np.arange(-170.0, 20.0, 0.25))
+    s1 = geometry.pose(crane, z1, math.radians(-45.0)).lengths[:, 0]
+    s2 = geometry.pose(crane, 0.0, z4).lengths[:, 1]
+    return z1, s1, z4, s2
 
 
-# -- laws that no effect file has -------------------------------------------------------------------------------------
+# -- laws that no effect file has ------------------------------------------------------------------------------------
 
 
-def scored_bore(cylinder: int, force: float, middle: float, width: float) -> Law:
+def scored_bore(crane: Crane, cylinder: int, force: float, middle: float, width: float) -> Law:
     """Return a law: the bore is scored over part of the stroke, where the seal rubs harder.
 
-    Adds `force` N times exp(-((s - middle)/width)²) to Coulomb and static friction of the cylinder; lengths in m.
+    Adds force·exp(-((s - middle)/width)²) in N to Coulomb and static friction of a cylinder; lengths in m.
     """
+    names = [f"cylinders.{CYLINDERS[cylinder]}.{kind}_friction" for kind in ("coulomb", "static")]
 
-    def law(now: Now) -> None:
+    def law(now: Now) -> Mapping[str, float]:
         added = force * math.exp(-(((now.lengths[cylinder] - middle) / width) ** 2))
-        k = CYLINDER + N_CYLINDER * cylinder
-        now.P[k + hyd.FC] += added
-        now.P[k + hyd.FS] += added
+        return {name: crane[name] + added for name in names}
 
     return law
 
 
-def hunting_pump(pressure: float, share: float, frequency: float, phase: float) -> Law:
-    """Return a law: the pump's pressure controller hunts, pp = pressure (1 + share sin(2π f t + phase)) whatever flows."""
+def hunting_pump(crane: Crane, share: float, frequency: float, phase: float) -> Law:
+    """Return a law: the pump's pressure controller hunts, pp (1 + share sin(2π f t + phase)), whatever flows."""
 
-    def law(now: Now) -> None:
-        now.w0[2] = now.w1[2] = pressure * (1.0 + share * math.sin(2.0 * math.pi * frequency * now.time + phase))
+    def law(now: Now) -> Mapping[str, float]:
+        swing = share * math.sin(2.0 * math.pi * frequency * now.time + phase)
+        return {"supply.pump_pressure": crane["supply.pump_pressure"] * (1.0 + swing)}
 
     return law
 
@@ -126,21 +111,241 @@ LAWS = ("scored_bore", "hunting_pump")
 def draw_law(
     name: str, crane: Crane, rng: np.random.Generator, visited: Mapping[str, np.ndarray]
 ) -> tuple[Law, dict[str, Any]]:
-    """Return a law of LAWS with random severity and what describes it.
+    """Return a law of LAWS with random severity, and what describes it.
 
     Args:
         name: of the law.
         crane: the plant.
         rng: source of the draws.
-        visited: "s1" and "s2" along the manoeuvre, m; a scored place is worthless where the cylinder never comes by.
+        visited: "s1" and "s2" along the manoeuvre, m; a scored place counts only where the cylinder comes by.
     """
+    told: dict[str, Any]
     if name == "hunting_pump":
-        share, frequency, phase = rng.uniform(0.04, 0.2), rng.uniform(0.25, 2.0), rng.uniform(0.0, 2.0 * math.pi)
-        told: dict[str, Any] = {"share": share, "frequency": frequency, "phase": phase}
-        return hunting_pump(crane["supply.pump_pressure"], share, frequency, phase), told
+        told = {
+            "share": rng.uniform(0.04, 0.2),
+            "frequency": rng.uniform(0.25, 2.0),
+            "phase": rng.uniform(0.0, 2.0 * math.pi),
+        }
+        return hunting_pump(crane, **told), told
     cylinder = int(rng.integers(2))
     low, high = np.quantile(visited[f"s{cylinder + 1}"], [0.15, 0.85])
-    force, middle = float(np.exp(rng.uniform(*np.log([1500.0, 9000.0])))), float(rng.uniform(low, high))
-    width = float(rng.uniform(0.08, 0.25) * max(high - low, 0.05))
-    told = {"cylinder": CYLINDERS[cylinder], "force": force, "middle": middle, "width": width}
-    return scored_bore(cylinder, force, middle, width), told
+    told = {
+        "cylinder": cylinder,
+        "force": float(np.exp(rng.uniform(*np.log([3000.0, 20000.0])))),
+        "middle": float(rng.uniform(low, high)),
+        "width": float(rng.uniform(0.08, 0.25) * max(high - low, 0.05)),
+    }
+    return scored_bore(crane, **told), told
+
+
+# -- the library's effects in a dialect ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """An effect as another maker's machine has it.
+
+    Attributes:
+        laws: act from step to step.
+        spool: changes the spool positions (N,) of one cylinder, given (time, command, spool), beforehand; or None.
+        cylinder: whose spool that is.
+    """
+
+    laws: tuple[Law, ...] = ()
+    spool: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    cylinder: int = 0
+
+
+def dialect(key: str, values: Mapping[str, float], crane: Crane) -> Dialect | None:
+    """Return the effect "name@place" of a crane in its dialect; None where it has none and the library's law holds.
+
+    Args:
+        values: its parameters as the library has them, SI.
+        crane: the machine without this effect.
+    """
+    name, _, place = key.partition("@")
+    maker = DIALECTS.get(name)
+    return maker(values, place, crane) if maker is not None else None
+
+
+def inputs(crane: Crane, time: np.ndarray, commands: np.ndarray, dialects: Sequence[Dialect]) -> np.ndarray:
+    """Return [U1 U2 pp pt] (N, 4) of a machine: spools behind the lag (16) and what the dialects make of them."""
+    spools = SpoolPath(crane).run(time, commands)
+    for d in dialects:
+        if d.spool is not None:
+            spools[:, d.cylinder] = d.spool(time, commands[:, d.cylinder], spools[:, d.cylinder])
+    return np.ascontiguousarray(np.column_stack([spools, np.full((time.size, 2), math.nan)]))
+
+
+def _soft_dead_band(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a dead band whose edges are notched: the opening sets in softly, over about 1 % of the stroke."""
+    soft = 0.006
+
+    def opening(u: np.ndarray, width: float) -> np.ndarray:
+        rise = np.logaddexp(0.0, (u - width) / soft) - np.logaddexp(0.0, -width / soft)
+        return soft * np.maximum(rise, 0.0) / (1.0 - width)
+
+    def spool(_: np.ndarray, __: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.where(u >= 0.0, opening(u, values["upper"]), -opening(-u, values["lower"]))
+
+    return Dialect(spool=spool, cylinder=CYLINDERS.index(place))
+
+
+def _play_behind_the_spool(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return the play between spool and valve, behind the lag instead of before it."""
+
+    def spool(_: np.ndarray, __: np.ndarray, u: np.ndarray) -> np.ndarray:
+        out, held = np.empty_like(u), float(u[0])
+        for k, leader in enumerate(u):
+            held = out[k] = play(held, leader, values["b"])
+        return out
+
+    return Dialect(spool=spool, cylinder=CYLINDERS.index(place))
+
+
+def _delay_by_cycles(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a delay of a controller that reads its command every 5 ms and holds it."""
+    cylinder = CYLINDERS.index(place)
+
+    def spool(time: np.ndarray, command: np.ndarray, _: np.ndarray) -> np.ndarray:
+        read = np.floor((time - values["T"]) / 5e-3 + 1e-9) * 5e-3
+        held = np.zeros((time.size, 2))
+        held[:, cylinder] = np.interp(read, time, command)
+        return np.asarray(SpoolPath(crane).run(time, held)[:, cylinder])
+
+    return Dialect(spool=spool, cylinder=cylinder)
+
+
+def _supply_behind_a_line(values: Mapping[str, float], crane: Crane, name: str, sign: float, which: int) -> Dialect:
+    """Return a supply whose pressure follows the flow with a lag of 10 ms, as behind a line with oil in it.
+
+    Args:
+        name: of the supply pressure;  sign: of its change with the flow;  which: 2 for drawn, 3 for returned flow.
+    """
+    P, E, follower = crane.parameter_vector(), crane.effect_vector(), _Follower(0.01)
+
+    def law(now: Now) -> Mapping[str, float]:
+        pressure = crane[name] + sign * values["R"] * follower.value
+        pp, pt = (pressure, P[hyd.SUPPLY + 1]) if which == 2 else (P[hyd.SUPPLY], pressure)
+        flows = (hyd.port_flows(P, E, c, now.inputs[c], pp, pt, *now.pressures(c))[which] for c in range(2))
+        follower.follow(now.time, sum(flows))
+        return {name: crane[name] + sign * values["R"] * follower.value}
+
+    return Dialect((law,))
+
+
+@dataclass
+class _Follower:
+    """A first-order follower; starts anew when time goes back."""
+
+    tau: float
+    value: float = 0.0
+    time: float = field(default=math.inf)
+
+    def follow(self, time: float, target: float) -> None:
+        if time < self.time:
+            self.value = 0.0
+        else:
+            self.value += (target - self.value) * (1.0 - math.exp(-(time - self.time) / self.tau))
+        self.time = time
+
+
+def _steep_counterbalance(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a load-holding valve that opens fully over 35 bar instead of 20, and never closes quite (1 %)."""
+    c = CYLINDERS.index(place)
+
+    def law(now: Now) -> Mapping[str, float]:
+        piston, rod = now.pressures(c)
+        own, other = (piston, rod) if c == 0 else (rod, piston)
+        drains = now.inputs[c] < 0.0 if c == 0 else now.inputs[c] > 0.0
+        opening = min(max((own + values["ratio"] * other - values["setting"]) / 35e5, 0.01), 1.0)
+        return {f"meter_out_restriction@{place}.r": 1.0 - opening if drains else 0.0}
+
+    return Dialect((law,))
+
+
+def _friction_as_in_19(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return pressure-dependent friction that enters the friction law (19) of the cylinder, with its smoothing."""
+    c, names = CYLINDERS.index(place), [f"cylinders.{place}.{kind}_friction" for kind in ("coulomb", "static")]
+
+    def law(now: Now) -> Mapping[str, float]:
+        piston, rod = now.pressures(c)
+        return {name: crane[name] + values["mu"] * abs(piston - rod) for name in names}
+
+    return Dialect((law,))
+
+
+def _slow_load(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a payload that is taken up (or let go) over 0.25 s."""
+
+    def law(now: Now) -> Mapping[str, float]:
+        share = min(max((now.time - values["T"]) / 0.25, 0.0), 1.0)
+        return {"payload.mass": crane["payload.mass"] + share * values["dm"]}
+
+    return Dialect((law,))
+
+
+def _slow_contact(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a contact that builds up over 0.15 s and leans by a tenth of its force."""
+
+    def law(now: Now) -> Mapping[str, float]:
+        force = values["F"] * min(max((now.time - values["T"]) / 0.15, 0.0), 1.0)
+        return {"force.y": force, "force.x": 0.1 * force}
+
+    return Dialect((law,))
+
+
+def _curved_leak(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a leak, internal or external, that grows a little faster than the pressure: 10 % more at 50 bar."""
+
+    def flow(dp: float) -> float:
+        return values["k"] * dp * (1.0 + 0.1 * abs(dp) / 50e5)
+
+    def out(now: Now) -> Mapping[str, float]:
+        return {f"flow.{place}": -flow(float(now.state[4 + CHAMBERS.index(place)]))}
+
+    def across(now: Now) -> Mapping[str, float]:
+        c = CYLINDERS.index(place)
+        piston, rod = now.pressures(c)
+        return {f"flow.p{2 * c + 1}": -flow(piston - rod), f"flow.p{2 * c + 2}": flow(piston - rod)}
+
+    return Dialect((out if place in CHAMBERS else across,))
+
+
+def _soft_compensator(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a compensator that lets a twentieth of the surplus pressure through."""
+    c, P = CYLINDERS.index(place), crane.parameter_vector()
+
+    def law(now: Now) -> Mapping[str, float]:
+        filled = now.pressures(c)[0 if now.inputs[c] >= 0.0 else 1]
+        surplus = max(P[hyd.SUPPLY] - filled - values["dpc"], 0.0)
+        return {f"pressure_compensation@{place}.dpc": values["dpc"] + 0.05 * surplus}
+
+    return Dialect((law,))
+
+
+def _lopsided_meter_out(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a restriction that is a tenth stronger one way and a tenth weaker the other."""
+    c = CYLINDERS.index(place)
+
+    def law(now: Now) -> Mapping[str, float]:
+        return {f"meter_out_restriction@{place}.r": values["r"] * (1.1 if now.inputs[c] > 0.0 else 0.9)}
+
+    return Dialect((law,))
+
+
+DIALECTS: Mapping[str, Callable[[Mapping[str, float], str, Crane], Dialect]] = {
+    "internal_leakage": _curved_leak,
+    "external_leakage": _curved_leak,
+    "dead_band": _soft_dead_band,
+    "meter_out_restriction": _lopsided_meter_out,
+    "pressure_compensation": _soft_compensator,
+    "command_delay": _delay_by_cycles,
+    "spool_hysteresis": _play_behind_the_spool,
+    "counterbalance_valve": _steep_counterbalance,
+    "pump_droop": lambda v, _, crane: _supply_behind_a_line(v, crane, "supply.pump_pressure", -1.0, 2),
+    "return_back_pressure": lambda v, _, crane: _supply_behind_a_line(v, crane, "supply.tank_pressure", 1.0, 3),
+    "pressure_dependent_friction": _friction_as_in_19,
+    "payload_change": _slow_load,
+    "tip_contact_force": _slow_contact,
+}

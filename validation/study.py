@@ -1,0 +1,305 @@
+"""The study of hidden effects: many cases of `validation.hidden` through the diagnosis, and tables of how it did.
+
+python -m validation.study run results.jsonl --seeds 5000-5119 --jobs 2     a line a case; finished cases are not run again
+python -m validation.study run results.jsonl --folder DIR                   cases that `python -m validation.hidden` wrote
+python -m validation.study tables results.jsonl                             what came out, as Markdown
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .hidden import SEVERITIES, HiddenCase, hideable, make_case
+
+#: kinds of ten consecutive cases of a plan
+_PATTERN = ("effect", "none", "effect", "two", "effect", "parameters", "effect", "unknown", "effect", "effect")
+#: visibility below which nothing is promised
+PROMISED = 5.0
+#: severities of the tables: visibility from … to
+BINS = ((0.0, 5.0), (5.0, 15.0), (15.0, 50.0), (50.0, math.inf))
+_BLAMING = ("effect", "tied", "unknown")
+
+
+# -- which cases -----------------------------------------------------------------------------------------------------
+
+
+def planned(seed: int) -> dict[str, Any]:
+    """Return the arguments of `make_case` for a seed of the study: kinds in a fixed pattern, effects in turn."""
+    kind = _PATTERN[seed % len(_PATTERN)]
+    if kind != "effect":
+        return {"kind": kind}
+    turn = sum(k == "effect" for k in _PATTERN) * (seed // len(_PATTERN)) + sum(
+        k == "effect" for k in _PATTERN[: seed % len(_PATTERN)]
+    )
+    names = list(SEVERITIES)
+    name = names[turn % len(names)]
+    keys = [k for k in hideable(("z1", "z4", "p1", "p2", "p3", "p4")) if k.partition("@")[0] == name]
+    key = keys[(turn // len(names)) % len(keys)]
+    all_sensors = {"sensors": 0} if key in ("sensor_bias@p2", "sensor_bias@p3") or key.endswith(("p2", "p3")) else {}
+    return {"kind": kind, "keys": [key], **all_sensors}
+
+
+def folder_case(folder: Path, name: str) -> HiddenCase:
+    """Return a case from the files that `validation.hidden.write_cases` has written."""
+    from crane_exudyn.recording import Recording
+
+    answer = json.loads((folder / "answers.json").read_text(encoding="utf-8"))[name]
+    learn, check = (Recording.load(folder / f"{name}_{part}.csv") for part in ("learn", "check"))
+    return HiddenCase(int(name.rpartition("_")[2]) if name[-1].isdigit() else -1, learn, check, answer)
+
+
+# -- judging one -----------------------------------------------------------------------------------------------------
+
+
+def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+    """Return how a diagnosis (the JSON of `patu diagnose`) compares with the answer of a case.
+
+    Returns:
+        "right": verdict right, the effects first or among the tied; "first": they came first; "partly": one of two was
+        named; "alarm": something was blamed though nothing was hidden; "visibility": of the least visible effect, None where
+        nothing is hidden; "said": the verdict, or the effects named; "relative_errors" of the effects' parameters where right.
+    """
+    truth = frozenset(answer["effects"])
+    named = [frozenset(found["effects"]), *(frozenset(t.split(" + ")) for t in found["tied_with"])]
+    blames = found["verdict"] in ("effect", "tied")
+    first = bool(truth) and blames and named[0] == truth
+    right = (blames and truth in named) if truth else found["verdict"] == answer["verdict"]
+    hidden = [v for k, v in answer.get("visibility", {}).items() if k != "parameters"]
+    return {
+        "right": right,
+        "first": first,
+        "partly": blames and bool(truth) and any(n & truth for n in named),
+        "alarm": answer["verdict"] in ("adequate", "parameters") and found["verdict"] in _BLAMING,
+        "visibility": min(hidden) if hidden else None,
+        "said": " + ".join(found["effects"]) if blames else found["verdict"],
+        "relative_errors": _relative_errors(answer, found) if first else {},
+    }
+
+
+def _relative_errors(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, float]:
+    """Return |found - true| / |true - neutral| of the effects' parameters that have a neutral value."""
+    from crane_exudyn.effects import registry
+
+    chosen = next(c for c in found["candidates"] if c["effect"] == " + ".join(found["effects"]))
+    errors = {}
+    for key, values in answer.get("parameters", {}).items():
+        for p in registry.split_key(key)[0].parameters if "@" in key or "." not in key else ():
+            given = chosen["parameters"].get(p.name) or chosen["parameters"].get(f"{key}:{p.name}")
+            size = abs(values[p.name] - p.neutral) if math.isfinite(p.neutral) else abs(values[p.name])
+            if given is not None and not p.shape and size > 0.0 and given["value"] is not None:
+                errors[f"{key}.{p.name}"] = abs(given["value"] - values[p.name]) / size
+    return errors
+
+
+# -- running many ----------------------------------------------------------------------------------------------------
+
+
+def run_one(case: HiddenCase, name: str, jobs: int = 1) -> dict[str, Any]:
+    """Return one line of results: the answer, the diagnosis (all candidates, but no crane files) and the judgement."""
+    from crane_exudyn.crane import Crane
+
+    from .diagnosis import diagnose
+
+    began = time.perf_counter()
+    line: dict[str, Any] = {"name": name, "answer": case.answer}
+    try:
+        found = json.loads(json.dumps(diagnose(Crane.load("patu655"), case.learn, case.check, jobs=jobs).to_dict()))
+    except Exception as problem:  # a study of hundreds must tell of a failure, not end with it
+        return line | {"failed": repr(problem), "trace": traceback.format_exc(limit=-4)}
+    return line | {"diagnosis": found, "judged": judge(case.answer, found), "seconds": time.perf_counter() - began}
+
+
+def _seed_line(seed: int, more: Mapping[str, Any]) -> dict[str, Any]:
+    return run_one(make_case(seed, **(planned(seed) | dict(more))), f"case_{seed}")
+
+
+def _folder_line(folder: Path, name: str) -> dict[str, Any]:
+    return run_one(folder_case(folder, name), name)
+
+
+def run(results: Path, tasks: Sequence[tuple[Any, ...]], *, jobs: int = 1) -> None:
+    """Run tasks (name, function, arguments) that `results` does not hold yet; a line is added as each is done."""
+    from joblib import Parallel, delayed
+
+    done = {line["name"] for line in read(results)} if results.exists() else set()
+    left = [(f, a) for name, f, a in tasks if name not in done]
+    for line in Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(f)(*a) for f, a in left):
+        with results.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        print(told(line), file=sys.stderr, flush=True)
+
+
+def told(line: Mapping[str, Any]) -> str:
+    """Return a result in one line of text."""
+    answer = line["answer"]
+    truth = " + ".join(answer["effects"]) or answer["verdict"]
+    truth += f" ({answer['law']['name']})" if "law" in answer else ""
+    if "failed" in line:
+        return f"{line['name']}: {truth}: FAILED {line['failed'][:150]}"
+    j, d = line["judged"], line["diagnosis"]
+    seen = ", ".join(f"{v:.3g}" for v in answer.get("visibility", {}).values())
+    tied = f" ~ {', '.join(d['tied_with'])}" if d["tied_with"] else ""
+    errors = " ".join(f"{d[k]:.3g}" for k in ("error_before", "error_after", "check_error_before", "check_error_after"))
+    mark = "right" if j["right"] else "WRONG"
+    return f"{line['name']}: {mark}: {truth} [{seen}] -> {j['said']}{tied}; errors {errors}; {line['seconds']:.0f} s"
+
+
+def read(results: Path) -> list[dict[str, Any]]:
+    """Return the lines of a results file."""
+    return [json.loads(text) for text in results.read_text(encoding="utf-8").splitlines() if text.strip()]
+
+
+# -- tables ----------------------------------------------------------------------------------------------------------
+
+
+def tables(lines: Sequence[Mapping[str, Any]]) -> str:
+    """Return the tables of a study as Markdown."""
+    good = [line for line in lines if "judged" in line]
+    parts = [_summary(lines, good), _by_severity(good), _by_effect(good), _confusion(good), _errors(good)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _share(flags: Iterable[bool]) -> str:
+    kept = [bool(f) for f in flags]
+    return f"{sum(kept)} of {len(kept)} ({100.0 * sum(kept) / len(kept):.0f} %)" if kept else "-"
+
+
+def _of(good: Sequence[Mapping[str, Any]], *kinds: str) -> list[Mapping[str, Any]]:
+    return [line for line in good if line["answer"]["kind"] in kinds]
+
+
+def _visible(line: Mapping[str, Any]) -> bool:
+    v = line["judged"]["visibility"]
+    return v is None or v >= PROMISED
+
+
+def _summary(lines: Sequence[Mapping[str, Any]], good: Sequence[Mapping[str, Any]]) -> str:
+    singles, clean = [g for g in _of(good, "effect") if _visible(g)], _of(good, "none", "parameters")
+    after = [g["diagnosis"]["check_error_after"] for g in singles if g["judged"]["right"]]
+    near = [max(g["judged"]["relative_errors"].values()) <= 0.1 for g in singles if g["judged"]["relative_errors"]]
+    rows = [
+        ("cases", str(len(lines))),
+        ("failed with an error", str(len(lines) - len(good))),
+        (
+            f"one effect, visibility >= {PROMISED:g}: right (first or tied)",
+            _share(g["judged"]["right"] for g in singles),
+        ),
+        ("two effects: both right", _share(g["judged"]["right"] for g in _of(good, "two"))),
+        ("two effects: at least one named", _share(g["judged"]["partly"] for g in _of(good, "two"))),
+        ("nothing hidden: false alarms", _share(g["judged"]["alarm"] for g in clean)),
+        ("parameter errors only: verdict parameters", _share(g["judged"]["right"] for g in _of(good, "parameters"))),
+        ("law that the library lacks: unknown", _share(g["judged"]["right"] for g in _of(good, "unknown"))),
+        ("right ones: error on check after <= 1.2", _share(a <= 1.2 for a in after)),
+        ("right ones: all parameters within 10 %", _share(near)),
+    ]
+    return _table(("", ""), rows)
+
+
+def _by_severity(good: Sequence[Mapping[str, Any]]) -> str:
+    rows = []
+    for low, high in BINS:
+        inside = [
+            g
+            for g in _of(good, "effect")
+            if g["judged"]["visibility"] is not None and low <= g["judged"]["visibility"] < high
+        ]
+        errors = [max(g["judged"]["relative_errors"].values()) for g in inside if g["judged"]["relative_errors"]]
+        rows.append((
+            f"{low:g} … {high:g}", _share(g["judged"]["right"] for g in inside), _share(g["judged"]["first"] for g in inside),
+            _median([g["diagnosis"]["check_error_before"] for g in inside]),
+            _median([g["diagnosis"]["check_error_after"] for g in inside if g["judged"]["right"]]),
+            _median([100.0 * e for e in errors]),
+        ))  # fmt: skip
+    head = ("visibility", "right", "first", "check error before", "after (right ones)", "parameter error, %")
+    return _table(head, rows)
+
+
+def _by_effect(good: Sequence[Mapping[str, Any]]) -> str:
+    rows = []
+    for name in sorted({g["answer"]["effects"][0].partition("@")[0] for g in _of(good, "effect")}):
+        own = [g for g in _of(good, "effect") if g["answer"]["effects"][0].partition("@")[0] == name]
+        wrong = Counter(g["judged"]["said"] for g in own if not g["judged"]["right"])
+        seen = [g for g in own if _visible(g)]
+        said = ", ".join(f"{k} ({n})" if n > 1 else k for k, n in wrong.most_common())
+        rows.append((name, _share(g["judged"]["right"] for g in own), _share(g["judged"]["right"] for g in seen), said))
+    return _table(("effect", "right", f"right, visibility >= {PROMISED:g}", "else said"), rows)
+
+
+def _confusion(good: Sequence[Mapping[str, Any]]) -> str:
+    """Rows are what was hidden, columns what was said, in kinds."""
+    said = ("right effect", "tied, right among them", "wrong effect", "adequate", "parameters", "unknown")
+    rows = []
+    for kind in ("effect", "two", "none", "parameters", "unknown"):
+        counts = Counter(_said(g) for g in _of(good, kind))
+        rows.append((kind, *(str(counts[s]) for s in said)))
+    return _table(("hidden", *said), rows)
+
+
+def _said(line: Mapping[str, Any]) -> str:
+    verdict, j = line["diagnosis"]["verdict"], line["judged"]
+    if verdict not in ("effect", "tied"):
+        return str(verdict)
+    if not line["answer"]["effects"] or not j["right"]:
+        return "wrong effect"
+    return "right effect" if verdict == "effect" else "tied, right among them"
+
+
+def _errors(good: Sequence[Mapping[str, Any]]) -> str:
+    keys = ("error_before", "error_after", "check_error_before", "check_error_after")
+    rows = []
+    for kind in ("effect", "two", "none", "parameters", "unknown"):
+        rows.append((kind, *(_median([g["diagnosis"][k] for g in _of(good, kind)]) for k in keys)))
+    return _table(("median error, noise units", "learn before", "learn after", "check before", "check after"), rows)
+
+
+def _median(values: Sequence[float | None]) -> str:
+    finite = [v for v in values if v is not None and math.isfinite(v)]
+    return f"{np.median(finite):.3g}" if finite else "-"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows)]
+    return "\n".join(lines)
+
+
+# -- command line ----------------------------------------------------------------------------------------------------
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the study of hidden effects, or show its tables."""
+    parser = argparse.ArgumentParser(prog="python -m validation.study", description=main.__doc__)
+    parser.add_argument("what", choices=("run", "tables"))
+    parser.add_argument("results", type=Path, help="results file, a JSON a line")
+    parser.add_argument("--seeds", default="5000-5059", help="FIRST-LAST (default %(default)s)")
+    parser.add_argument("--folder", type=Path, help="take the cases of this folder instead")
+    parser.add_argument("--only", action="append", help="name of a case of the folder")
+    parser.add_argument("--foreign", action="store_true", help="machines whose laws differ a little from the library's")
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args(arguments)
+    if given.what == "run":
+        run(given.results, _tasks(given), jobs=given.jobs)
+    print(tables(read(given.results)))
+
+
+def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
+    if given.folder is not None:
+        names = given.only or sorted(json.loads((given.folder / "answers.json").read_text(encoding="utf-8")))
+        return [(name, _folder_line, (given.folder, name)) for name in names]
+    first, _, last = given.seeds.partition("-")
+    more = {"foreign": True} if given.foreign else {}
+    return [(f"case_{seed}", _seed_line, (seed, more)) for seed in range(int(first), int(last or first) + 1)]
+
+
+if __name__ == "__main__":
+    main()
