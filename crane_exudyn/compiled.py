@@ -35,7 +35,8 @@ def cache_folder(package: str = _FOUNDATION) -> Path:
     for name in sorted({_FOUNDATION, package}):
         for source in sorted((_ROOT / name).rglob("*.py")):
             text = source.read_bytes()
-            if b"njit" in text or source.parent.name == "effects" or source.name == "parameters.py":
+            law = source.parent.name == "effects" and source.stem not in ("registry", "__init__")
+            if b"njit" in text or law or source.name == "parameters.py":
                 digest.update(str(source.relative_to(_ROOT)).encode() + b"\0" + text)
     return _base() / digest.hexdigest()[:16]
 

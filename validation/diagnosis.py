@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -169,13 +170,29 @@ class _Search:
 
     def run(self, hypotheses: Sequence[tuple[Hypothesis, Fit]], stages: Sequence[Any]) -> list[Weighed]:
         """Return the hypotheses fitted, on as many processes as the search may use, best first."""
-        tasks = [delayed(weigh)(self.crane, self.data, self.shared, before, h, stages) for h, before in hypotheses]
-        found = Parallel(n_jobs=min(self.jobs, max(1, len(tasks))), max_nbytes=None)(tasks)
+        tasks = [(weigh, self.crane, self.data, self.shared, before, h, stages) for h, before in hypotheses]
+        found = in_parallel(self.jobs, tasks)
         return sorted((w for w in found if math.isfinite(w.evidence)), key=lambda w: -w.evidence)
 
     def scores(self, fit: Fit) -> list[Score]:
         """Return the screen at a fit; effects that its crane has already do not take part."""
         return screen(fit, self.data, starts(fit.crane, self.data), LOOSE.stiffness)
+
+
+def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """Return the results of tasks (function, *arguments) from worker processes that know the user's own effects."""
+    if jobs == 1 or len(tasks) < 2:
+        return [function(*arguments) for function, *arguments in tasks]
+    files = registry.user_files()
+    return list(
+        Parallel(n_jobs=min(jobs, len(tasks)), max_nbytes=None)(delayed(_in_worker)(files, *task) for task in tasks)
+    )
+
+
+def _in_worker(files: Sequence[Path], function: Callable[..., Any], *arguments: Any) -> Any:
+    for file in files:
+        registry.load_file(file)
+    return function(*arguments)
 
 
 def diagnose(
@@ -447,9 +464,9 @@ def _with_errors(
     best = max((c.evidence for c in d.candidates), default=0.0)
     near = [c for i, c in enumerate(d.candidates) if i < 2 or c.evidence > best - 3 * TIE or c.effects == d.effects]
     cranes = [(search.crane, as_given.fit), *((c.crane, search.base) for c in near)]
-    tasks = [delayed(_error)(crane, recording, d.late, fit) for crane, fit in cranes]
-    tasks += [delayed(_error)(crane, check, d.late, None) for crane, _ in cranes] if check is not None else []
-    errors = Parallel(n_jobs=search.jobs, max_nbytes=None)(tasks)
+    tasks: list[tuple[Any, ...]] = [(_error, crane, recording, d.late, fit) for crane, fit in cranes]
+    tasks += [(_error, crane, check, d.late, None) for crane, _ in cranes] if check is not None else []
+    errors = in_parallel(search.jobs, tasks)
     learned, checked = errors[: len(cranes)], errors[len(cranes) :] or [math.nan] * len(cranes)
     before, check_before = learned[0], checked[0]
     after = {id(c): (e, k) for c, e, k in zip(near, learned[1:], checked[1:], strict=True)}

@@ -27,6 +27,7 @@ ENTRY_POINTS = "crane_exudyn.effects"
 
 _PLACES = {*CYLINDERS, *CHAMBERS, *JOINTS, *SENSORS, *EVERYWHERE}
 _user_effects: list[type[Effect]] = []
+_user_files: list[Path] = []
 _frozen = False
 
 
@@ -119,7 +120,9 @@ def register(effect: type[Effect]) -> type[Effect]:
 
 def load_file(path: str | Path) -> list[type[Effect]]:
     """Register every effect that a Python file defines, and return them."""
-    file = Path(path)
+    file = Path(path).resolve()
+    if file in _user_files:
+        return []
     if not file.is_file():
         raise CraneError(f"{file}: there is no such file. --effects wants a Python file that defines an Effect.")
     if file.suffix != ".py":
@@ -137,7 +140,14 @@ def load_file(path: str | Path) -> list[type[Effect]]:
         raise CraneError(
             f"{file}: defines no effect. Write a class that derives from crane_exudyn.effects.base.Effect."
         )
-    return [e if e in _user_effects else register(e) for e in found]
+    registered = [register(e) for e in found]
+    _user_files.append(file)
+    return registered
+
+
+def user_files() -> tuple[Path, ...]:
+    """Return the files that `load_file` has registered effects from, for worker processes to do the same."""
+    return tuple(_user_files)
 
 
 def _effects_of(module: object) -> list[type[Effect]]:

@@ -1,0 +1,151 @@
+"""The fitting machinery: algebra against dense solutions, laws against closed forms, a fit against what made the data."""
+
+import math
+
+import numpy as np
+import pytest
+
+from crane_exudyn import Crane, Recording
+from validation.fit.data import FitData
+from validation.fit.linear import columns_of, cut, model_at, normal_equations, robust
+from validation.fit.model import lagged
+from validation.fit.solve import bounded_step, fit, prior_start, reduce
+from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
+from validation.fit.variables import effect_variables, uncertain_parameters
+from validation.semi_recursive.engine import SemiRecursiveEngine
+
+NOISE = {"z1": math.radians(0.05), "z4": math.radians(0.05), "p1": 3e4, "p2": 3e4, "p3": 3e4, "p4": 3e4}
+
+
+def recorded(crane: Crane, seconds: float = 6.0, seed: int = 7, rate: float = 200.0) -> Recording:
+    """Return a noisy recording of a crane that lifts, lowers and tilts."""
+    from crane_exudyn.inputs import SpoolPath
+
+    time = np.arange(0.0, seconds, 1.0 / rate)
+    commands = np.column_stack(
+        [
+            np.interp(time, [0, 0.5, 0.7, 1.6, 1.8, 3.5, 3.7, 4.6, 4.8], [0, 0, 0.3, 0.3, 0, 0, -0.3, -0.3, 0]),
+            np.interp(time, [0, 2.0, 2.2, 2.9, 3.1, 4.9, 5.1, 5.5], [0, 0, 0.3, 0.3, 0, 0, -0.25, 0]),
+        ]
+    )
+    engine = SemiRecursiveEngine(crane)
+    w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((len(time), 2), np.nan)])
+    X = engine.simulate(engine.static_start(0.2, -0.8), time, w)
+    rng = np.random.default_rng(seed)
+    columns = {"z1": X[:, 0], "z4": X[:, 1], "p1": X[:, 4], "p2": X[:, 5], "p3": X[:, 6], "p4": X[:, 7]}
+    values = {n: v + NOISE[n] * rng.standard_normal(len(time)) for n, v in columns.items()}
+    return Recording.from_arrays("made", time, {"u1": commands[:, 0], "u2": commands[:, 1], **values})
+
+
+def test_the_robust_cost_is_the_sum_of_squares_until_noise_is_exceeded_and_logarithmic_beyond():
+    assert robust(80.0, 100) == (80.0, 1.0)
+    cost, weight = robust(100.0 * (1.0 + math.e - 1.0), 100)
+    assert cost == pytest.approx(200.0)
+    assert weight == pytest.approx(math.exp(-1.0))
+    h = 1e-4  # the weight is the derivative of the cost by the sum of squares
+    assert (robust(300.0 + h, 100)[0] - robust(300.0 - h, 100)[0]) / (2 * h) == pytest.approx(
+        robust(300.0, 100)[1], rel=1e-6
+    )
+
+
+def test_a_lagged_ramp_trails_by_its_time_constant_and_a_lagged_step_follows_the_exponential():
+    t = np.arange(0.0, 2.0, 0.01)
+    assert lagged(3.0 * t, 0.2, 0.01) == pytest.approx(3.0 * (t - 0.2), abs=1e-12)
+    step = np.where(t >= 1.0, 1.0, 0.0)
+    after = t > 1.005
+    assert lagged(step, 0.1, 0.01)[after] == pytest.approx(1.0 - np.exp(-(t[after] - 0.995) / 0.1), abs=2e-3)
+
+
+def test_a_bounded_step_is_the_unbounded_one_inside_and_stays_within_bounds():
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((5, 5))
+    H, g, u = A @ A.T + np.eye(5), rng.standard_normal(5), np.zeros(5)
+    free = bounded_step(H, g, u, np.full(5, -np.inf), np.full(5, np.inf), 0.0)
+    assert free == pytest.approx(-np.linalg.solve(H, g), rel=1e-7)
+    held = bounded_step(H, g, u, np.full(5, -0.05), np.full(5, 0.05), 0.0)
+    assert np.all(np.abs(held) <= 0.05 + 1e-12)
+    inside = np.abs(held) < 0.05 - 1e-9  # the gradient vanishes wherever no bound holds
+    assert (H @ held + g)[inside] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    crane = Crane.load("patu655")
+    return crane, FitData.of(recorded(crane), crane)
+
+
+def test_eliminating_knots_equals_the_dense_solution(nominal):
+    crane, data = nominal
+    variables = uncertain_parameters(crane)[:3]
+    windows, knots, u = cut(data, 1.0), first_knots(crane, data, 1.0), np.zeros(3)
+    base = model_at(crane, variables, u, data)
+    linear = normal_equations(windows, knots, base, columns_of(crane, variables, u, base, data), 5.0)
+    K, nx, m = linear.Hxu.shape
+    H, g = np.zeros((K * nx + m,) * 2), np.concatenate([linear.gx.ravel(), linear.gu])
+    for k in range(K):
+        a = slice(k * nx, (k + 1) * nx)
+        H[a, a] = linear.Hxx[k] + np.diag(prior_start(knots)) + 1e-9 * np.eye(nx)
+        H[a, K * nx :] = linear.Hxu[k]
+        H[K * nx :, a] = linear.Hxu[k].T
+        if k + 1 < K:
+            b = slice((k + 1) * nx, (k + 2) * nx)
+            H[a, b], H[b, a] = linear.Hxo[k], linear.Hxo[k].T
+    H[K * nx :, K * nx :] = linear.Huu
+    dense = np.linalg.solve(H, -g)
+    reduced = reduce(linear, knots, knots)
+    du = -np.linalg.solve(reduced.H, reduced.g)
+    assert du == pytest.approx(dense[K * nx :], rel=1e-5)
+    assert (reduced.knots_step + reduced.knots_by_u @ du).ravel() == pytest.approx(dense[: K * nx], rel=1e-4, abs=1e-6)
+
+
+def test_the_gradient_is_the_slope_of_the_cost(nominal):
+    crane, data = nominal
+    variables, windows, knots = uncertain_parameters(crane)[-6:], cut(data, 2.0), first_knots(crane, data, 2.0)
+
+    def cost(u):
+        base = model_at(crane, variables, u, data)
+        return normal_equations(windows, knots, base, columns_of(crane, variables, u, base, data), 1.0)
+
+    linear = cost(np.zeros(6))
+    for j in (1, 4):
+        h = 1e-3 * np.eye(6)[j]
+        slope = 0.5 * (cost(h).cost - cost(-h).cost) / 2e-3
+        assert slope == pytest.approx(linear.gu[j], rel=2e-2, abs=1.0)  # robust weights and 2.5 ms steps bend a little
+
+
+def test_a_clean_recording_is_explained_down_to_its_noise(nominal):
+    crane, data = nominal
+    result = staged(crane, data, (), np.zeros(0), first_knots(crane, data), (LOOSE, TIGHT, STIFF))
+    n = data.count
+    assert result.error == pytest.approx(1.0, abs=4.0 / math.sqrt(2.0 * n) + 0.01)  # 1 % for the estimated noise
+
+
+@pytest.mark.parametrize(
+    ("key", "true", "start"),
+    [
+        ("internal_leakage@lift", {"k": 6e-12}, {"k": 1e-12}),
+        ("dead_band@tilt", {"lower": 0.04, "upper": 0.06}, {"lower": 0.01, "upper": 0.01}),
+        ("entrained_air", {"alpha": 0.01}, {"alpha": 0.003}),
+        ("command_delay@lift", {"T": 0.05}, {"T": 0.02}),
+        ("sensor_lag@p1", {"tau": 0.05}, {"tau": 0.02}),
+        ("structural_compliance@lift", {"stiffness": 8e6}, {"stiffness": 5e7}),
+    ],
+)
+def test_an_effect_is_found_back_within_three_standard_deviations_or_three_percent(key, true, start):
+    crane = Crane.load("patu655")
+    data = FitData.of(recorded(crane.with_effect(key, true)), crane)
+    variables = effect_variables(key, start)
+    u = np.array([v.to_u(v.start) for v in variables])
+    loose = staged(crane, data, variables, u, first_knots(crane, data), (LOOSE,))
+    result = staged(crane, data, variables, loose.u, loose, (TIGHT, STIFF))
+    found = result.crane.effect(key).parameters
+    for v in variables:
+        name = v.parameter.name
+        assert found[name] == pytest.approx(true[name], rel=0.03, abs=3.0 * result.std(v.name) * v.scale)
+    assert result.error < 1.05
+
+
+def test_a_fit_says_whether_it_converged(nominal):
+    crane, data = nominal
+    windows = cut(data, 1.0)
+    assert fit(crane, data, windows, first_knots(crane, data, 1.0), iterations=8).converged
