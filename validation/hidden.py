@@ -523,6 +523,9 @@ def _recorded(
         for name, std in s.noise.items():
             channels[name] = run[name][::every] + std * s.rng.standard_normal(time.size)
         recordings.append(Recording.from_arrays(f"case_{seed}_{part}", time, channels))
+        answer |= {
+            f"{part}_start": {"z1": manoeuvre.z1, "z4": manoeuvre.z4, "less_loaded": list(manoeuvre.less_loaded)}
+        }
     return HiddenCase(seed, recordings[0], recordings[1], answer)
 
 
