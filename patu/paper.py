@@ -11,6 +11,8 @@ from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, Js
 from .output import Printer, announce_compilation, progress, write_json
 
 if TYPE_CHECKING:
+    from crane_exudyn.crane import Crane
+    from validation.filters import Row
     from validation.paper import Case, Reproduction
 
 _TUNINGS = {"paper": "the paper's tuning", "own": "own means: what is unknown is estimated too"}
@@ -35,6 +37,9 @@ def command(
     ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise.")] = 0,
     jobs: Annotated[int, typer.Option("--jobs", "-j", help="Processes.")] = 1,
+    filters: Annotated[
+        bool, typer.Option("--filters", help="Also compare EKF, cubature, UKF and square-root UKF on the 15 % case.")
+    ] = False,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     json: JsonOption = None,
@@ -61,9 +66,40 @@ def command(
             jobs=jobs,
             progress=done,
         )
-    paths = save(result, output, seed, engine)
-    write_json(json, result.document())
-    tell(Printer(json), result, paths)
+    compared = _compare(engine, seed, chosen) if filters else []
+    paths = save(result, output, seed, engine, compared)
+    document = result.document() | ({"filters": [r.document() for r in compared]} if filters else {})
+    write_json(json, document)
+    tell(Printer(json), result, paths, compared)
+
+
+def _compare(engine: str, seed: int, crane: Crane) -> list[Row]:
+    from validation.filters import compare_filters
+
+    with progress("Filters") as done:
+        return compare_filters(engine, seed=seed, crane=crane, progress=done)
+
+
+FILTER_COLUMNS = (
+    "filter", "tuning", "z1", "z4", "ż1", "ż4", "p1", "p2", "p3", "p4", "NEES", "NIS", "states/step", "engine µs", "algebra µs"
+)  # fmt: skip
+
+
+def filter_rows(compared: list[Row]) -> list[tuple[object, ...]]:
+    """Return PN-RMSE in %, NEES, NIS and cost of a step of every filter."""
+    return [
+        (
+            r.method,
+            r.tuning,
+            *r.pn_rmse.values(),
+            round(r.nees_mean, 2),
+            round(r.nis_mean, 3),
+            round(r.states_per_step),
+            round(r.engine_us),
+            round(r.algebra_us),
+        )
+        for r in compared
+    ]
 
 
 def _check(errors: list[float] | None, inputs: list[int] | None, tunings: list[str] | None) -> None:
@@ -116,7 +152,7 @@ def coverage_rows(result: Reproduction) -> list[tuple[object, ...]]:
 COVERAGE_COLUMNS = (*COLUMNS[:2], "tuning", *COLUMNS[3:], "NEES", "NIS")
 
 
-def tell(printer: Printer, result: Reproduction, paths: list[Path]) -> None:
+def tell(printer: Printer, result: Reproduction, paths: list[Path], compared: list[Row]) -> None:
     """Print the tables, what they say, and where everything is."""
     printer.table("PN-RMSE in % of the state's range", COLUMNS, rows(result))
     printer.table(
@@ -124,6 +160,10 @@ def tell(printer: Printer, result: Reproduction, paths: list[Path]) -> None:
         COVERAGE_COLUMNS,
         coverage_rows(result),
     )
+    if compared:
+        printer.table(
+            "Filters on the 15 % case, PN-RMSE in % and cost of a step", FILTER_COLUMNS, filter_rows(compared)
+        )
     for line in findings(result):
         printer.line(line)
     printer.line(f"All in {result.seconds:.0f} s. Written:")
@@ -171,7 +211,7 @@ def _found(case: Case) -> str:
     return f"Found on the way: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: 100)."
 
 
-def save(result: Reproduction, folder: Path, seed: int, engine: str) -> list[Path]:
+def save(result: Reproduction, folder: Path, seed: int, engine: str, compared: list[Row]) -> list[Path]:
     """Write figures and report to `folder`, and return the files."""
     from validation import paper_figures, plots
     from validation.report import Table, write_report
@@ -181,6 +221,8 @@ def save(result: Reproduction, folder: Path, seed: int, engine: str) -> list[Pat
         ("PN-RMSE in %", [Table(COLUMNS, rows(result)), *findings(result)]),
         ("Inside the 95 % interval, % of the time", [Table(COVERAGE_COLUMNS, coverage_rows(result))]),
     ]
+    if compared:
+        sections.append(("Filters on the 15 % case", [Table(FILTER_COLUMNS, filter_rows(compared))]))
     for tuning, case in result.shown.items():
         figures = {
             f"figure5_{tuning}.png": paper_figures.figure_5(case),
