@@ -37,8 +37,18 @@ def noise_std(values: np.ndarray) -> float:
         return floor
     third = np.diff(own, n=3)
     windows = np.array_split(third, max(1, len(third) // _WINDOW))
-    rms = np.median([math.sqrt(float(np.mean(w**2))) for w in windows])
-    return max(float(rms) / _THIRD_DIFFERENCE, floor)
+    square = float(np.median([np.mean(w**2) for w in windows])) / _median_share(len(windows), len(third))
+    return max(math.sqrt(square) / _THIRD_DIFFERENCE, floor)
+
+
+def _median_share(windows: int, count: int) -> float:
+    """Return the median of a window's mean square over its expectation: that of χ²/dof, (1 - 2/(9 dof))³ (Wilson, Hilferty).
+
+    Third differences are correlated (-3/4, 3/10, -1/20), so that a window has 1 + 2 Σ ρ² = 2.31 times fewer degrees of freedom.
+    """
+    if windows < 3:  # the median of one or two is their mean
+        return 1.0
+    return float((1.0 - 2.0 / (9.0 * count / windows / 2.31)) ** 3)
 
 
 def _own_samples(values: np.ndarray, step: float) -> np.ndarray:
