@@ -36,6 +36,8 @@ REPAIRED, LEFT_LEVEL = 0.8, 1.3
 PROOF, TIE = 12.0, 6.0
 #: how many starts the screen hands on, and how many of the fits are carried to the end
 FITTED, FINISHED = 10, 4
+#: share of the best start's promise below which a start is not fitted
+HOPELESS = 0.02
 
 
 @dataclass(frozen=True)
@@ -222,7 +224,7 @@ def diagnose(
     progress("fitting the nominal parameters", 0.05)
     search = _prepare(crane, data, jobs, progress)
     nothing, as_given = Hypothesis(), _as_given(crane, data)
-    parameters = weigh(crane, data, search.shared, search.base, nothing, (LOOSE, TIGHT, STIFF))
+    parameters = weigh(crane, data, search.shared, search.base, nothing, (TIGHT, STIFF))
     progress("screening all effects", 0.2)
     loose = _singles(search, PROOF if _good(parameters) else 1.0)
     progress("fitting the likely effects", 0.5)
@@ -268,7 +270,8 @@ def _likely(scores: Sequence[Score], most: int) -> list[Score]:
     """Return the best scores: at most two starts of one effect at one place, and none that promises next to nothing."""
     chosen: list[Score] = []
     for score in scores:
-        if score.gain < 1.0 or len(chosen) == most:
+        hopeless = len(chosen) >= 3 and score.gain < HOPELESS * scores[0].gain
+        if score.gain < 1.0 or len(chosen) == most or hopeless:
             break
         if sum(c.start.key == score.start.key for c in chosen) < (2 if score.gain > 0.5 * scores[0].gain else 1):
             chosen.append(score)

@@ -39,7 +39,9 @@ class Stage:
 
 LOOSE, TIGHT, STIFF = Stage(SHORT, 1.0, 6), Stage(SHORT, 10.0, 6), Stage(SHORT, 100.0, 8)
 STAGES = (LOOSE, TIGHT, STIFF)
-WHOLE = Stage(LONG, 1.0, 10)
+WHOLE = Stage(LONG, 1.0, 6)
+#: a crane as it is, its start alone looked for
+START = (Stage(SHORT, 1.0, 3), Stage(SHORT, 100.0, 4), WHOLE)
 
 
 def staged(
@@ -112,7 +114,7 @@ def rms(parts: dict[str, tuple[np.ndarray, np.ndarray]]) -> float:
 
 def start_fitted(crane: Crane, data: FitData) -> Fit:
     """Return the fit of the start alone: the crane as it is, its first state chosen to explain the recording best."""
-    return staged(crane, data, (), np.zeros(0), first_knots(crane, data), (LOOSE, TIGHT, STIFF, WHOLE))
+    return staged(crane, data, (), np.zeros(0), first_knots(crane, data), START)
 
 
 def timing_of(data: FitData) -> Timing:

@@ -15,8 +15,8 @@ from crane_exudyn.recording import Recording
 from ..fit.data import FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, Stage, first_knots, residuals, rms, staged
-from ..fit.variables import EffectParameter, Variable, effect_variables
+from ..fit.staged import START, Stage, first_knots, residuals, rms, staged
+from ..fit.variables import EffectParameter, NominalDirection, Variable, effect_variables
 
 #: a window counts as explained up to this error, in noise units
 EXPLAINED = 1.3
@@ -65,9 +65,19 @@ def weigh(
         v for key, values in hypothesis.effects.items() for v in effect_variables(key, values)
     ]
     known = {v.name: x for v, x in zip(before.variables, before.u, strict=True)}
-    shared = np.array([known.get(v.name, 0.0) for v in variables])
+    shared = np.array([known.get(v.name, 0.0 if own else projected(v, before, known)) for v in variables])
     u = np.concatenate([shared, [known.get(v.name, v.to_u(v.start)) for v in own]])
     return judged(hypothesis, staged(crane, data, [*variables, *own], u, before, stages))
+
+
+def projected(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
+    """Return the value of a joint direction of parameters that a fit has moved one by one; 0 if it did not move them."""
+    if not isinstance(variable, NominalDirection) or not set(variable.weights) <= set(known):
+        return 0.0
+    scale = {
+        v.name: v.weights[v.name] for v in before.variables if isinstance(v, NominalDirection) and v.name in v.weights
+    }
+    return sum(weight / scale[name] * known[name] for name, weight in variable.weights.items())
 
 
 def judged(hypothesis: Hypothesis, fit: Fit) -> Weighed:
@@ -97,9 +107,9 @@ def open_loop_error(
     """
     data = FitData.of(recording, crane).shifted(late)
     if knots is None:
-        fit = staged(crane, data, (), np.zeros(0), first_knots(crane, data), (LOOSE, TIGHT, STIFF, WHOLE))
+        fit = staged(crane, data, (), np.zeros(0), first_knots(crane, data), START)
     else:
-        fit = staged(crane, data, (), np.zeros(0), knots, (STIFF, WHOLE))
+        fit = staged(crane, data, (), np.zeros(0), knots, START[1:])
     every = FitData.of(recording, crane, rate=math.inf).shifted(late)
     return rms(residuals(crane, every, fit.knots[0])), fit
 
