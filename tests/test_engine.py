@@ -9,6 +9,7 @@ from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import pose
 from crane_exudyn.naive import SolveDynamicEngine
+from crane_exudyn.parameters import POINT_NAMES
 
 CRANE = Crane.load("patu655")
 SWINGING = CRANE.with_effect("payload_swing", {"length": 1.2, "damping": 8.0})
@@ -157,6 +158,18 @@ def null_space_of_rates(exu, ours):
     return raw @ np.linalg.inv(np.array(rates))
 
 
+@pytest.mark.parametrize("crane", [CRANE, SWINGING], ids=["nominal", "swinging"])
+def test_accelerations_are_the_derivatives_of_the_velocities(crane):
+    """All redundant accelerations, centripetal parts included, against central differences along the motion."""
+    engine, dt = ExudynEngine(crane), 1e-5
+    for state in moving_states(4, seed=6, nx=len(engine.state_names)):
+        fast = state * np.array([1, 1, 8, 8, 1, 1, 1, 1, 1, 8])[: len(state)]
+        t = engine.terms(fast, INPUTS[0])
+        rates = np.array([fast[2], fast[3], t["ddz1"], t["ddz4"], 0, 0, 0, 0, fast[-1], t["ddtheta"]])[: len(state)]
+        after, before = (engine.residual(fast + s * dt * rates, INPUTS[0])["v"] for s in (1, -1))
+        assert engine.residual(fast, INPUTS[0])["a"] == pytest.approx((after - before) / (2 * dt), rel=1e-6, abs=1e-6)
+
+
 def test_balance_of_the_terms():
     """M zdd = Qg + Qh + Qv + Qj and (34), put together from the named terms."""
     t = ExudynEngine(RUBBING).terms(moving_states(1)[0], np.array([0.4, -0.3, np.nan, np.nan]), 0.5)
@@ -170,6 +183,24 @@ def test_balance_of_the_terms():
     assert t["dp4"] == pytest.approx(rate, rel=1e-9)
     assert t["pp"] == pytest.approx(100e5 - 4e9 * (t["Q1"] - t["Q4"]), rel=1e-9)  # extending lift, retracting tilt
     assert t["pt"] == pytest.approx(1e5 + 2e9 * (t["Q2"] - t["Q3"]), rel=1e-9)
+
+
+def test_joint_torques_act_on_their_own_angle_only():
+    state = moving_states(1)[0]
+    at_o = ExudynEngine(CRANE.with_effect("joint_viscous_friction@O", {"c": 700.0})).terms(state, INPUTS[0])
+    at_a = ExudynEngine(CRANE.with_effect("joint_viscous_friction@A", {"c": 400.0})).terms(state, INPUTS[0])
+    assert (at_o["Qj1"], at_o["Qj4"]) == pytest.approx((-700.0 * state[2], 0.0), abs=1e-10)
+    assert (at_a["Qj1"], at_a["Qj4"]) == pytest.approx((0.0, -400.0 * state[3]), abs=1e-10)
+
+
+def test_tip_force_does_the_work_of_its_point():
+    """Virtual work: Q = F dy_E/dz."""
+    state, d = moving_states(1)[0], 1e-6
+    terms = ExudynEngine(CRANE.with_effect("tip_contact_force", {"F": 500.0, "T": 0.0})).terms(state, INPUTS[0])
+    z1, z4 = state[0] + d * np.array([1, -1, 0, 0]), state[1] + d * np.array([0, 0, 1, -1])
+    height = pose(CRANE, z1, z4).points[:, POINT_NAMES.index("E"), 1]
+    assert terms["Qj1"] == pytest.approx(500.0 * (height[0] - height[1]) / (2 * d), rel=1e-7)
+    assert terms["Qj4"] == pytest.approx(500.0 * (height[2] - height[3]) / (2 * d), rel=1e-7)
 
 
 def test_every_effect_is_off_at_its_neutral_values():
