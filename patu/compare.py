@@ -85,8 +85,8 @@ def error_rows(result: Comparison) -> list[tuple[object, ...]]:
 
 def filter_words(result: Comparison) -> str:
     """Return what the filter's innovations say."""
-    low, high = result.estimate.nis_bounds
-    word = "consistent with the model" if result.estimate.consistent else "NOT consistent with the model"
+    low, high = result.nis_bounds
+    word = "consistent with the model" if result.consistent else "NOT consistent with the model"
     return f"Filter that trusts the model: mean NIS {result.estimate.nis_mean:.3g}, expected {low:.3g} … {high:.3g}; {word}."
 
 

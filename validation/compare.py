@@ -73,6 +73,8 @@ class Comparison:
         where: where the model fails, worst first.
         measured, simulated: channel -> (time (n,), values (n,)), the open-loop run at the measured instants.
         commands: time (N,) and spool commands (N, 2).
+        nis_bounds: what holds the filter's mean NIS with 99 % if the model is right; wider than χ² alone where the noise of the
+            sensors had to be estimated from the recording.
         notes: what a reader should know about the recording.
     """
 
@@ -87,12 +89,20 @@ class Comparison:
     measured: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
     simulated: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
     commands: tuple[np.ndarray, np.ndarray] = field(repr=False)
+    nis_bounds: tuple[float, float] = (0.0, np.inf)
     notes: tuple[str, ...] = ()
 
     @property
     def error(self) -> float:
         """Open-loop RMS error over all channels in units of the noise; 1 means nothing is left but noise."""
         return float(np.sqrt(np.mean([c.error_over_noise**2 for c in self.channels.values()])))
+
+    @property
+    def consistent(self) -> bool:
+        """Whether innovations are as large as the filter expects and white, at the 1 % level each."""
+        low, high = self.nis_bounds
+        p = [v for v in self.estimate.whiteness.values() if np.isfinite(v)]
+        return bool(low <= self.estimate.nis_mean <= high and min(p, default=1.0) >= 0.01 / max(len(p), 1))
 
     @property
     def phases(self) -> Sequence[Phase]:
@@ -116,9 +126,9 @@ class Comparison:
             "channels": {name: dict(vars(c)) for name, c in self.channels.items()},
             "filter": {
                 "nis_mean": self.estimate.nis_mean,
-                "nis_bounds": list(self.estimate.nis_bounds),
+                "nis_bounds": list(self.nis_bounds),
                 "whiteness": self.estimate.whiteness,
-                "consistent": self.estimate.consistent,
+                "consistent": self.consistent,
             },
             "where": [finding.to_dict() for finding in self.where],
         }
@@ -150,7 +160,7 @@ class Comparison:
         )
 
     def __repr__(self) -> str:
-        filtered = "consistent" if self.estimate.consistent else "NOT consistent"
+        filtered = "consistent" if self.consistent else "NOT consistent"
         return (
             f"<Comparison of {self.recording} with {self.crane}: open-loop error {self.error:.3g} noise units, filter {filtered} "
             f"(mean NIS {self.estimate.nis_mean:.3g}), {len(self.where)} places where the model fails>"
@@ -202,7 +212,7 @@ def compare(
         notes.append(f"the commands act {1e3 * start.late:.1f} ms after their stamps; this is allowed for")
     return Comparison(
         recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured, simulated,
-        (data.time, data.commands), tuple(notes),
+        (data.time, data.commands), nis_bounds(estimate, kept, crane), tuple(notes),
     )  # fmt: skip
 
 
@@ -259,6 +269,19 @@ def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[fl
     noise = {s.channel: s.noise for s in data.samples}
     estimator = _Following(crane, engine, sensors=noise, noise=_TRUSTING, max_step=data.step, gate=None)
     return estimator.run(signals, progress=progress)
+
+
+def nis_bounds(estimate: Estimate, recording: Recording, crane: Crane) -> tuple[float, float]:
+    """Return the 99 % interval of the mean NIS of a right model; noise that was estimated from the data widens it.
+
+    An estimated standard deviation is known to 1.3/√n (n samples, `signals.noise_std`), and the NIS is the sum of squares of
+    what is divided by it.
+    """
+    low, high = estimate.nis_bounds
+    guessed = [len(recording[c]) for c in estimate.channel_names if c not in crane.sensors]
+    spread = 2.0 * 1.3 * np.sqrt(sum(1.0 / n for n in guessed))
+    middle, half = 0.5 * (low + high), np.hypot(0.5 * (high - low), 2.576 * spread)
+    return float(middle - half), float(middle + half)
 
 
 def _phases(crane: Crane, data: FitData, balances: Balances) -> list[Phase]:

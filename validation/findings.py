@@ -170,7 +170,7 @@ def rounded(value: float, uncertainty: float) -> str:
     if not (math.isfinite(uncertainty) and uncertainty > 0.0):
         return f"{value:.3g} ± {uncertainty:g}"
     power = math.floor(math.log10(uncertainty))
-    places = -power + (1 if uncertainty / 10.0**power < 3.0 else 0)
+    places = -power + (1 if round(uncertainty / 10.0**power, 1) < 3.0 else 0)
     if places >= 0:
         return f"{value:.{places}f} ± {uncertainty:.{places}f}"
     return f"{round(value, places):.0f} ± {round(uncertainty, places):.0f}"

@@ -40,18 +40,28 @@ SHORTEST, LONGEST = 0.15, 3.0
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of one kind of work: grid points first … last (exclusive), and its times in s."""
+    """A stretch of one kind of work: instants first … last (exclusive), its times in s, which way each valve is open (-1, 0, 1)."""
 
     kind: str
     first: int
     last: int
     start: float
     end: float
+    sides: tuple[int, int] = (0, 0)
 
     @property
     def words(self) -> str:
         """Where and when, as a sentence begins: "between 7.6 and 8.5 s, while the tilt cylinder extends"."""
-        return f"between {self.start:.1f} and {self.end:.1f} s, {WORDS[self.kind]}"
+        doing = WORDS[self.kind]
+        if self.kind == BOTH and all(self.sides):
+            lift, tilt = ("extends" if side > 0 else "retracts" for side in self.sides)
+            both = (
+                "both cylinders " + lift.rstrip("s")
+                if lift == tilt
+                else f"the lift cylinder {lift} and the tilt cylinder {tilt}"
+            )
+            doing = f"while {both}"
+        return f"between {self.start:.1f} and {self.end:.1f} s, {doing}"
 
 
 def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray) -> list[Phase]:
@@ -63,22 +73,32 @@ def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndar
         spool: (N, 2) spool positions.
         states: (N, nx) estimated states.
     """
-    kinds = _smooth(labels(crane, time, spool, states), time)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(kinds)) + 1, [len(kinds)]])
+    side = _sides(spool)
+    kinds = labels(crane, time, spool, states)
+    # driving both counts as another piece of work when one of them turns
+    way = np.where(kinds == KINDS.index(BOTH), 3 * side[:, 0] + side[:, 1], 0).astype(int)
+    code = _smooth(9 * kinds + way, time)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1, [len(code)]])
     found = []
     for a, b in itertools.pairwise(edges):
         pieces = max(1, int(np.ceil((time[b - 1] - time[a]) / LONGEST - 1e-9)))
         cuts = np.round(np.linspace(a, b, pieces + 1)).astype(int)
         for i, j in itertools.pairwise(cuts):
             end = time[min(j, len(time) - 1)]
-            found.append(Phase(KINDS[kinds[a]], int(i), int(j), float(time[i]), float(end)))
+            middle = side[(i + j) // 2]
+            kind = KINDS[round(code[a] / 9)]
+            found.append(Phase(kind, int(i), int(j), float(time[i]), float(end), (int(middle[0]), int(middle[1]))))
     return found
+
+
+def _sides(spool: np.ndarray) -> np.ndarray:
+    """Return which way each valve is open (N, 2): 1 extending, -1 retracting, 0 closed."""
+    return np.asarray(np.sign(np.where(np.abs(spool) > DRIVEN, spool, 0.0)))
 
 
 def labels(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Return the kind of work at every instant as an index into KINDS (N,); special states come before plain motion."""
-    side = np.sign(np.where(np.abs(spool) > DRIVEN, spool, 0.0))
-    lift, tilt = side.T
+    lift, tilt = _sides(spool).T
     kind = np.full(len(time), KINDS.index(REST))
     for chosen, name in (
         ((lift > 0), LIFT_OUT), ((lift < 0), LIFT_IN), ((tilt > 0), TILT_OUT), ((tilt < 0), TILT_IN),
@@ -111,11 +131,13 @@ def _at_end(crane: Crane, states: np.ndarray) -> np.ndarray:
     return np.asarray(((piston < NEAR_END) | (piston > span - NEAR_END)).any(axis=1))
 
 
-def _smooth(kinds: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the kinds with pieces shorter than SHORTEST joined to the piece before them (the first one to the next)."""
-    kinds, least = kinds.copy(), max(1, int(np.ceil(SHORTEST / (time[1] - time[0]))))
-    edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1), len(kinds)]
+def _smooth(code: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return codes of work (0 is rest) with pieces shorter than SHORTEST joined to a neighbour, but a short motion never to a rest."""
+    code, least = code.copy(), max(1, int(np.ceil(SHORTEST / (time[1] - time[0]))))
+    edges = [0, *(np.flatnonzero(np.diff(code)) + 1), len(code)]
     for a, b in itertools.pairwise(edges):
-        if b - a < least:
-            kinds[a:b] = kinds[a - 1] if a else kinds[min(b, len(kinds) - 1)]
-    return kinds
+        beside = ([code[b]] if b < len(code) else []) + ([code[a - 1]] if a else [])
+        fitting = [k for k in beside if k != 0 or code[a] == 0]
+        if b - a < least and fitting:
+            code[a:b] = fitting[0]
+    return code
