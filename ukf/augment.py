@@ -103,10 +103,17 @@ def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
         std = known.std if known is not None else np.nan
         if not np.isfinite(std):
             std = 100.0 if name == "payload.mass" else 0.1 * abs(crane[name])
-        return "parameter", crane[name], std, 0.0 if name.endswith("mass") else -np.inf
+        return "parameter", crane[name], std, _least(name, crane[name])
     if "@" in name or "." in name:
         return _effect_parameter(crane, name)
     raise CraneError(f"augmented state {name!r} is not known.{nearest(name, [*parameters.NAMES, *DISTURBANCES])}")
+
+
+def _least(name: str, value: float) -> float:
+    """Return the lower limit of a nominal parameter: coordinates have none, a payload may be zero, other things may not."""
+    if name.rpartition(".")[2] in ("x", "y"):
+        return -np.inf
+    return 0.0 if name == "payload.mass" else 0.05 * value
 
 
 def _effect_parameter(crane: Crane, name: str) -> tuple[str, float, float, float]:

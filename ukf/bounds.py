@@ -33,12 +33,15 @@ class Bounds:
         """Return the physical points (m, n) and the excess (m, n), or None where all points are physical."""
         if not _outside(points, self.lower, self.upper):
             return points, None
-        inside = np.clip(points, self.lower, self.upper)
-        return inside, points - inside
+        return _clipped(points, self.lower, self.upper)
+
+    def broken(self, mean: np.ndarray) -> bool:
+        """Whether a mean (n,) is outside."""
+        return bool(_outside(mean.reshape(1, -1), self.lower, self.upper))
 
     def project(self, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Return the mean (n,) moved inside along the covariance (n, n); the same array where it is inside."""
-        if not _outside(mean[None], self.lower, self.upper):
+        if not self.broken(mean):
             return mean
         out = mean.copy()
         for i in np.flatnonzero((mean < self.lower) | (mean > self.upper)):
@@ -54,6 +57,16 @@ def _outside(points, lower, upper):  # type: ignore[no-untyped-def]
             if points[k, i] < lower[i] or points[k, i] > upper[i]:
                 return True
     return False
+
+
+@njit()
+def _clipped(points, lower, upper):  # type: ignore[no-untyped-def]
+    inside, excess = points.copy(), np.zeros_like(points)
+    for k in range(points.shape[0]):
+        for i in range(points.shape[1]):
+            inside[k, i] = min(max(points[k, i], lower[i]), upper[i])
+            excess[k, i] = points[k, i] - inside[k, i]
+    return inside, excess
 
 
 def crane_bounds(

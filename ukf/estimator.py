@@ -23,7 +23,7 @@ from .estimate import Estimate, Recorder
 from .filter import Belief, FilterError
 from .methods import method_of
 from .monitor import ABSENT, USED, Monitor
-from .noise import ProcessNoise
+from .noise import ProcessNoise, measurement_noise
 from .process import Process, engine_of
 from .start import start_belief
 
@@ -93,6 +93,7 @@ class Estimator:
         self.noise = noise if noise is not None else ProcessNoise()
         self.max_step = float(max_step)
         self._std = np.array(list(self.std_of.values()))
+        self._variance = measurement_noise(self._std)
         self._extras = resolve(crane, augment)
         self._engine_states = len(self.engine.state_names)
         lengths = lengths_of(crane)
@@ -261,39 +262,40 @@ class Estimator:
         prior = self._method.predict(self.belief, self._process.over(inputs, times), noise, self.count)
         if recorder is not None and recorder.smooth:
             recorder.predicted(prior)
-        if np.isnan(values).all():
-            self.belief = prior
-            unknown = np.full(values.size, np.nan)
-            return unknown, unknown.copy(), np.full(values.size, ABSENT, np.uint8), float("nan"), 0.0
         return self._correct(prior, float(times[-1]), values)
 
     def _correct(
         self, prior: Any, time: float, values: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-        present = ~np.isnan(values)
-        result = self._update(prior, values, present)
-        innovation, variance = np.full(values.size, np.nan), np.full(values.size, np.nan)
-        innovation[present] = result.innovation
-        variance[present] = np.diag(result.innovation_covariance)
-        flags = self._monitor.judge(time, values, innovation, variance)
-        used = flags == USED
-        if not used[present].all():
-            result = self._update(prior, values, used) if used.any() else None
+        """Correct by what is there, let the monitor judge it, and correct anew without what cannot be believed."""
+        total = float(values.sum())
+        if total == total:  # no NaN: every sensor was read, which is worth a short cut
+            result = self._method.update(prior, self._channels.observe, values, self._variance, self.count)
+            innovation, variance = result.innovation, result.innovation_covariance.diagonal()
+        else:
+            result, innovation, variance = self._correct_some(prior, values, ~np.isnan(values))
+        flags, bad = self._monitor.judge(time, values, innovation, variance)
+        if bad:
+            result, _, _ = self._correct_some(prior, values, flags == USED)
         if result is None:
             self.belief = prior
             return innovation, variance, flags, float("nan"), 0.0
-        mean = self._bounds.project(result.mean, result.covariance) if self._bounds_matter(result.mean) else result.mean
+        mean = self._bounds.project(result.mean, result.covariance) if self._bounds.broken(result.mean) else result.mean
         self.belief = result if mean is result.mean else _moved(result, mean)
         return innovation, variance, flags, result.nis, result.log_likelihood
 
-    def _bounds_matter(self, mean: np.ndarray) -> bool:
-        return bool((mean < self._bounds.lower).any() or (mean > self._bounds.upper).any())
-
-    def _update(self, prior: Any, values: np.ndarray, rows: np.ndarray) -> Any:
-        if rows.all():
-            return self._method.update(prior, self._channels.observe, values, self._std, self.count)
+    def _correct_some(self, prior: Any, values: np.ndarray, rows: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
+        """Return the correction by some sensors, or None for none, with innovation and variance (k,), NaN elsewhere."""
+        innovation, variance = np.full(values.size, np.nan), np.full(values.size, np.nan)
+        if not rows.any():
+            return None, innovation, variance
+        noise = np.ascontiguousarray(self._variance[np.ix_(rows, rows)])
         seen = self._channels.observe
-        return self._method.update(prior, lambda p: seen(p)[:, rows], values[rows], self._std[rows], self.count)
+        result = self._method.update(
+            prior, lambda p: np.ascontiguousarray(seen(p)[:, rows]), values[rows], noise, self.count
+        )
+        innovation[rows], variance[rows] = result.innovation, result.innovation_covariance.diagonal()
+        return result, innovation, variance
 
     def _process_noise(self, dt: float) -> np.ndarray:
         key = round(dt, 9)

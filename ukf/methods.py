@@ -40,9 +40,11 @@ class SigmaPoints:
         """Return (28), (29)."""
         return kf.predict(belief, propagate, noise, self.weights, step=step)
 
-    def update(self, belief: kf.Belief, observe: kf.Points, y: np.ndarray, std: np.ndarray, step: int) -> kf.Correction:
+    def update(
+        self, belief: kf.Belief, observe: kf.Points, y: np.ndarray, noise: np.ndarray, step: int
+    ) -> kf.Correction:
         """Return (30), (31)."""
-        return kf.update(belief, observe, y, np.diag(std**2), self.weights, step=step)
+        return kf.update(belief, observe, y, noise, self.weights, step=step)
 
 
 class SquareRoot:
@@ -67,10 +69,10 @@ class SquareRoot:
         return kf.predict_root(belief, propagate, self._roots[key], self.weights)
 
     def update(
-        self, belief: kf.RootBelief, observe: kf.Points, y: np.ndarray, std: np.ndarray, step: int
+        self, belief: kf.RootBelief, observe: kf.Points, y: np.ndarray, noise: np.ndarray, step: int
     ) -> kf.RootCorrection:
-        """Return (30), (31) in square-root form."""
-        return kf.update_root(belief, observe, y, np.diag(std), self.weights)
+        """Return (30), (31) in square-root form; `noise` (k, k) is diagonal."""
+        return kf.update_root(belief, observe, y, np.sqrt(noise), self.weights)
 
 
 @dataclass(frozen=True)
@@ -87,9 +89,11 @@ class Linearised:
         """Return x = f(x), P = F P Fᵀ + Q."""
         return kf.predict_linearised(belief, propagate, noise, self.increments)
 
-    def update(self, belief: kf.Belief, observe: kf.Points, y: np.ndarray, std: np.ndarray, step: int) -> kf.Correction:
+    def update(
+        self, belief: kf.Belief, observe: kf.Points, y: np.ndarray, noise: np.ndarray, step: int
+    ) -> kf.Correction:
         """Return the linearised correction."""
-        return kf.update_linearised(belief, observe, y, np.diag(std**2), self.increments, step=step)
+        return kf.update_linearised(belief, observe, y, noise, self.increments, step=step)
 
 
 def method_of(name: str, std: np.ndarray) -> Method:

@@ -40,19 +40,22 @@ class Monitor:
         self.memory[:, [0, 1, 2, 6]] = np.nan
         self.memory[:, 7] = 1.0
 
-    def judge(self, time: float, values: np.ndarray, innovation: np.ndarray, variance: np.ndarray) -> np.ndarray:
-        """Return a flag (k,) for each channel: USED, ABSENT (NaN), OUTLIER or FROZEN.
+    def judge(
+        self, time: float, values: np.ndarray, innovation: np.ndarray, variance: np.ndarray
+    ) -> tuple[np.ndarray, int]:
+        """Return a flag (k,) for each channel, USED, ABSENT (NaN), OUTLIER or FROZEN, and how many are not believed.
 
         `variance` (k,) is the diagonal of the innovation covariance.
         """
-        return _judge(self.memory, time, values, innovation, variance, self.std, self.fastest, self.gate)
+        flags, bad = _judge(self.memory, time, values, innovation, variance, self.std, self.fastest, self.gate)
+        return flags, int(bad)
 
 
 @njit()
 def _judge(memory, time, values, innovation, variance, std, fastest, gate):  # type: ignore[no-untyped-def]
     count = values.size
     flags = np.zeros(count, np.uint8)
-    present, repeating, leaping = 0, 0, 0
+    present, repeating, leaping, bad = 0, 0, 0, 0
     for k in range(count):
         if np.isnan(values[k]):
             flags[k] = ABSENT
@@ -83,7 +86,8 @@ def _judge(memory, time, values, innovation, variance, std, fastest, gate):  # t
         else:
             _note_used(memory[k], time, innovation[k], variance[k])
         memory[k, 2] = time
-    return flags
+        bad += flags[k] != USED
+    return flags, bad
 
 
 @njit()
