@@ -72,10 +72,9 @@ def test_every_dependency_that_may_break_has_an_upper_bound() -> None:
 
 def test_every_dependency_is_imported_somewhere() -> None:
     source = "\n".join(p.read_text() for package in ("crane_exudyn", "ukf", "validation", "patu") for p in (ROOT / package).rglob("*.py"))  # fmt: skip
-    names = {re.split(r"[<>=\[]", d)[0] for d in PROJECT["dependencies"]} - {
-        "filterpy"
-    }  # filterpy: the tests' reference
-    unused = [n for n in names if not re.search(rf"\b(import|from) {n.replace('-', '_')}\b", source)]
+    module = {"pillow": "PIL"}
+    names = {re.split(r"[<>=\[]", d)[0] for d in PROJECT["dependencies"]}
+    unused = [n for n in names if not re.search(rf"\b(import|from) {module.get(n, n)}\b", source)]
     assert unused == []
 
 
