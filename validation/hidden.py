@@ -12,7 +12,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -390,9 +390,11 @@ def _machine(nominal: Crane, rng: np.random.Generator, kind: str, off: bool) -> 
 
 
 def _until_it_does(seed: int, s: _Setting) -> HiddenCase:
-    """Return a case; manoeuvres and severities are drawn until they do."""
+    """Return a case; manoeuvres and severities (and errors of parameters, where they are the secret) are drawn until they do."""
     problem: CraneError | None = None
-    for _ in range(_MOST_DRAWS):
+    for attempt in range(_MOST_DRAWS):
+        if attempt and s.kind == "parameters":
+            s = replace(s, machine=_machine(s.nominal, s.rng, s.kind, True))
         try:
             return _try_case(seed, s)
         except CraneError as found:
