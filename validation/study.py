@@ -285,6 +285,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--folder", type=Path, help="take the cases of this folder instead")
     parser.add_argument("--only", action="append", help="name of a case of the folder")
     parser.add_argument("--foreign", action="store_true", help="machines whose laws differ a little from the library's")
+    parser.add_argument("--visible", metavar="LOW-HIGH", help="severities, in noise units")
+    parser.add_argument("--sensors", type=int, choices=(0, 1), help="0: all pressures, 1: z1 z4 p1 p4")
+    parser.add_argument("--noise", type=int, choices=(0, 1), help="0: 0.05 deg and 0.3 bar, 1: 1 deg and 1.5 bar")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
     if given.what == "run":
@@ -297,7 +300,10 @@ def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
         names = given.only or sorted(json.loads((given.folder / "answers.json").read_text(encoding="utf-8")))
         return [(name, _folder_line, (given.folder, name)) for name in names]
     first, _, last = given.seeds.partition("-")
-    more = {"foreign": True} if given.foreign else {}
+    more = {n: getattr(given, n) for n in ("sensors", "noise", "foreign") if getattr(given, n) not in (None, False)}
+    if given.visible:
+        low, _, high = given.visible.partition("-")
+        more["visible"] = (float(low), float(high or "inf"))
     return [(f"case_{seed}", _seed_line, (seed, more)) for seed in range(int(first), int(last or first) + 1)]
 
 
