@@ -184,22 +184,25 @@ class Recording:
     # -- taking data out -----------------------------------------------------------------------------------------
 
     def commands(self, crane: Crane | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return time (n,) in s and spool commands (n, 2) in [-1, 1], linear between samples.
+        """Return time (n,) in s and spool commands (n, 2) in [-1, 1], linear between samples; steps stay steps.
 
         Valve voltages become commands through the calibration of `crane`. Where both commands have one clock it is
-        returned as it is; otherwise the union of both.
+        returned as it is; otherwise the union of both. Where a command jumps, one more instant just before the sample that shows
+        the new value holds the old one (see `drive.with_steps`).
         """
+        from .drive import with_steps
+
         self.require(sensors=0)
         names = COMMANDS if self.has(*COMMANDS) else VOLTAGES
         time = _union([self[name].time for name in names])
         values = np.column_stack([self[name].held(time) for name in names])
         if names == COMMANDS:
-            return time, np.clip(values, -1.0, 1.0)
+            return with_steps(time, np.clip(values, -1.0, 1.0))
         if crane is None:
             raise CraneError(
                 f"{self.source or self.name}: holds valve voltages; a crane's calibration makes commands of them."
             )
-        return time, crane.commands_from_voltages(values)
+        return with_steps(time, crane.commands_from_voltages(values))
 
     def supply(self, time: np.ndarray) -> np.ndarray:
         """Return pump and tank pressure (n, 2) in Pa at `time`; NaN where they were not measured."""

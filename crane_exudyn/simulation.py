@@ -110,8 +110,7 @@ def simulate(
         engine = ExudynEngine(crane)
     time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
     grid, rows = inner_grid(time, step)
-    commands, supply = _driven(crane, inputs, grid)
-    w = _inputs(crane, grid, commands, supply)
+    commands, w = _driven(crane, inputs, grid)
     x0 = initial_state(crane, engine) if start is None else np.asarray(start, dtype=float)
     states = engine.simulate(x0, grid, w, step=step)
     return Simulation(crane, time, tuple(engine.state_names), states[rows], commands[rows], w[rows])
@@ -139,17 +138,15 @@ def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _driven(crane: Crane, inputs: Recording | None, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (n, 2) and supply pressures (n, 2) on the grid."""
+    """Return commands (n, 2) and w (n, 4) = [U1 U2 pp pt] on the grid: spool positions behind the lag (16), supply pressures."""
+    from .drive import spool_on
     from .inputs import paper_cycle
 
     if inputs is None:
-        return paper_cycle(grid), np.full((len(grid), 2), math.nan)
-    time, commands = inputs.commands(crane)
-    return np.column_stack([np.interp(grid, time, u) for u in commands.T]), inputs.supply(grid)
-
-
-def _inputs(crane: Crane, grid: np.ndarray, commands: np.ndarray, supply: np.ndarray) -> np.ndarray:
-    """Return w (n, 4) = [U1 U2 pp pt]: spool positions behind the lag (16), and supply pressures."""
-    from .inputs import SpoolPath
-
-    return np.ascontiguousarray(np.column_stack([SpoolPath(crane).run(grid, commands), supply]))
+        commands, supply = paper_cycle(grid), np.full((len(grid), 2), math.nan)
+        spool = spool_on(crane, grid, grid, commands)
+    else:
+        time, recorded = inputs.commands(crane)
+        commands, supply = np.column_stack([np.interp(grid, time, u) for u in recorded.T]), inputs.supply(grid)
+        spool = spool_on(crane, grid, time, recorded)
+    return commands, np.ascontiguousarray(np.column_stack([spool, supply]))

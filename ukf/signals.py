@@ -76,7 +76,7 @@ class Signals:
         Raises:
             CraneError: none of the channels was recorded, or fewer than two samples.
         """
-        from crane_exudyn.inputs import SpoolPath
+        from crane_exudyn.drive import spool_on
 
         events = [(float("nan"), "file", note) for note in self.notes]
         present = [c for c in channels if c in self.sensors]
@@ -96,8 +96,8 @@ class Signals:
                 values[nearest_index(time, t), column] = y
         _note_gaps(time, events)
         grid, inner = inner_grid(time, max_step)
-        commands = np.column_stack([_held(grid, self.command_time, self.commands[:, c]) for c in (0, 1)])
-        inputs = np.column_stack([SpoolPath(crane).run(grid, commands), *(self._supply(n, grid) for n in ("pp", "pt"))])
+        spool = spool_on(crane, grid, self.command_time, self.commands)
+        inputs = np.column_stack([spool, *(self._supply(n, grid) for n in ("pp", "pt"))])
         first = {c: float(np.median(series[c][1][:5])) for c in present if series[c][1].size}
         return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, first, events)
 

@@ -212,7 +212,7 @@ def compare(
         notes.append(f"the commands act {1e3 * start.late:.1f} ms after their stamps; this is allowed for")
     return Comparison(
         recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured, simulated,
-        (data.time, data.commands), nis_bounds(estimate, kept, crane), tuple(notes),
+        (data.command_time, data.commands), nis_bounds(estimate, kept, crane), tuple(notes),
     )  # fmt: skip
 
 
@@ -265,7 +265,7 @@ def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[fl
     """Return the run of a filter that trusts the model, and believes every sample."""
     sensors = {s.channel: (data.time[s.index] + s.fraction * data.step, s.values) for s in data.samples}
     supply = {n: (data.time, v) for n, v in zip(("pp", "pt"), data.supply.T, strict=True) if np.isfinite(v).any()}
-    signals = Signals(data.time, data.commands, sensors, supply, data.name)
+    signals = Signals(data.command_time, data.commands, sensors, supply, data.name)
     noise = {s.channel: s.noise for s in data.samples}
     estimator = _Following(crane, engine, sensors=noise, noise=_TRUSTING, max_step=data.step, gate=None)
     return estimator.run(signals, progress=progress)

@@ -34,7 +34,7 @@ class FitData:
     Attributes:
         time: (N,) uniform grid in s, from the first to the last sample.
         step: its step in s.
-        commands: (N, 2) spool commands on the grid.
+        command_time, commands: (n,) s and (n, 2), linear between, on their own clock.
         supply: (N, 2) measured pump and tank pressure in Pa, NaN where not recorded.
         samples: one entry a measured channel.
     """
@@ -42,6 +42,7 @@ class FitData:
     name: str
     time: np.ndarray
     step: float
+    command_time: np.ndarray
     commands: np.ndarray
     supply: np.ndarray
     samples: tuple[Samples, ...]
@@ -86,16 +87,13 @@ class FitData:
             )
             for c in sensors
         )
-        on_grid = np.column_stack([np.interp(grid, times, commands[:, i]) for i in range(2)])
-        return cls(recording.name, grid, step, on_grid, _supply(recording, grid), samples)
+        return cls(recording.name, grid, step, times, commands, _supply(recording, grid), samples)
 
     def shifted(self, late: float) -> FitData:
         """Return the same data with commands that come `late` seconds after their stamps."""
         if late == 0.0:
             return self
-        early = self.time - late
-        commands = np.column_stack([np.interp(early, self.time, self.commands[:, i]) for i in range(2)])
-        return replace(self, commands=commands)
+        return replace(self, command_time=self.command_time + late)
 
     def part(self, start: int, end: int) -> FitData:
         """Return the stretch of grid points start … end (inclusive)."""
@@ -104,7 +102,7 @@ class FitData:
             inside = (s.index >= start) & (s.index < end)
             kept.append(Samples(s.channel, s.index[inside] - start, s.fraction[inside], s.values[inside], s.noise))
         cut = slice(start, end + 1)
-        return FitData(self.name, self.time[cut], self.step, self.commands[cut], self.supply[cut], tuple(kept))
+        return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept))
 
 
 def _grid_step(interval: float) -> float:

@@ -8,9 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import hooks
 from crane_exudyn.effects.base import SENSORS
-from crane_exudyn.inputs import SpoolPath
+from crane_exudyn.effects.registry import find
 
 from .data import FitData
 
@@ -67,16 +68,16 @@ class _Driven:
         return isinstance(other, _Driven) and self._key() == other._key()
 
     def _key(self) -> tuple[object, ...]:
-        commands = [e for e in self.crane.effects if "command" in type(e).__dict__]
-        return id(self.data.commands), len(self.data.time), tuple(e.key for e in commands)
+        data = self.data
+        own = [e for e in self.crane.effects if "command" in find(e.name).hooks()]
+        changed = tuple((e.key, *e.parameters.values()) for e in own)
+        return id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), changed
 
 
 @lru_cache(maxsize=256)
 def _spool_path(driven: _Driven, key: tuple[object, ...]) -> np.ndarray:
     data = driven.data
-    early = data.time - float(key[-1])  # type: ignore[arg-type]
-    commands = np.column_stack([np.interp(early, data.time, data.commands[:, i]) for i in range(2)])
-    return SpoolPath(driven.crane).run(data.time, commands)
+    return spool_on(driven.crane, data.time, data.command_time, data.commands, float(key[-1]))  # type: ignore[arg-type]
 
 
 def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -81,7 +81,7 @@ def _difference(
     time = np.arange(0.0, _DURATION, _STEP)
     outputs = []
     for crane in (first, second):
-        data = FitData("", time, _STEP, manoeuvre.commands(time), np.full((len(time), 2), np.nan), ())
+        data = FitData("", time, _STEP, time, manoeuvre.commands(time), np.full((len(time), 2), np.nan), ())
         try:
             engine, model = SemiRecursiveEngine(crane), model_of(crane, data)
             X = engine.simulate(engine.static_start(float(pose[0]), float(pose[1])), time, model.W, step=_STEP)

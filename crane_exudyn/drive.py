@@ -1,0 +1,45 @@
+"""How recorded commands drive the crane: between samples, and on the grid of a simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .crane import Crane
+from .inputs import SpoolPath
+
+#: a change of a command is a step if it is this large, and so many times larger than the changes before and after it
+_STEP, _RATIO = 0.02, 4.0
+#: seconds by which the end of the hold stands before the sample that shows the step
+_JUST_BEFORE = 1e-6
+
+
+def with_steps(time: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands in which steps stay steps: time (n + k,), commands (n + k, 2), linear between the points.
+
+    A ramp shows in many samples, a step in one: joining the two samples around a step by a line would begin it up to a sampling
+    interval early. A command that jumps is held until the sample that shows the new value.
+    """
+    change = np.abs(np.diff(commands, axis=0))
+    around = np.maximum(np.pad(change[:-1], ((1, 0), (0, 0))), np.pad(change[1:], ((0, 1), (0, 0))))
+    jumps = np.flatnonzero(((change > _STEP) & (change > _RATIO * around)).any(axis=1))
+    jumps = jumps[np.diff(time)[jumps] > 2.0 * _JUST_BEFORE]
+    stepped = (change > _STEP) & (change > _RATIO * around)
+    held = np.where(stepped[jumps], commands[jumps], commands[jumps + 1])
+    return (
+        np.insert(time, jumps + 1, time[jumps + 1] - _JUST_BEFORE),
+        np.insert(commands, jumps + 1, held, axis=0),
+    )
+
+
+def spool_on(crane: Crane, grid: np.ndarray, time: np.ndarray, commands: np.ndarray, late: float = 0.0) -> np.ndarray:
+    """Return spool positions (N, 2) on a grid (N,), exact for commands (n, 2) that are linear between their own samples.
+
+    Args:
+        late: seconds by which the commands come after their stamps `time` (n,).
+    """
+    stamps = time + late
+    inside = stamps[(stamps > grid[0]) & (stamps < grid[-1])]
+    every = np.unique(np.concatenate([grid, inside]))
+    on_all = np.column_stack([np.interp(every, stamps, u) for u in commands.T])
+    spool: np.ndarray = SpoolPath(crane).run(every, on_all)
+    return spool[np.searchsorted(every, grid)]
