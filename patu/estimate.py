@@ -44,7 +44,9 @@ def command(
     ] = None,
     method: Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|ekf", help="Which filter.")] = "ukf",
     smooth: Annotated[bool, typer.Option("--smooth", help="Also smooth back over the recording (RTS).")] = False,
-    tune: Annotated[bool, typer.Option("--tune", help="First find the most likely process noise.")] = False,
+    tune: Annotated[
+        bool, typer.Option("--tune", help="First find the most likely process noise, not only its size.")
+    ] = False,
     step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Longest time step of the model.")] = 1e-3,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
@@ -63,7 +65,7 @@ def command(
     announce_compilation()
     from ukf.estimator import Estimator
 
-    noise = _tuned(chosen, measured, std, augment or [], json) if tune else None
+    noise = _tuned(chosen, measured, std, augment or [], json, tune)
     estimator = Estimator(chosen, engine, std, noise, method, augment or (), max_step=step)
     with progress("Estimate") as done:
         result = estimator.run(measured, smooth=smooth, progress=done)
@@ -110,13 +112,15 @@ def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> 
 
 
 def _tuned(
-    crane: Crane, recording: Recording, std: dict[str, float], augment: list[str], json: str | None
+    crane: Crane, recording: Recording, std: dict[str, float], augment: list[str], json: str | None, thorough: bool
 ) -> ProcessNoise:
-    from ukf.tuning import tune
+    """Return the most likely process noise; a wrong model needs more of it than a right one."""
+    from ukf.tuning import tune, widen
 
-    with progress("Tune") as done:
-        found = tune(crane, recording, std, augment=tuple(augment), progress=done)
-    Printer(json).line(repr(found).strip("<>"))
+    with progress("Noise") as done:
+        found = (tune if thorough else widen)(crane, recording, std, augment=tuple(augment), progress=done)
+    if found.after > found.before:
+        Printer(json).line(repr(found).strip("<>"))
     return found.noise
 
 

@@ -20,7 +20,9 @@ from .noise import ProcessNoise
 from .signals import Signals
 
 #: the logarithms (base 10) that are searched, with their ranges
-ACCELERATION, PRESSURE = (-8.0, 1.0), (2.0, 13.0)
+ACCELERATION, PRESSURE = (-8.0, 3.0), (2.0, 14.0)
+#: `widen` goes up at most so many powers of ten
+_RUNGS = 7
 
 
 @dataclass(frozen=True)
@@ -67,20 +69,8 @@ def tune(
     """
     from scipy.optimize import minimize
 
-    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
-    piece = busiest(signals, seconds)
     std = sensor_std(crane, sensors)
-    count = [0]
-
-    def cost(logs: np.ndarray) -> float:
-        count[0] += 1
-        if progress is not None:
-            progress(min(1.0, count[0] / evaluations))
-        filter_ = Estimator(crane, engine, std, noise_of(logs), augment=augment, gate=None)
-        estimate = filter_.run(piece)
-        restarts = sum(e.count for e in estimate.events if e.where == "filter")
-        return -estimate.log_likelihood / max(estimate.dof.sum(), 1.0) + 10.0 * restarts
-
+    cost, count = _cost(crane, recording, std, engine, augment, seconds, evaluations, progress)
     first = logs_of(start or ProcessNoise())
     before = cost(first)
     limits = [ACCELERATION, ACCELERATION, PRESSURE, PRESSURE]
@@ -88,6 +78,59 @@ def tune(
     found = minimize(cost, first, method="Powell", bounds=limits, options=options)
     best, after = (found.x, float(found.fun)) if found.fun < before else (first, before)
     return Tuned(noise_of(best), std, -before, -after, count[0])
+
+
+def widen(
+    crane: Crane,
+    recording: Any,
+    sensors: Mapping[str, float],
+    *,
+    engine: Any = "semi-recursive",
+    augment: tuple[Any, ...] = (),
+    seconds: float = 5.0,
+    progress: Callable[[float], None] | None = None,
+) -> Tuned:
+    """Return the default noise, or ten, a hundred … times as much, whichever makes the innovations most likely.
+
+    A few short runs: enough that a filter with a wrong model follows its sensors. `tune` searches further.
+    """
+    std = sensor_std(crane, sensors)
+    cost, count = _cost(crane, recording, std, engine, augment, seconds, _RUNGS, progress)
+    first = logs_of(ProcessNoise())
+    before = best = cost(first)
+    chosen = first
+    for rung in range(1, _RUNGS):
+        value = cost(first + rung)
+        if value >= best:
+            break
+        best, chosen = value, first + rung
+    return Tuned(noise_of(chosen), std, -before, -best, count[0])
+
+
+def _cost(
+    crane: Crane,
+    recording: Any,
+    std: dict[str, float],
+    engine: Any,
+    augment: tuple[Any, ...],
+    seconds: float,
+    evaluations: int,
+    progress: Callable[[float], None] | None,
+) -> tuple[Callable[[np.ndarray], float], list[int]]:
+    """Return minus the log-likelihood a sample as a function of the noise's logarithms, and the count of its calls."""
+    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
+    piece = busiest(signals, seconds)
+    count = [0]
+
+    def cost(logs: np.ndarray) -> float:
+        count[0] += 1
+        if progress is not None:
+            progress(min(1.0, count[0] / evaluations))
+        estimate = Estimator(crane, engine, std, noise_of(logs), augment=augment, gate=None).run(piece)
+        restarts = sum(e.count for e in estimate.events if e.where == "filter")
+        return -estimate.log_likelihood / max(float(estimate.dof.sum()), 1.0) + 10.0 * restarts
+
+    return cost, count
 
 
 def noise_of(logs: np.ndarray) -> ProcessNoise:
