@@ -5,7 +5,11 @@ python docs/make_pictures.py [FOLDER]     # default: docs/images
 
 from __future__ import annotations
 
+import shlex
+import shutil
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -42,15 +46,30 @@ def main(folder: Path) -> None:
     crane = Crane.load("patu655")
     true = simulate(crane, step=2e-3)
     off = crane.with_parameters({"supply.pump_pressure": 80e5, "payload.mass": 120.0})
-    leaking = crane.with_effect("internal_leakage@lift", {"k": 2e-11})
-    measured, wrong, leak = trajectory("measured", true), simulate(off, step=2e-3), simulate(leaking, step=2e-3)
+    measured, wrong = trajectory("measured", true), simulate(off, step=2e-3)
     Scene(crane, [measured], colour="pressure", title="PATU 655", size=SIZE).save(folder / "pressure.png", time=6.0)
     three = [measured, trajectory("simulated", wrong), estimated(wrong, true)]
     Scene(crane, three, marks=["lift"], title="A model with 20 bar less", size=SIZE).save(
         folder / "ghosts.png", time=14.0
     )
-    two = [trajectory("measured", leak), trajectory("simulated", true)]
-    Scene(crane, two, colour="residual", title="learn.csv", size=SIZE).save(folder / "apart.png", time=16.0)
+    tutorial(folder)
+
+
+def tutorial(folder: Path) -> None:
+    """Run the tutorial's commands that make its pictures, and keep those."""
+    text = (Path(__file__).parent / "tutorial.md").read_text(encoding="utf-8")
+    commands = [shlex.split(line[2:]) for line in text.splitlines() if line.startswith("$ patu")]
+    with tempfile.TemporaryDirectory() as work:
+        script = Path(work) / "make_recordings.py"
+        script.write_text(text.split('title="make_recordings.py"\n')[1].split("```")[0])
+        subprocess.run([sys.executable, script.name], cwd=work, check=True)
+        for words in commands:
+            if words[1] in ("simulate", "render", "improve"):
+                subprocess.run([sys.executable, "-m", "patu", *words[1:]], cwd=work, check=True)
+        subprocess.run([sys.executable, "-m", "patu", "compare", "learn.csv", "-o", "pictures"], cwd=work, check=True)
+        for name in ("apart.png", "together.png"):
+            shutil.copy(Path(work) / name, folder / name)
+        shutil.copy(Path(work) / "pictures" / "where.png", folder / "fails.png")
 
 
 if __name__ == "__main__":
