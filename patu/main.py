@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import importlib
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -77,12 +79,19 @@ class Leave(BaseException):
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run one command line and leave with its exit status; bad input gives one message and no traceback."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if threading.current_thread() is threading.main_thread():  # only there signals can be set
+        signal.signal(signal.SIGTERM, _terminated)
     try:
         status = _guarded(words)
         sys.stdout.flush()
     except (Leave, BrokenPipeError) as leaving:
         status = _leave(leaving)
     sys.exit(status)
+
+
+def _terminated(number: int, _: object) -> None:
+    """Let a termination clean up as an interrupt does: temporary files go, half-written ones never were."""
+    raise Leave(128 + number, "Terminated; no file was left half-written.")
 
 
 def _leave(leaving: BaseException) -> int:

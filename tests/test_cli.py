@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -163,19 +162,25 @@ def test_an_error_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch) 
 # -- interruption ----------------------------------------------------------------------------------------------------
 
 
-def test_an_interrupt_ends_with_130_and_no_traceback() -> None:
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_command_leaves_nothing_and_no_traceback(tmp_path: Path, number: int, status: int) -> None:
     code = (
         "import patu.main as m, time\n"
-        "def command():\n    print('ready', flush=True); time.sleep(60)\n"
+        "from crane_exudyn.files import replacing\n"
+        "def command():\n"
+        "    with replacing('run.csv') as temporary:\n"
+        "        temporary.write_text('half'); print('ready', flush=True); time.sleep(60)\n"
         "m.load = lambda name: command\nm.run(['demo'])"
     )
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
     assert process.stdout is not None and process.stdout.readline() == "ready\n"
-    time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, err = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert "Traceback" not in err and "Interrupted" in err
+    assert process.returncode == status
+    assert "Traceback" not in err and "half-written" in err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_reader_that_has_seen_enough_is_no_error() -> None:
