@@ -16,6 +16,7 @@ from .options import (
     MapOption,
     OutputOption,
     RecordingArgument,
+    ReportOption,
     load_crane,
     load_recording,
 )
@@ -34,6 +35,7 @@ def command(
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the estimate: .png, .svg or .pdf.")
     ] = None,
+    report: ReportOption = None,
     engine: EngineOption = "exudyn",
     sensors: Annotated[
         list[str] | None, typer.Option("--sensor", metavar="CHANNEL", help="Use only this sensor; repeatable.")
@@ -74,25 +76,24 @@ def command(
         best.to_csv(output)
     if plot is not None:
         save_plot(best, plot)
+    page = None if report is None else save_report(result, measured.name, report, engine)
     write_json(json, result.document() | {"recording": str(recording), "engine": engine})
-    tell(Printer(json), result, measured, [p for p in (output, plot) if p is not None])
+    tell(Printer(json), result, measured, [p for p in (output, plot, page) if p is not None])
 
 
 def _check(output: Path | None, plot: Path | None, step: float) -> None:
     """Refuse what could not work before the work is done."""
     from crane_exudyn.errors import CraneError
+    from crane_exudyn.formats import check_writable
 
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
-    for path, endings in ((output, (".csv", ".csv.gz")), (plot, (".png", ".svg", ".pdf"))):
-        if path is None:
-            continue
-        if not str(path).endswith(endings):
-            raise CraneError(f"{path}: unknown ending. Use one of {', '.join(endings)}.")
-        if not path.resolve().parent.is_dir():
-            raise CraneError(
-                f"{path}: the folder {path.resolve().parent} does not exist. Create it, or give another path."
-            )
+    if output is not None:
+        check_writable(output)
+    if plot is not None and not str(plot).endswith((".png", ".svg", ".pdf")):
+        raise CraneError(f"{plot}: unknown ending. Use one of .png, .svg, .pdf.")
+    if plot is not None and not plot.resolve().parent.is_dir():
+        raise CraneError(f"{plot}: the folder {plot.resolve().parent} does not exist. Create it, or give another path.")
 
 
 def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
@@ -133,48 +134,75 @@ def save_plot(estimate: Estimate, path: Path) -> None:
         figure.savefig(temporary, format=path.suffix.lstrip("."), dpi=130)
 
 
-def tell(printer: Printer, result: Estimate, recording: Any, paths: list[Path]) -> None:
-    """Print the final state with its interval, the consistency, what happened, and where the files are."""
-    from ukf.plots import display
+def save_report(result: Estimate, name: str, directory: Path, engine: str) -> Path:
+    """Write the report of an estimate, verdict first, and return its file."""
+    from validation.report import Picture, Table, write_report
 
     best = result.smoothed if result.smoothed is not None else result
-    rows = []
-    for i, name in enumerate(best.state_names):
-        factor, unit = display(name, best.units.get(name, ""))
-        values, half = factor * best.mean[:, i], factor * 1.96 * best.std[-1, i]
-        rows.append(
-            (
-                f"{name} / {unit}" if unit else name,
-                *map(float, (values[0], values[-1], half, values.min(), values.max())),
-            )
-        )
+    lines = event_lines(result)
+    sections: list[tuple[str, list[Any]]] = [
+        ("States", [Table(COLUMNS, rows(best)), Picture(best.plot(), "States with 95 % intervals, and innovations.")]),
+        ("Consistency", [consistency(result)]),
+        ("What happened on the way", lines or ["Nothing odd."]),
+    ]
+    parameters = {"crane": result.crane, "engine": engine, "filter": result.method}
+    mood: Any = "good" if result.consistent else "bad"
+    return write_report(directory, f"Estimate of {name}", verdict(result), sections, parameters=parameters, mood=mood)
+
+
+COLUMNS = ("quantity", "first", "last", "± (95 %)", "min", "max")
+
+
+def rows(estimate: Estimate) -> list[tuple[object, ...]]:
+    """Return the table: each quantity in units for people, at the start, at the end with its interval, and its range."""
+    from ukf.plots import display
+
+    out: list[tuple[object, ...]] = []
+    for i, name in enumerate(estimate.state_names):
+        factor, unit = display(name, estimate.units.get(name, ""))
+        values, half = factor * estimate.mean[:, i], factor * 1.96 * estimate.std[-1, i]
+        label = f"{name} / {unit}" if unit else name
+        out.append((label, *map(float, (values[0], values[-1], half, values.min(), values.max()))))
+    return out
+
+
+def tell(printer: Printer, result: Estimate, recording: Any, paths: list[Path]) -> None:
+    """Print the final state with its interval, the consistency, what happened, and where the files are."""
     printer.line(
         f"{result.crane}, {result.method}, {recording.name}: {result.time.size} instants, "
         f"{result.time[0]:g} to {result.time[-1]:g} s, sensors {', '.join(result.channel_names)}"
     )
-    printer.table("", ("quantity", "first", "last", "± (95 %)", "min", "max"), rows)
-    consistency_lines(printer, result)
-    for event in result.events:
-        span = f"{event.start:.3f} s" if event.end == event.start else f"{event.start:.3f} to {event.end:.3f} s"
-        when = "" if event.start != event.start else f"{span}: "
-        printer.line(f"note: {when}{event.where}: {event.text} ({event.count} time(s))")
+    printer.table("", COLUMNS, rows(result.smoothed if result.smoothed is not None else result))
+    for line in (consistency(result), verdict(result), *event_lines(result)):
+        printer.line(line)
     for path in paths:
         printer.line(f"Written: {path}")
 
 
-def consistency_lines(printer: Printer, result: Estimate) -> None:
-    """Print NIS, whiteness, and what to make of them."""
+def event_lines(result: Estimate) -> list[str]:
+    """Return one line for everything odd that happened."""
+    lines = []
+    for event in result.events:
+        span = f"{event.start:.3f} s" if event.end == event.start else f"{event.start:.3f} to {event.end:.3f} s"
+        when = "" if event.start != event.start else f"{span}: "
+        lines.append(f"note: {when}{event.where}: {event.text} ({event.count} time(s))")
+    return lines
+
+
+def consistency(result: Estimate) -> str:
+    """Return NIS and whiteness in one line."""
     low, high = result.nis_bounds
     white = ", ".join(f"{n} {p:.2g}" for n, p in result.whiteness.items())
-    printer.line(f"NIS {result.nis_mean:.4g} (consistent: {low:.3g} to {high:.3g}); whiteness p: {white}")
+    return f"NIS {result.nis_mean:.4g} (consistent: {low:.3g} to {high:.3g}); whiteness p: {white}"
+
+
+def verdict(result: Estimate) -> str:
+    """Return what to make of the consistency."""
     if result.consistent:
-        printer.line("The filter is consistent with the recording: its intervals can be trusted.")
-    elif result.nis_mean > high:
-        printer.line(
+        return "The filter is consistent with the recording: its intervals can be trusted."
+    if result.nis_mean > result.nis_bounds[1]:
+        return (
             "Not consistent: the model explains less than the filter believes, so the intervals are too narrow. "
             "`patu compare` shows where it fails, --tune finds a noise that fits, --augment estimates what is unknown."
         )
-    else:
-        printer.line(
-            "Not consistent: the intervals are wider or the innovations less white than they should be; try --tune."
-        )
+    return "Not consistent: the intervals are wider or the innovations less white than they should be; try --tune."

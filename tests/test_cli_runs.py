@@ -127,6 +127,36 @@ def test_options_that_make_no_sense_are_refused(
     assert part in capsys.readouterr().err
 
 
+# -- estimate --------------------------------------------------------------------------------------------------------
+
+
+def test_estimate_leaves_states_picture_and_report(patu: Callable[..., str], lift: Path, tmp_path: Path) -> None:
+    paths = {"-o": tmp_path / "states.parquet", "--plot": tmp_path / "states.png", "--report": tmp_path / "report"}
+    words = [part for option, path in paths.items() for part in (option, str(path))]
+    out = patu("estimate", str(lift), *FAST, *words, "--json", str(tmp_path / "estimate.json"))
+    document = json.loads((tmp_path / "estimate.json").read_text())
+    assert set(document["filter"]) >= {"nis_mean", "nis_bounds", "whiteness", "consistent"}
+    estimated, measured = Recording.load(paths["-o"], {"u1": "U_lift", "u2": "U_tilt"}), Recording.load(lift)
+    assert np.ptp(measured["z1"].values - estimated["z1"].values) < np.radians(0.1)
+    assert paths["--plot"].read_bytes().startswith(b"\x89PNG")
+    page = (paths["--report"] / "report.html").read_text()
+    assert "Estimate of lift" in page and "whiteness" in page
+    assert "NIS" in out and str(paths["--report"] / "report.html") in out
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [(("-o", "{folder}/x.xlsx"), ".parquet"), (("--plot", "{folder}/x.bmp"), ".png"), (("-o", "{folder}/no/x.csv"), "folder")],
+)  # fmt: skip
+def test_estimate_refuses_results_that_it_could_not_write_before_it_works(
+    capsys: pytest.CaptureFixture[str], lift: Path, tmp_path: Path, words: tuple[str, str], part: str
+) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main.run(["estimate", str(lift), words[0], words[1].format(folder=tmp_path)])
+    assert leaving.value.code == 2
+    assert part in capsys.readouterr().err
+
+
 # -- demo ------------------------------------------------------------------------------------------------------------
 
 
