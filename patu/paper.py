@@ -20,7 +20,10 @@ _TUNINGS = {"paper": "the paper's tuning", "own": "own means: what is unknown is
 
 def command(
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for figures and report; made if missing.")
+        Path,
+        typer.Option(
+            "-o", "--output", "--report", metavar="DIR", help="Folder for figures and report; made if missing."
+        ),
     ] = Path("out/paper"),
     engine: EngineOption = "exudyn",
     model_error: Annotated[

@@ -80,6 +80,17 @@ def test_every_command_has_help_with_an_example_and_json(patu: Callable[..., End
     assert "--json" in done.out
 
 
+@pytest.mark.parametrize("name", list(main.COMMANDS))
+def test_options_mean_the_same_everywhere(patu: Callable[..., Ended], name: str) -> None:
+    out = patu(name, "--help").out
+    assert "--effects" in out
+    assert ("--crane" in out) == (name != "effects")
+    if name in ("estimate", "compare", "diagnose", "improve", "crosscheck", "paper"):
+        assert "--report" in out
+    if "REC" in out and name != "benchmark":
+        assert "--map" in out
+
+
 def test_loading_a_command_imports_no_engine() -> None:
     """Help of any command comes before numba, Exudyn or matplotlib are imported."""
     for name in main.COMMANDS:
