@@ -1,8 +1,9 @@
 """Noise covariances from the data: those under which the innovations are most likely.
 
 The filter's innovations are independent normal variables if its covariances are right, so their log-likelihood,
--½ Σ (νᵀ S⁻¹ ν + log det 2πS), measures how right they are. It is maximised over the logarithms of a few densities by
-Powell's method. Averaging over many samples makes it sharp, and it charges for boasting (small S) as well as for shyness.
+-½ Σ (νᵀ S⁻¹ ν + log det 2πS), measures how right they are. It is maximised over the logarithms of a few densities by a
+pattern search: first all together by powers of ten, then one by one by half and quarter powers. Averaging over many samples
+makes the measure sharp, and it charges for boasting (small S) as well as for shyness.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from .noise import ProcessNoise
 from .signals import Signals
 
 #: the logarithms (base 10) that are searched, with their ranges
-ACCELERATION, PRESSURE = (-8.0, 3.0), (2.0, 14.0)
+LIMITS = ((-8.0, 3.0), (-8.0, 3.0), (2.0, 14.0), (2.0, 14.0))
+_FINEST = 0.25
 #: `widen` goes up at most so many powers of ten
 _RUNGS = 7
 
@@ -67,17 +69,50 @@ def tune(
         evaluations: most runs of the filter.
         progress: called with the fraction done.
     """
-    from scipy.optimize import minimize
-
     std = sensor_std(crane, sensors)
     cost, count = _cost(crane, recording, std, engine, augment, seconds, evaluations, progress)
     first = logs_of(start or ProcessNoise())
     before = cost(first)
-    limits = [ACCELERATION, ACCELERATION, PRESSURE, PRESSURE]
-    options = {"maxfev": evaluations, "xtol": 0.05, "ftol": 1e-4}
-    found = minimize(cost, first, method="Powell", bounds=limits, options=options)
-    best, after = (found.x, float(found.fun)) if found.fun < before else (first, before)
-    return Tuned(noise_of(best), std, -before, -after, count[0])
+    logs, best = _climb(cost, first, before)
+    step = 1.0
+    while step >= _FINEST and count[0] < evaluations:
+        old = best
+        for i in range(logs.size):
+            logs, best = _along(cost, logs, best, i, step)
+            if count[0] >= evaluations:
+                break
+        if best >= old - 1e-4:
+            step *= 0.5
+    return Tuned(noise_of(logs), std, -before, -best, count[0])
+
+
+def _along(
+    cost: Callable[[np.ndarray], float], logs: np.ndarray, best: float, i: int, step: float
+) -> tuple[np.ndarray, float]:
+    """Return the better of two neighbours along one logarithm, gone on with while it helps, or the point itself."""
+    for direction in (step, -step):
+        moved = False
+        while True:
+            trial = logs.copy()
+            trial[i] = np.clip(trial[i] + direction, *LIMITS[i])
+            value = cost(trial) if trial[i] != logs[i] else best
+            if value >= best:
+                break
+            logs, best, moved = trial, value, True
+        if moved:
+            break
+    return logs, best
+
+
+def _climb(cost: Callable[[np.ndarray], float], first: np.ndarray, before: float) -> tuple[np.ndarray, float]:
+    """Return all logarithms raised together by whole powers of ten for as long as that helps, and the cost there."""
+    best, chosen = before, first
+    for rung in range(1, _RUNGS):
+        value = cost(first + rung)
+        if value >= best:
+            break
+        best, chosen = value, first + rung
+    return chosen, best
 
 
 def widen(
@@ -97,13 +132,8 @@ def widen(
     std = sensor_std(crane, sensors)
     cost, count = _cost(crane, recording, std, engine, augment, seconds, _RUNGS, progress)
     first = logs_of(ProcessNoise())
-    before = best = cost(first)
-    chosen = first
-    for rung in range(1, _RUNGS):
-        value = cost(first + rung)
-        if value >= best:
-            break
-        best, chosen = value, first + rung
+    before = cost(first)
+    chosen, best = _climb(cost, first, before)
     return Tuned(noise_of(chosen), std, -before, -best, count[0])
 
 
