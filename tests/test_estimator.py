@@ -141,6 +141,16 @@ def test_live_refuses_no_time_and_says_so():
     assert now.time == 1.01 and now.innovation == {}
 
 
+def test_live_survives_bad_commands_and_says_so():
+    live = estimator()
+    first = {"z1": 0.2, "z4": -0.75, "p1": 50e5, "p4": 38e5}
+    live.step((0.0, 0.0), first, 0.0)
+    live.step((float("nan"), 1.4), first, 0.01)
+    now = live.step((0.0, 0.0), first, 0.02)
+    assert np.isfinite(now.mean).all()
+    assert [e[1] for e in live.events] == ["commands", "commands"]
+
+
 @pytest.mark.parametrize("method", ["ukf", "sr-ukf", "ckf", "ekf"])
 def test_all_filters_follow_the_crane(method):
     estimate = estimator(method=method).run(recording())

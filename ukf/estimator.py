@@ -181,7 +181,19 @@ class Estimator:
                 raise CraneError(f"measurements: {name!r} is no sensor of this estimator.{nearest(name, known)}")
         values = np.array([_number(measurements.get(n)) for n in self._channels.names])
         supply = np.array([_number(measurements.get(n)) for n in SUPPLY])
-        return np.asarray(commands, float), values, supply
+        return self._usable(np.array(commands, float)), values, supply
+
+    def _usable(self, command: np.ndarray) -> np.ndarray:
+        """Return a command that the valves can follow: a missing one stays as it was, one beyond ±1 is cut, both are told."""
+        time = float("nan") if self.time is None else self.time
+        missing = ~np.isfinite(command)
+        if missing.any():
+            self.events.append((time, "commands", "missing, the last one is held"))
+            command[missing] = 0.0 if self._last_command is None else self._last_command[missing]
+        if (np.abs(command) > 1.0).any():
+            self.events.append((time, "commands", "beyond ±1, cut"))
+            command = np.clip(command, -1.0, 1.0)
+        return command
 
     def _begin(self, time: float, command: np.ndarray, values: np.ndarray, supply: np.ndarray) -> None:
         from crane_exudyn.inputs import SpoolPath
