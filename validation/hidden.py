@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .hidden_plant import Dialect, Law
 
 DURATION = 25.0
+_STEP = 1e-3
 KINDS = ("effect", "two", "none", "parameters", "unknown")
 RATES = (100, 200, 500, 1000)
 #: standard deviations of angles (rad) and pressures (Pa): a good rig's, and the paper's
@@ -41,7 +42,6 @@ _PAST_THE_STOP = ((50.0, 125.0), (-225.0, -120.0))
 _ALLOWED = ((-20.0, 75.0), (-140.0, 8.0))
 #: rough speeds in deg/s at fully open spools, extending and retracting; plans need no more
 _SPEED = ((25.0, 31.0), (-55.0, -53.0))
-_STEP = 1e-3
 _MOST_DRAWS = 60
 
 Draw = Callable[[np.random.Generator, Mapping[str, Any]], dict[str, float]]
@@ -81,9 +81,9 @@ def _seal(rng: np.random.Generator, _: Any) -> dict[str, float]:
 
 
 def _counterbalance(rng: np.random.Generator, _: Any) -> dict[str, float]:
-    """A setting that the pilot can overcome with the pump's pressure, as valves are set."""
-    ratio = rng.uniform(1.5, 8.0)
-    return {"setting": rng.uniform(60e5, min(250e5, 20e5 + ratio * 60e5)), "ratio": ratio}
+    """A setting that some 50 bar of load and 40 to 85 bar of pilot pressure overcome: lower ones are never felt."""
+    ratio = rng.uniform(1.0, 4.0)
+    return {"setting": 50e5 + ratio * rng.uniform(40e5, 85e5), "ratio": ratio}
 
 
 def _payload(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
@@ -154,6 +154,11 @@ class Manoeuvre:
     less_loaded: tuple[float, float]
     corners: tuple[tuple[np.ndarray, np.ndarray], ...]
 
+    def driven(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return all corner times (n,) and the commands (n, 2) there, linear between."""
+        stamps = np.union1d(*(t for t, _ in self.corners))
+        return stamps, self.commands(stamps)
+
     def commands(self, time: np.ndarray) -> np.ndarray:
         """Return the commands (n, 2) at `time` (n,)."""
         return np.column_stack([np.interp(time, t, u) for t, u in self.corners])
@@ -196,13 +201,18 @@ def _corners(
         hold = float(rng.uniform(0.1, 0.3) if rng.random() < 0.15 else rng.uniform(0.5, 3.0))
         hold = min(hold, _time_left(c, angle, u, plan), DURATION - 0.8 - t)
         if hold > 0.08:
-            up, down = rng.uniform(0.03, 0.4, 2) * min(1.0, hold)
+            up, down = (_ramp(rng, hold) for _ in range(2))
             times += [t, t + up, t + up + hold, t + up + hold + down]
             values += [0.0, u, u, 0.0]
             angle += _SPEED[c][int(u < 0.0)] * abs(u) * (1 if u > 0 else -1) * (hold + 0.5 * (up + down))
             t = times[-1]
         t += float(rng.uniform(0.0, 0.05) if rng.random() < 0.25 else rng.uniform(0.2, 4.0))
     return _on_grid(np.array([*times, DURATION + 1.0]), np.array([*values, 0.0]), cycle)
+
+
+def _ramp(rng: np.random.Generator, hold: float) -> float:
+    """Return how long a command takes to its value, s: one in five steps, the others show in several samples at 100 Hz."""
+    return 0.0 if rng.random() < 0.2 else float(rng.uniform(0.03, min(max(hold, 0.05), 0.4)))
 
 
 def _opening(rng: np.random.Generator, c: int, angle: float, plan: Range) -> float:
@@ -222,10 +232,12 @@ def _time_left(c: int, angle: float, u: float, plan: Range) -> float:
 
 
 def _on_grid(times: np.ndarray, values: np.ndarray, cycle: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners at multiples of the controller's cycle, those that fall together left out."""
+    """Return corners at multiples of the controller's cycle; a step takes the microsecond before its corner."""
     if cycle is not None:
         times = np.round(times / cycle) * cycle
-    kept = np.concatenate([[True], np.diff(times) > 1e-6])
+    step = np.append(np.diff(times) < 1e-6, False)
+    times = times - 1e-6 * step
+    kept = np.append(True, np.diff(times) > 1e-7)
     return times[kept], values[kept]
 
 
@@ -239,7 +251,7 @@ def _run(crane: Crane, engine: Any, manoeuvre: Manoeuvre) -> np.ndarray:
     from .hidden_plant import inputs
 
     start = engine.static_start(manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded)
-    w = inputs(crane, _GRID, manoeuvre.commands(_GRID), ())
+    w = inputs(crane, _GRID, *manoeuvre.driven())
     states = np.asarray(engine.simulate(start, _GRID, w, step=_STEP))
     _check_reach(crane, states)
     return states
@@ -429,7 +441,7 @@ def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law
     acting = [*laws, *(law for d in dialects for law in d.laws)]
     if not acting and not dialects:
         return readings(machine, _run(machine, ExudynEngine(machine), manoeuvre))
-    w = inputs(plain, _GRID, manoeuvre.commands(_GRID), dialects)
+    w = inputs(plain, _GRID, *manoeuvre.driven(), dialects)
     states = simulate(plain, static_start(plain, manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded), _GRID, w, acting)
     _check_reach(machine, states)
     return readings(machine, states)

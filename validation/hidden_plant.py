@@ -17,6 +17,7 @@ import numpy as np
 from crane_exudyn import geometry
 from crane_exudyn import hydraulics as hyd
 from crane_exudyn.crane import Crane
+from crane_exudyn.drive import spool_on
 from crane_exudyn.effects.base import CHAMBERS, CYLINDERS
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.inputs import SpoolPath, play
@@ -168,12 +169,20 @@ def dialect(key: str, values: Mapping[str, float], crane: Crane) -> Dialect | No
     return maker(values, place, crane) if maker is not None else None
 
 
-def inputs(crane: Crane, time: np.ndarray, commands: np.ndarray, dialects: Sequence[Dialect]) -> np.ndarray:
-    """Return [U1 U2 pp pt] (N, 4) of a machine: spools behind the lag (16) and what the dialects make of them."""
-    spools = SpoolPath(crane).run(time, commands)
+def inputs(
+    crane: Crane, time: np.ndarray, stamps: np.ndarray, commands: np.ndarray, dialects: Sequence[Dialect] = ()
+) -> np.ndarray:
+    """Return [U1 U2 pp pt] (N, 4) of a machine at `time`: spools behind the lag (16) and what the dialects make of them.
+
+    Args:
+        time: (N,) s.
+        stamps, commands: (n,) s and (n, 2), linear between, on their own clock.
+    """
+    spools = spool_on(crane, time, stamps, commands)
     for d in dialects:
         if d.spool is not None:
-            spools[:, d.cylinder] = d.spool(time, commands[:, d.cylinder], spools[:, d.cylinder])
+            command = np.interp(time, stamps, commands[:, d.cylinder])
+            spools[:, d.cylinder] = d.spool(time, command, spools[:, d.cylinder])
     return np.ascontiguousarray(np.column_stack([spools, np.full((time.size, 2), math.nan)]))
 
 
