@@ -36,6 +36,8 @@ CHANNELS: Mapping[str, str] = MappingProxyType(
 _EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "s": "s"}
 #: a command may read a little beyond fully open, as sensors do; more than this is another unit
 _COMMAND_LIMIT = 1.05
+#: share of repeated times up to which the repeated samples are left out with a remark
+_MOST_REPEATED = 0.1
 
 
 @dataclass(frozen=True)
@@ -366,8 +368,11 @@ def _assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> Record
         channel = _channel(path, name, named[name], times[id(own)], table)
         if channel is None:
             notes.append(f"channel {name} has no sample")
-        else:
-            channels[name] = channel
+            continue
+        channels[name] = channel
+        again = int(np.count_nonzero(~np.isnan(named[name][0].values))) - len(channel)
+        if again:
+            notes.append(f"channel {name}: {again} samples whose time stands there already are left out")
     return _whole(Recording(path.name.partition(".")[0], channels, str(path), tuple(notes)))
 
 
@@ -446,7 +451,7 @@ def _clock_of(
 
 
 def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table: RawTable) -> np.ndarray:
-    """Return the times of a clock in s, finite and increasing."""
+    """Return the times of a clock in s, finite and never going back."""
     column, unit = (clock, clock.unit or "s") if isinstance(clock, RawColumn) else clock
     time = column.values * _factor(path, "time", column.header, unit, "s")
     bad = np.flatnonzero(~np.isfinite(time))
@@ -454,15 +459,29 @@ def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table:
         raise CraneError(
             f"{path}, {table.place(bad[0])}, column {column.header}: the time is missing or not finite. Fill it in, or delete the line."
         )
-    back = np.flatnonzero(np.diff(time) <= 0.0)
+    back = np.flatnonzero(np.diff(time) < 0.0)
     if len(back):
         row = int(back[0]) + 1
-        what = "is repeated" if time[row] == time[row - 1] else f"goes back from {time[row - 1]:.6g} s"
         raise CraneError(
-            f"{path}, {table.place(row)}, column {column.header}: time {time[row]:.6g} s {what}, expected increasing times. "
-            "Sort the samples, and delete repeated ones or give the time with more digits."
+            f"{path}, {table.place(row)}, column {column.header}: time {time[row]:.6g} s goes back from {time[row - 1]:.6g} s, "
+            "expected increasing times. Sort the samples."
         )
     return np.asarray(time)
+
+
+def _first_of_stamp(path: Path, header: str, time: np.ndarray, rows: np.ndarray, table: RawTable) -> np.ndarray:
+    """Return the rows without those whose time stands there already: loggers repeat a sample now and then.
+
+    Where many do, it is the time that has too few digits, and leaving samples out would falsify the recording.
+    """
+    again = np.concatenate([[False], np.diff(time[rows]) == 0.0])
+    if again.sum() > _MOST_REPEATED * len(rows):
+        row = int(rows[again][0])
+        raise CraneError(
+            f"{path}, {table.place(row)}, column {header}: time {time[row]:.6g} s is repeated, as {again.sum()} of {len(rows)} "
+            "times are, expected increasing times. Delete repeated samples, or give the time with more digits."
+        )
+    return np.asarray(rows[~again])
 
 
 def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) -> float:
@@ -497,7 +516,10 @@ def _channel(
         )
     if name in COMMANDS:
         _check_command(path, raw, values, table)
-    return Channel(time[there], values[there], CHANNELS[name]) if there.any() else None
+    if not there.any():
+        return None
+    rows = _first_of_stamp(path, raw.header, time, np.flatnonzero(there), table)
+    return Channel(time[rows], values[rows], CHANNELS[name])
 
 
 def _check_command(path: Path, raw: RawColumn, values: np.ndarray, table: RawTable) -> None:

@@ -248,7 +248,7 @@ def test_voltages_become_commands_through_the_crane(tmp_path: Path) -> None:
 
 def test_small_overshoot_of_a_command_is_clipped(tmp_path: Path) -> None:
     _, commands = read(tmp_path, "time[s],u1,u2\n0,1.02,0\n1,-1.04,0\n").commands()
-    np.testing.assert_array_equal(commands[:, 0], [1.0, -1.0])
+    np.testing.assert_array_equal(commands[[0, -1], 0], [1.0, -1.0])  # between them stands the end of the step
 
 
 def test_aligned_interpolates_nothing_and_joins_rounded_stamps() -> None:
@@ -364,3 +364,14 @@ def test_the_quick_reader_reads_what_the_careful_one_reads(delimiter: str) -> No
 
 def _odd_field(rng: random.Random) -> str:
     return "".join(rng.choice("0123456789+-.eEnaifx_ \t,;") for _ in range(rng.randint(0, 4)))
+
+
+def test_a_repeated_time_now_and_then_is_left_out_and_told(tmp_path):
+    rows = [f"{0.01 * k:.2f},0,0,{k}" for k in range(40)]
+    rows.insert(21, rows[20].replace(",20", ",99"))
+    file = tmp_path / "stutter.csv"
+    file.write_text("\n".join(["time[s],u1[-],u2[-],z1[deg]", *rows]) + "\n")
+    recording = Recording.load(file)
+    assert len(recording["z1"]) == 40 and np.degrees(recording["z1"].values[20]) == pytest.approx(20.0)
+    assert (np.diff(recording["z1"].time) > 0).all()
+    assert any("z1: 1 samples" in note for note in recording.notes)
