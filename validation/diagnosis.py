@@ -178,7 +178,7 @@ class _Search:
 
     def scores(self, fit: Fit) -> list[Score]:
         """Return the screen at a fit; effects that its crane has already do not take part."""
-        return screen(fit, self.data, starts(fit.crane, self.data), LOOSE.stiffness)
+        return screen(fit, starts(fit.crane, self.data), LOOSE.stiffness)
 
 
 def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -467,8 +467,8 @@ def _with_errors(
     best = max((c.evidence for c in d.candidates), default=0.0)
     near = [c for i, c in enumerate(d.candidates) if i < 2 or c.evidence > best - 3 * TIE or c.effects == d.effects]
     cranes = [(search.crane, as_given.fit), *((c.crane, search.base) for c in near)]
-    tasks: list[tuple[Any, ...]] = [(_error, crane, recording, d.late, fit) for crane, fit in cranes]
-    tasks += [(_error, crane, check, d.late, None) for crane, _ in cranes] if check is not None else []
+    tasks: list[tuple[Any, ...]] = [(_error, crane, recording, fit) for crane, fit in cranes]
+    tasks += [(_error, crane, check, None) for crane, _ in cranes] if check is not None else []
     errors = in_parallel(search.jobs, tasks)
     learned, checked = errors[: len(cranes)], errors[len(cranes) :] or [math.nan] * len(cranes)
     before, check_before = learned[0], checked[0]
@@ -489,5 +489,5 @@ def _with_errors(
     )  # fmt: skip
 
 
-def _error(crane: Crane, recording: Recording, late: float, knots: Fit | None) -> float:
-    return open_loop_error(crane, recording, late, knots)[0]
+def _error(crane: Crane, recording: Recording, knots: Fit | None) -> float:
+    return open_loop_error(crane, recording, knots)[0]

@@ -14,7 +14,7 @@ from crane_exudyn.recording import Recording
 from .diagnosis import Candidate, Diagnosis, diagnose, sentence
 from .fit.data import FitData
 from .fit.model import model_of, output_rows, shown
-from .fit.staged import rms
+from .fit.staged import FINE, rms
 from .history import added
 from .search.weigh import open_loop_error
 
@@ -150,21 +150,21 @@ def _worth_adding(d: Diagnosis, last: Step) -> Candidate | None:
 def _step(
     name: str | None, crane: Crane, d: Diagnosis, recording: Recording, check: Recording | None, verdict: str
 ) -> Step:
-    error, searched = exudyn_error(crane, recording, d.late)
-    check_error = exudyn_error(crane, check, d.late)[0] if check is not None else math.nan
+    error, searched = exudyn_error(crane, recording)
+    check_error = exudyn_error(crane, check)[0] if check is not None else math.nan
     text = sentence(d)
     if abs(error - searched) > AGREEMENT * max(error, searched):
         text += f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
     return Step(name, error, check_error, nis_mean(crane, recording), verdict, searched, text)
 
 
-def exudyn_error(crane: Crane, recording: Recording, late: float) -> tuple[float, float]:
+def exudyn_error(crane: Crane, recording: Recording) -> tuple[float, float]:
     """Return the open-loop RMS error in noise units on the Exudyn engine, and on the engine of the search, from the same start."""
     from crane_exudyn.engine import ExudynEngine
 
-    searched, fit = open_loop_error(crane, recording, late)
-    data = FitData.of(recording, crane, rate=math.inf).shifted(late)
-    model = model_of(crane, data)
+    searched, fit = open_loop_error(crane, recording)
+    data = FitData.of(recording, crane, rate=math.inf, step=FINE)
+    model = model_of(crane, data, fit.late)
     X = ExudynEngine(crane).simulate(fit.knots[0], data.time, model.W)
     Z = shown(data.channels, output_rows(data.channels, X, model.P)[0], model.E, data.step)
     parts = {}

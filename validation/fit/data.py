@@ -57,6 +57,12 @@ class FitData:
         """Number of samples over all channels."""
         return sum(len(s.values) for s in self.samples)
 
+    @property
+    def interval(self) -> float:
+        """The longest usual time between two samples of a channel, s."""
+        gaps = [float(np.median(np.diff(s.index + s.fraction))) for s in self.samples if len(s.values) > 1]
+        return self.step * max(gaps, default=1.0)
+
     @classmethod
     def of(cls, recording: Recording, crane: Crane, *, step: float | None = None, rate: float = 200.0) -> FitData:
         """Return the data of a recording, averaged down to at most `rate` samples a second and channel.
@@ -73,7 +79,7 @@ class FitData:
             raise CraneError(f"{recording.name}: no sensor channel. At least one of {', '.join(CHANNELS)} is needed.")
         start = min(recording.channels[c].time[0] for c in sensors)
         end = max(recording.channels[c].time[-1] for c in sensors)
-        step = step or _grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
+        step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
         grid = start + step * np.arange(int(np.floor((end - start) / step + 1e-6)) + 2)
         noise = recording.noise()
         samples = tuple(
@@ -95,6 +101,16 @@ class FitData:
             return self
         return replace(self, command_time=self.command_time + late)
 
+    def with_step(self, step: float) -> FitData:
+        """Return the same data on a grid of another step (s)."""
+        if step == self.step:
+            return self
+        end = self.time[-1] - 1e-9
+        grid = self.time[0] + step * np.arange(int(np.ceil((end - self.time[0]) / step)) + 1)
+        samples = tuple(_placed(s, self.time[s.index] + s.fraction * self.step, grid) for s in self.samples)
+        supply = np.column_stack([np.interp(grid, self.time, c) for c in self.supply.T])
+        return replace(self, time=grid, step=step, supply=supply, samples=samples)
+
     def part(self, start: int, end: int) -> FitData:
         """Return the stretch of grid points start … end (inclusive)."""
         kept = []
@@ -105,12 +121,12 @@ class FitData:
         return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept))
 
 
-def _grid_step(interval: float) -> float:
-    """Return a simulation step of at most 2.5 ms that divides the sampling interval where it can."""
+def grid_step(interval: float, longest: float = 2.5e-3) -> float:
+    """Return a simulation step (s) of at most `longest` that divides the sampling interval where it can."""
     for step in sorted(_STEPS, reverse=True):
-        if step <= 2.5e-3 and abs(interval / step - round(interval / step)) < 1e-6:
+        if step <= longest and abs(interval / step - round(interval / step)) < 1e-6:
             return step
-    return 2.5e-3 if interval > 2.5e-3 else 1e-3
+    return longest if interval > longest else min(_STEPS)
 
 
 def _samples(
@@ -126,10 +142,14 @@ def _samples(
         time = time[:whole].reshape(-1, block).mean(axis=1)
         values = values[:whole].reshape(-1, block).mean(axis=1)
         noise = noise / np.sqrt(block)
+    return _placed(Samples(channel, np.empty(0, int), np.empty(0), values, float(noise)), time, grid)
+
+
+def _placed(samples: Samples, time: np.ndarray, grid: np.ndarray) -> Samples:
+    """Return the samples, taken at `time`, with their places on a grid."""
     place = (time - grid[0]) / (grid[1] - grid[0])
-    index = np.minimum(np.floor(place + 1e-9).astype(np.int64), len(grid) - 2)
-    fraction = np.clip(place - index, 0.0, 1.0)
-    return Samples(channel, index, fraction, values, float(noise))
+    index = np.minimum(np.floor(place + 1e-6).astype(np.int64), len(grid) - 2)
+    return replace(samples, index=index, fraction=np.clip(place - index, 0.0, 1.0))
 
 
 def _supply(recording: Recording, grid: np.ndarray) -> np.ndarray:

@@ -51,7 +51,8 @@ class Fit:
     converged: bool
     windows: tuple[Window, ...] = field(repr=False)
     linear: Linear = field(repr=False)
-    origin: Crane | None = field(default=None, repr=False)
+    origin: Crane = field(repr=False)
+    data: FitData = field(repr=False)
 
     @property
     def late(self) -> float:
@@ -170,7 +171,7 @@ def fit(
         if gain < max(tolerance, 1e-4 * point.linear.cost):
             converged = True
             break
-    return _finish(crane, variables, windows, point, guess, converged)
+    return _finish(crane, data, variables, windows, point, guess, converged)
 
 
 def _evaluate(
@@ -227,6 +228,7 @@ def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffne
 
 def _finish(
     crane: Crane,
+    data: FitData,
     variables: Sequence[Variable],
     windows: Sequence[Window],
     point: _Point,
@@ -243,11 +245,11 @@ def _finish(
     prior = 0.5 * sum((x / v.prior) ** 2 for x, v in zip(point.u, variables, strict=True) if math.isfinite(v.prior))
     return Fit(
         with_variables(crane, variables, point.u), tuple(variables), point.u, cov, point.knots, errors,
-        linear.error if not linear.failed else math.inf, prior, converged, tuple(windows), linear, crane,
+        linear.error if not linear.failed else math.inf, prior, converged, tuple(windows), linear, crane, data,
     )  # fmt: skip
 
 
-def reknot(fit: Fit, data: FitData, windows: Sequence[Window]) -> np.ndarray:
+def reknot(fit: Fit, windows: Sequence[Window]) -> np.ndarray:
     """Return first states of other windows that begin where windows of the fit begin."""
-    starts = [w.start for w in fit.windows]
-    return np.array([fit.knots[int(np.argmin(np.abs(np.array(starts) - w.start)))] for w in windows])
+    starts = np.array([w.data.time[0] for w in fit.windows])
+    return np.array([fit.knots[int(np.argmin(np.abs(starts - w.data.time[0])))] for w in windows])

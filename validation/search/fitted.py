@@ -37,8 +37,7 @@ def fitted_effect(
     own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
     shared = [*informed_directions(base), *own]
     begins = [
-        scaled(s.start, s.amplitude)
-        for s in screen(base, data, [s for s in starts(crane, data) if s.key == key], 1.0)[:2]
+        scaled(s.start, s.amplitude) for s in screen(base, [s for s in starts(crane, data) if s.key == key], 1.0)[:2]
     ]
     begins = [dict(values)] if values else begins
     loose = [weigh(crane, data, shared, base, Hypothesis({key: b}), (LOOSE,)) for b in begins]
@@ -47,7 +46,7 @@ def fitted_effect(
     best = max(loose, key=lambda w: w.evidence)
     done = weigh(crane, data, shared, best.fit, best.hypothesis, (TIGHT, STIFF))
     before, _ = open_loop_error(crane, recording)
-    after, _ = open_loop_error(done.fit.crane, recording, done.fit.late)
+    after, _ = open_loop_error(done.fit.crane, recording)
     found, spread = fitted_values(done, key), deviations(done, key)
     document = {
         "parameters": {n: {"value": v, "std": spread.get(n)} for n, v in found.items()},

@@ -30,25 +30,25 @@ def leaner(crane: Crane, data: FitData, full: Weighed) -> Weighed:
     held: list[Variable] = [timing_of(data), *own]
     bare = weigh(crane, data, held, full.fit, full.hypothesis, (TIGHT, STIFF))
     tried = [full, bare]
-    let_go = needed(crane, data, bare.fit)
+    let_go = needed(crane, bare.fit)
     if let_go:
         tried.append(weigh(crane, data, [*held, *let_go], full.fit, full.hypothesis, (TIGHT, STIFF)))
-        more = needed(crane, data, tried[-1].fit, most=4)
+        more = needed(crane, tried[-1].fit, most=4)
         if more:
             again = [*held, *let_go, *more]
             tried.append(weigh(crane, data, again, tried[-1].fit, full.hypothesis, (TIGHT, STIFF)))
     return max(tried, key=lambda w: w.evidence)
 
 
-def needed(crane: Crane, data: FitData, fit: Fit, most: int = _MOST) -> list[Variable]:
+def needed(crane: Crane, fit: Fit, most: int = _MOST) -> list[Variable]:
     """Return the nominal parameters whose freedom the linearised fit supports, the most telling first."""
     names = {v.name for v in fit.variables}
     offered: list[Variable] = [v for v in uncertain_parameters(crane) if v.name not in names]
     variables = [*fit.variables, *offered]
     u = np.concatenate([fit.u, np.zeros(len(offered))])
-    base = model_at(crane, variables, u, data)
+    base = model_at(crane, variables, u, fit.data)
     linear = normal_equations(
-        fit.windows, fit.knots, base, columns_of(crane, variables, u, base, data), STIFF.stiffness
+        fit.windows, fit.knots, base, columns_of(crane, variables, u, base, fit.data), STIFF.stiffness
     )
     if linear.failed:
         return []

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..fit.data import FitData
 from ..fit.linear import Columns, columns_of, model_at, normal_equations, pack
 from ..fit.model import model_of
 from ..fit.solve import Fit, reduce, with_prior
@@ -31,15 +30,15 @@ class Score:
     amplitude: float
 
 
-def screen(fit: Fit, crane_data: FitData, starts: Sequence[Start], stiffness: float) -> list[Score]:
+def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     """Return the score of every start at a fit, best first; a start that changes nothing scores 0."""
-    base = model_of(fit.crane, crane_data, fit.late)
+    base = model_of(fit.crane, fit.data, fit.late)
     usable, models = [], []
     for start in starts:
-        model = model_of(fit.crane.with_effect(start.key, start.values), crane_data, fit.late)
+        model = model_of(fit.crane.with_effect(start.key, start.values), fit.data, fit.late)
         usable.append(start)
         models.append(model)
-    own = columns_of_fit(fit, crane_data)
+    own = columns_of_fit(fit)
     probes = pack(base, models, np.ones(len(models)))
     knots = fit.knots if fit.knots.shape[1] == 10 else np.pad(fit.knots, ((0, 0), (0, 2)))  # room for a pendulum
     linear = normal_equations(fit.windows, knots, base, join(own, probes), stiffness)
@@ -52,11 +51,10 @@ def screen(fit: Fit, crane_data: FitData, starts: Sequence[Start], stiffness: fl
     return sorted(_scores(usable, H, g, m), key=lambda s: -s.gain)
 
 
-def columns_of_fit(fit: Fit, data: FitData) -> Columns:
+def columns_of_fit(fit: Fit) -> Columns:
     """Return the columns of the fit's own variables around its values."""
-    from_start = fit.origin if fit.origin is not None else fit.crane
-    base = model_at(from_start, fit.variables, fit.u, data)
-    return columns_of(from_start, fit.variables, fit.u, base, data)
+    base = model_at(fit.origin, fit.variables, fit.u, fit.data)
+    return columns_of(fit.origin, fit.variables, fit.u, base, fit.data)
 
 
 def with_prior_block(fit: Fit, H: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

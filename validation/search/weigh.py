@@ -15,7 +15,7 @@ from crane_exudyn.recording import Recording
 from ..fit.data import FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import START, Stage, first_knots, residuals, rms, staged
+from ..fit.staged import FINE, START, Stage, first_knots, residuals, rms, staged, timing_of
 from ..fit.variables import EffectParameter, NominalDirection, Variable, effect_variables
 
 #: a window counts as explained up to this error, in noise units
@@ -94,24 +94,24 @@ def threshold(fit: Fit) -> np.ndarray:
     return np.maximum(EXPLAINED, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(counts, 1)))
 
 
-def open_loop_error(
-    crane: Crane, recording: Recording, late: float = 0.0, knots: Fit | None = None
-) -> tuple[float, Fit]:
-    """Return the RMS error over all samples, in noise units, of an open-loop run whose start alone is fitted, and that fit.
+def open_loop_error(crane: Crane, recording: Recording, knots: Fit | None = None) -> tuple[float, Fit]:
+    """Return the RMS error over all samples, in noise units, of an open-loop run of which only the start is fitted, and that fit.
+
+    The start is the first state, and by how little the recorded commands come late.
 
     Args:
         crane: the crane as it is.
         recording: what it is held against.
-        late: seconds by which the commands come after their stamps.
         knots: a fit to this recording from which to take first states; guessed from the measurements if there is none.
     """
-    data = FitData.of(recording, crane).shifted(late)
+    data = FitData.of(recording, crane)
+    variables: list[Variable] = [timing_of(data)]
     if knots is None:
-        fit = staged(crane, data, (), np.zeros(0), first_knots(crane, data), START)
+        fit = staged(crane, data, variables, np.zeros(1), first_knots(crane, data), START)
     else:
-        fit = staged(crane, data, (), np.zeros(0), knots, START[1:])
-    every = FitData.of(recording, crane, rate=math.inf).shifted(late)
-    return rms(residuals(crane, every, fit.knots[0])), fit
+        fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, START[1:])
+    every = FitData.of(recording, crane, rate=math.inf, step=FINE)
+    return rms(residuals(crane, every, fit.knots[0], fit.late)), fit
 
 
 def fitted_values(weighed: Weighed, key: str) -> dict[str, float]:
