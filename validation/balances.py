@@ -11,7 +11,7 @@ lacks. What the sensors cannot tell apart (moment and pressure, where a pressure
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 
 from .fit.data import FitData
-from .fit.linear import JUMP
+from .fit.linear import JUMP, cut
 from .fit.model import SENSOR_PLACE, Model, affine, model_of, output_rows, shown
-from .fit.solve import Fit
+from .fit.start import knots_of
 from .semi_recursive import sensitivity
 from .semi_recursive.engine import DISTURBANCES
 
@@ -31,8 +31,12 @@ EQUATIONS = ("torque.O", "torque.A", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
 SPREAD = np.array([300.0, 200.0, 5e-5, 5e-5, 5e-5, 5e-5])
 #: time in s after which an unknown input may be another
 MEMORY = 0.3
-#: times that the smoother is run, each around the trajectory and the inputs found before
-_ROUNDS = 2
+#: the smoother is run again around what it found, until states and inputs move by less than this (RMS, in JUMP and SPREAD), or so often
+_SETTLED_STATE, _SETTLED_INPUT, _ROUNDS = 0.5, 0.03, 6
+#: length of the stretches in which long recordings are treated, s: what the smoother remembers of one is some 50 MB
+_CHUNK = 60.0
+#: time between the knots of the first trajectory, s
+_KNOTS = 0.1
 #: spread of the first state around its guess, and growth of what the model does not say a step, in units of JUMP
 _FIRST, _GROWTH = 30.0, 1e-4
 
@@ -45,7 +49,6 @@ class Balances:
         time: (K,) s, the instants of the smoother.
         states: (K, nx) smoothed states.
         values, std: (K, 6) residual of each equation of `EQUATIONS` and its standard deviation, N m and m³/s.
-        innovations: (K, m) of the filter with unknown inputs, in their own standard deviations; NaN without a sample.
         log_likelihood: of all samples under this model with unknown inputs.
     """
 
@@ -76,31 +79,72 @@ class Balances:
         return mean, np.sqrt(np.maximum(total, 0.0)) * SPREAD / (last - first)
 
 
-def balances_of(crane: Crane, data: FitData, fit: Fit) -> Balances:
+def balances_of(crane: Crane, data: FitData) -> Balances:
     """Return the residuals of all balances of a crane along a recording.
 
-    Args:
-        crane, data: the model and the recording.
-        fit: a fit in short windows, whose knots follow the machine also where the model does not.
+    The first trajectory starts anew at every knot, `_KNOTS` apart, from what the sensors show there, so that it is near the machine
+    however wrong the model is.
 
     Raises:
         CraneError: the model cannot be run along the recording.
     """
     model = model_of(crane, data)
-    knots = fit.knots if fit.knots.shape[1] == model.nx else np.pad(fit.knots, ((0, 0), (0, model.nx - 8)))
-    starts = np.array([w.start for w in fit.windows])
+    windows = cut(data, _KNOTS)
+    starts = np.array([w.start for w in windows])
+    knots = _wide(knots_of(crane, data, windows), model.nx)
+    parts = []
+    for chosen in np.array_split(np.arange(len(starts)), max(1, round(len(data.time) * data.step / _CHUNK))):
+        first, after = starts[chosen[0]], chosen[-1] + 1
+        last = starts[after] if after < len(starts) else len(data.time) - 1
+        part = replace(model, W=model.W[first : last + 1])
+        parts.append(_balances(part, data.part(int(first), int(last)), starts[chosen] - first, knots[chosen]))
+    return _joined(parts)
+
+
+def _wide(knots: np.ndarray, nx: int) -> np.ndarray:
+    """Return knots (K, nx): a pendulum that they lack hangs at rest."""
+    return np.pad(knots, ((0, 0), (0, nx - knots.shape[1])))
+
+
+def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray) -> Balances:
+    """Return the residuals along a stretch that is short enough to be held in memory at once."""
     inputs = np.zeros((len(data.time), len(EQUATIONS)))
     stride = _stride(data)
     for _ in range(_ROUNDS):
         steps = linearised(model, data, starts, knots, inputs, stride)
         smoothed = _smooth(steps)
-        states, found = steps.states + smoothed.mean[:, :-6] * JUMP[: model.nx], steps.inputs + smoothed.mean[:, -6:]
+        states = steps.states + smoothed.mean[:, :-6] * JUMP[: model.nx]
         states[:, 4:8] = np.maximum(states[:, 4:8], 0.0)
+        found = steps.inputs + smoothed.mean[:, -6:]
         at = data.time[::stride][: len(found)]
         knots = np.column_stack([np.interp(data.time[starts], at, x) for x in states.T])
         inputs = np.column_stack([np.interp(data.time, at, d) for d in found.T])
+        moved = np.sqrt(np.mean(smoothed.mean**2, axis=0))
+        if moved[:-6].max() < _SETTLED_STATE and moved[-6:].max() < _SETTLED_INPUT:
+            break
     std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
     return Balances(at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains)
+
+
+def _joined(parts: list[Balances]) -> Balances:
+    """Return stretches one after the other; the last instant of one is the first of the next, and errors across are independent."""
+    ends = [slice(None, -1)] * (len(parts) - 1) + [slice(None)]
+    for part in parts[:-1]:
+        part._gains[-2] = 0.0
+
+    def column(name: str) -> np.ndarray:
+        return np.concatenate([getattr(part, name)[end] for part, end in zip(parts, ends, strict=True)])
+
+    likelihood = sum(part.log_likelihood for part in parts)
+    return Balances(
+        column("time"),
+        column("states"),
+        column("values"),
+        column("std"),
+        likelihood,
+        column("_covariance"),
+        column("_gains"),
+    )
 
 
 def _stride(data: FitData) -> int:

@@ -72,7 +72,7 @@ class Comparison:
         scores: how well each phase of work is explained, by channel and by equation.
         where: where the model fails, worst first.
         measured, simulated: channel -> (time (n,), values (n,)), the open-loop run at the measured instants.
-        commands: time (N,) and spool commands (N, 2).
+        commands: time (n,) and spool commands (n, 2).
         nis_bounds: what holds the filter's mean NIS with 99 % if the model is right; wider than χ² alone where the noise of the
             sensors had to be estimated from the recording.
         notes: what a reader should know about the recording.
@@ -194,14 +194,14 @@ def compare(
     notes = check_recording(recording, crane)
     kept = usable(recording)
     data = FitData.of(kept, crane)
-    loose, start = started(crane, data)
+    start = started(crane, data)
     done(0.3)
     whole = FitData.of(kept, crane, rate=np.inf).shifted(start.late)
     data = data.shifted(start.late)
     measured, simulated = open_loop(crane, whole, start.knots[0], engine)
     done(0.4)
     estimate = filtered(crane, data, engine, lambda f: done(0.4 + 0.3 * f))
-    balances = balances_of(crane, data, loose)
+    balances = balances_of(crane, data)
     channels = {
         s.channel: _channel_error(s.channel, measured[s.channel][1], simulated[s.channel][1], s.noise)
         for s in whole.samples
@@ -216,15 +216,14 @@ def compare(
     )  # fmt: skip
 
 
-def started(crane: Crane, data: FitData) -> tuple[Fit, Fit]:
-    """Return two fits of the crane as it is: one whose short windows follow the machine, one of the open-loop run's start.
+def started(crane: Crane, data: FitData) -> Fit:
+    """Return the crane as it is, its first state chosen so that the open-loop run explains the recording best.
 
     Beside the start, only the lateness of the commands against the sensors (a few ms at most) is free: it belongs to the
     recorder, not to the crane.
     """
     timing = (timing_of(data),)
-    loose = staged(crane, data, timing, np.zeros(1), first_knots(crane, data), (LOOSE,))
-    return loose, staged(crane, data, timing, loose.u, loose, (TIGHT, STIFF, WHOLE))
+    return staged(crane, data, timing, np.zeros(1), first_knots(crane, data), (LOOSE, TIGHT, STIFF, WHOLE))
 
 
 # -- the three looks -------------------------------------------------------------------------------------------------

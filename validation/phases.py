@@ -22,7 +22,7 @@ WORDS = {
     TILT_IN: "while the tilt cylinder retracts",
     BOTH: "while both cylinders are driven",
     REVERSAL: "while a cylinder reverses",
-    LOW_PRESSURE: "while a chamber is nearly empty of pressure",
+    LOW_PRESSURE: "while a chamber is below the pressure of the tank",
     STROKE_END: "while a cylinder is at the end of its stroke",
 }
 
@@ -30,8 +30,8 @@ WORDS = {
 DRIVEN = 0.02
 #: a valve that changes sides within this time reverses its cylinder, and the reversal is felt for as long, s
 REVERSING = 0.3
-#: absolute pressure below which oil gives off its air and laws change, Pa
-LOW = 1.5e5
+#: share of the tank's pressure below which a chamber sucks: oil gives off its air, and laws change
+LOW = 0.5
 #: nearness of a piston to the end of its chamber, m
 NEAR_END = 0.01
 #: pieces shorter than this join their neighbour; longer ones than the second are cut, s
@@ -103,7 +103,7 @@ def labels(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray
     for chosen, name in (
         ((lift > 0), LIFT_OUT), ((lift < 0), LIFT_IN), ((tilt > 0), TILT_OUT), ((tilt < 0), TILT_IN),
         ((lift != 0) & (tilt != 0), BOTH), (_reverses(time, lift) | _reverses(time, tilt), REVERSAL),
-        ((states[:, 4:8] < LOW).any(axis=1), LOW_PRESSURE), (_at_end(crane, states), STROKE_END),
+        ((states[:, 4:8] < LOW * crane["supply.tank_pressure"]).any(axis=1), LOW_PRESSURE), (_at_end(crane, states), STROKE_END),
     ):  # fmt: skip
         kind[chosen] = KINDS.index(name)
     return kind
@@ -132,12 +132,21 @@ def _at_end(crane: Crane, states: np.ndarray) -> np.ndarray:
 
 
 def _smooth(code: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return codes of work (0 is rest) with pieces shorter than SHORTEST joined to a neighbour, but a short motion never to a rest."""
+    """Return codes of work (0 is rest) with the pieces shorter than SHORTEST joined to the longer neighbour, shortest first.
+
+    A short motion is never joined to a rest: its errors would be read as errors at rest.
+    """
     code, least = code.copy(), max(1, int(np.ceil(SHORTEST / (time[1] - time[0]))))
-    edges = [0, *(np.flatnonzero(np.diff(code)) + 1), len(code)]
-    for a, b in itertools.pairwise(edges):
-        beside = ([code[b]] if b < len(code) else []) + ([code[a - 1]] if a else [])
-        fitting = [k for k in beside if k != 0 or code[a] == 0]
-        if b - a < least and fitting:
-            code[a:b] = fitting[0]
-    return code
+    starts = [0, *(np.flatnonzero(np.diff(code)) + 1).tolist()]
+    while True:
+        lengths = np.diff([*starts, len(code)])
+        for i in np.argsort(lengths, kind="stable"):
+            beside = [j for j in (i - 1, i + 1) if 0 <= j < len(starts)]
+            fitting = [j for j in beside if code[starts[j]] != 0 or code[starts[i]] == 0]
+            if lengths[i] < least and fitting:
+                break
+        else:
+            return code
+        chosen = max(fitting, key=lambda j: lengths[j])
+        code[starts[i] : starts[i] + lengths[i]] = code[starts[chosen]]
+        starts = [s for k, s in enumerate(starts) if k == 0 or code[s] != code[s - 1]]
