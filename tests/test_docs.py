@@ -148,3 +148,16 @@ def test_python_blocks_are_formatted_as_code_is():
             if block.kind == "python":
                 ast.parse(block.body)
                 assert all(len(line) <= 120 for line in block.body.splitlines()), f"{page_id(page)}, line {block.line}"
+
+
+def test_the_site_is_built_without_a_warning(tmp_path):
+    pytest.importorskip("mkdocs", reason="optional extra: docs")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    pages = list((tmp_path / "site").rglob("*.html"))
+    assert len(pages) > len(PAGES)
+    for page in pages:  # nothing is fetched from elsewhere
+        assert not re.search(
+            r"<(script|link|img)[^>]*(src|href)=\"?https?://(?!(localhost|example))", page.read_text()
+        ), page
