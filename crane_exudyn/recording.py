@@ -11,59 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import signals
+from .assembly import EXAMPLE, assemble, check_mapping, wanted
+from .channels import CHANNELS, COMMANDS, SENSORS, SUPPLY, VOLTAGES, Channel
 from .errors import CraneError, nearest
-from .tables import RawColumn, RawTable, split_header
+from .tables import RawColumn, RawTable
 from .units import factor_to_si
 
 if TYPE_CHECKING:
     from .crane import Crane
-
-COMMANDS = ("u1", "u2")
-VOLTAGES = ("U1", "U2")
-SUPPLY = ("pp", "pt")
-#: measured channels and their SI units
-SENSORS: Mapping[str, str] = MappingProxyType(
-    dict.fromkeys(("z1", "z4", "z4_abs"), "rad")
-    | dict.fromkeys(("dz1", "dz4", "dz4_abs"), "rad/s")
-    | dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa")
-    | dict.fromkeys(("s1", "s2"), "m")
-)
-#: all channels that a recording may have, and their SI units ("" is a pure number)
-CHANNELS: Mapping[str, str] = MappingProxyType(
-    dict.fromkeys(COMMANDS, "") | dict.fromkeys(VOLTAGES, "V") | dict(SENSORS) | dict.fromkeys(SUPPLY, "Pa")
-)
-#: units that people write, for messages
-_EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "s": "s"}
-#: a command may read a little beyond fully open, as sensors do; more than this is another unit
-_COMMAND_LIMIT = 1.05
-#: share of repeated times up to which the repeated samples are left out with a remark
-_MOST_REPEATED = 0.1
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One measured channel: `time` (n,) in s, increasing, not necessarily evenly, and `values` (n,) in SI."""
-
-    time: np.ndarray
-    values: np.ndarray
-    unit: str = ""
-
-    def __post_init__(self) -> None:
-        for name in ("time", "values"):
-            array = np.array(getattr(self, name), dtype=float)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    def at(self, time: np.ndarray) -> np.ndarray:
-        """Return values at `time`, linear between samples, NaN outside the channel's own range."""
-        return np.interp(time, self.time, self.values, left=np.nan, right=np.nan)
-
-    def held(self, time: np.ndarray) -> np.ndarray:
-        """Return values at `time`, linear between samples, the first and last value held outside."""
-        return np.interp(time, self.time, self.values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +57,8 @@ class Recording:
         from .formats import read
 
         mapping = dict(mapping or {})
-        _check_mapping(mapping)
-        return _assemble(Path(path), read(Path(path), wanted=_wanted(mapping)), mapping)
+        check_mapping(mapping)
+        return cls(**assemble(Path(path), read(Path(path), wanted=wanted(mapping)), mapping))
 
     @classmethod
     def from_arrays(cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray]) -> Recording:
@@ -119,7 +74,7 @@ class Recording:
         for channel in values:
             if channel not in CHANNELS:
                 raise CraneError(f"{name}: there is no channel {channel!r}.{nearest(channel, list(CHANNELS))}")
-        return replace(_assemble(Path(name), RawTable(columns), {}), name=name, source=name)
+        return cls(**assemble(Path(name), RawTable(columns), {}) | {"name": name, "source": name})
 
     # -- asking --------------------------------------------------------------------------------------------------
 
@@ -282,7 +237,7 @@ class Recording:
         figure = Figure(figsize=(8, 1.2 * len(chosen) + 0.6), layout="constrained")
         axes = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
         for axis, name in zip(axes, chosen, strict=True):
-            unit = _EXAMPLE[CHANNELS[name]]
+            unit = EXAMPLE[CHANNELS[name]]
             axis.plot(self[name].time, self[name].values / factor_to_si(unit, CHANNELS[name]), linewidth=0.8)
             axis.set_ylabel(name if unit == "-" else f"{name} / {unit}")
             axis.grid(alpha=0.3)
@@ -327,205 +282,3 @@ def _first_change(channel: Channel) -> float:
     """Return the last time at which a command still has its first value; infinite if it always has."""
     changed = np.flatnonzero(channel.values != channel.values[0])
     return float(channel.time[max(0, changed[0] - 1)]) if len(changed) else np.inf
-
-
-# -- from a file's columns to channels -------------------------------------------------------------------------------
-
-
-def _check_mapping(mapping: Mapping[str, str]) -> None:
-    known = ["time", *CHANNELS]
-    for name in mapping:
-        if name not in known:
-            raise CraneError(f"--map {name}={mapping[name]}: there is no channel {name!r}.{nearest(name, known)}")
-    columns = list(mapping.values())
-    for column in columns:
-        if columns.count(column) > 1:
-            raise CraneError(f"--map takes column {column!r} for two channels. Map each column once.")
-
-
-def _wanted(mapping: Mapping[str, str]) -> set[str]:
-    mapped = {part for column in mapping.values() for part in (column, split_header(column)[0])}
-    return {"time", *CHANNELS, *mapped}
-
-
-def _assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> Recording:
-    """Return the recording that a file's columns make: names, units and clocks judged, missing samples dropped."""
-    named, notes = _name_columns(path, table, mapping)
-    clock = named.pop("time", None)
-    if not named:
-        found = ", ".join(c.header for c in table.columns[:8])
-        raise CraneError(
-            f"{path}: found no known channel among the columns {found}. Expected some of {', '.join(CHANNELS)}; "
-            "give other names with --map z1=BoomAngle[deg]."
-        )
-    notes = [*table.notes, *notes]
-    times: dict[int, np.ndarray] = {}
-    channels = {}
-    for name in (n for n in CHANNELS if n in named):  # in the order of the contract, whatever the file's
-        own = _clock_of(path, named[name], clock, table)
-        if id(own) not in times:
-            times[id(own)] = _seconds(path, own, table)
-        channel = _channel(path, name, named[name], times[id(own)], table)
-        if channel is None:
-            notes.append(f"channel {name} has no sample")
-            continue
-        channels[name] = channel
-        again = int(np.count_nonzero(~np.isnan(named[name][0].values))) - len(channel)
-        if again:
-            notes.append(f"channel {name}: {again} samples whose time stands there already are left out")
-    return _whole(Recording(path.name.partition(".")[0], channels, str(path), tuple(notes)))
-
-
-def _whole(recording: Recording) -> Recording:
-    if not recording.channels or max(len(c) for c in recording.channels.values()) < 2:
-        raise CraneError(
-            f"{recording.source}: found fewer than two samples, expected a recording over time. Record longer."
-        )
-    return recording
-
-
-def _name_columns(
-    path: Path, table: RawTable, mapping: Mapping[str, str]
-) -> tuple[dict[str, tuple[RawColumn, str | None]], list[str]]:
-    """Return {channel: (column, unit)} and remarks on columns that were left alone."""
-    by_column = {id(_find(path, table, column)): name for name, column in mapping.items()}
-    named: dict[str, tuple[RawColumn, str | None]] = {}
-    notes = []
-    for column in table.columns:
-        name, unit = split_header(column.header)
-        unit = column.unit if unit is None else unit
-        if id(column) in by_column:
-            name = by_column[id(column)]
-            unit = _mapped_unit(path, column.header, unit, split_header(mapping[name])[1])
-        elif name in mapping or name not in ("time", *CHANNELS):
-            notes.append(_remark(column.header, name, mapping))
-            continue
-        if name in named:
-            raise CraneError(
-                f"{path}: channel {name} stands twice, as columns {named[name][0].header!r} and {column.header!r}. "
-                f"Delete or rename one, or choose with --map {name}=…"
-            )
-        named[name] = (column, unit)
-    return named, notes
-
-
-def _remark(header: str, name: str, mapping: Mapping[str, str]) -> str:
-    if name in mapping:
-        return f"column {header!r} was put aside for {mapping[name]!r}"
-    like = [c for c in CHANNELS if c.lower() == name.lower()]
-    return f"column {header!r} was ignored" + (f", did you mean {like[0]}?" if like else "")
-
-
-def _find(path: Path, table: RawTable, wanted: str) -> RawColumn:
-    """Return the column that a mapping names: by its whole header, else by its name without unit."""
-    whole = [c for c in table.columns if c.header.strip() == wanted.strip()]
-    name = split_header(wanted)[0]
-    found = whole or [c for c in table.columns if split_header(c.header)[0] == name]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise CraneError(f"{path}: column {wanted!r} of --map stands there {len(found)} times. Rename one.")
-    headers = [split_header(c.header)[0] for c in table.columns]
-    raise CraneError(f"{path}: there is no column {name!r}, as --map says.{nearest(name, headers)}")
-
-
-def _mapped_unit(path: Path, header: str, own: str | None, given: str | None) -> str | None:
-    if own is not None and given is not None and own != given:
-        raise CraneError(
-            f"{path}, column {header}: the file says [{own}], --map says [{given}]. Leave the unit of --map out, or mend one."
-        )
-    return own if given is None else given
-
-
-def _clock_of(
-    path: Path, column: tuple[RawColumn, str | None], clock: tuple[RawColumn, str | None] | None, table: RawTable
-) -> tuple[RawColumn, str | None] | RawColumn:
-    if column[0].clock is not None:
-        return column[0].clock
-    if clock is None:
-        headers = [c.header for c in table.columns]
-        raise CraneError(
-            f"{path}: there is no column time[s], found {', '.join(headers[:8])}. Add it, or give its name: --map time=Zeit[s]."
-        )
-    return clock
-
-
-def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table: RawTable) -> np.ndarray:
-    """Return the times of a clock in s, finite and never going back."""
-    column, unit = (clock, clock.unit or "s") if isinstance(clock, RawColumn) else clock
-    time = column.values * _factor(path, "time", column.header, unit, "s")
-    bad = np.flatnonzero(~np.isfinite(time))
-    if len(bad):
-        raise CraneError(
-            f"{path}, {table.place(bad[0])}, column {column.header}: the time is missing or not finite. Fill it in, or delete the line."
-        )
-    back = np.flatnonzero(np.diff(time) < 0.0)
-    if len(back):
-        row = int(back[0]) + 1
-        raise CraneError(
-            f"{path}, {table.place(row)}, column {column.header}: time {time[row]:.6g} s goes back from {time[row - 1]:.6g} s, "
-            "expected increasing times. Sort the samples."
-        )
-    return np.asarray(time)
-
-
-def _first_of_stamp(path: Path, header: str, time: np.ndarray, rows: np.ndarray, table: RawTable) -> np.ndarray:
-    """Return the rows without those whose time stands there already: loggers repeat a sample now and then.
-
-    Where many do, it is the time that has too few digits, and leaving samples out would falsify the recording.
-    """
-    again = np.concatenate([[False], np.diff(time[rows]) == 0.0])
-    if again.sum() > _MOST_REPEATED * len(rows):
-        row = int(rows[again][0])
-        raise CraneError(
-            f"{path}, {table.place(row)}, column {header}: time {time[row]:.6g} s is repeated, as {again.sum()} of {len(rows)} "
-            "times are, expected increasing times. Delete repeated samples, or give the time with more digits."
-        )
-    return np.asarray(rows[~again])
-
-
-def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) -> float:
-    if unit is None and si_unit:
-        raise CraneError(
-            f"{path}, column {header}: no unit is given. Write it into the name, as {name}[{_EXAMPLE[si_unit]}], "
-            f"or give --map {name}={header}[{_EXAMPLE[si_unit]}]."
-        )
-    try:
-        return factor_to_si(unit or "", si_unit)
-    except CraneError as problem:
-        raise CraneError(
-            f"{path}, column {header}: {problem}, such as {name}[{_EXAMPLE[si_unit]}]. Mend the unit."
-        ) from None
-
-
-def _channel(
-    path: Path, name: str, column: tuple[RawColumn, str | None], time: np.ndarray, table: RawTable
-) -> Channel | None:
-    raw, unit = column
-    if raw.values.shape != time.shape:
-        raise CraneError(
-            f"{path}, column {raw.header}: found {raw.values.size} samples, expected {time.size} as its time has. "
-            f"Give it a time of its own, or export it again."
-        )
-    values = raw.values * _factor(path, name, raw.header, unit, CHANNELS[name])
-    there = ~np.isnan(values)
-    infinite = np.flatnonzero(np.isinf(values))
-    if len(infinite):
-        raise CraneError(
-            f"{path}, {table.place(infinite[0])}, column {raw.header}: found an infinite value. Leave it empty if it is missing."
-        )
-    if name in COMMANDS:
-        _check_command(path, raw, values, table)
-    if not there.any():
-        return None
-    rows = _first_of_stamp(path, raw.header, time, np.flatnonzero(there), table)
-    return Channel(time[rows], values[rows], CHANNELS[name])
-
-
-def _check_command(path: Path, raw: RawColumn, values: np.ndarray, table: RawTable) -> None:
-    beyond = np.flatnonzero(np.abs(np.nan_to_num(values)) > _COMMAND_LIMIT)
-    if len(beyond):
-        raise CraneError(
-            f"{path}, {table.place(beyond[0])}, column {raw.header}: found the command {values[beyond[0]]:g}, expected -1 to 1. "
-            "Write percent as u1[%], and valve voltages as U1[V]."
-        )

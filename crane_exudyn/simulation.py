@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .channels import CHANNELS, COMMANDS, SUPPLY
 from .crane import Crane
-from .recording import CHANNELS, COMMANDS, SUPPLY, Recording
+from .recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,9 +6,10 @@ from typing import Literal
 
 import numpy as np
 
+from crane_exudyn.channels import Channel
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
-from crane_exudyn.recording import Channel, Recording
+from crane_exudyn.recording import Recording
 from crane_exudyn.signals import noise_std
 
 Purpose = Literal["compare", "diagnose"]
