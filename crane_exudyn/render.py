@@ -481,7 +481,12 @@ class Scene:
             CraneError: there is no screen, or the file belongs to another scene.
         """
         need_screen("SolutionViewer")
-        from exudyn.interactive import SolutionViewer
+        try:
+            from exudyn.interactive import SolutionViewer
+        except ImportError as problem:
+            raise CraneError(
+                f"SolutionViewer needs tkinter ({problem}). Install the Debian package python3-tk."
+            ) from None
 
         solution = self.load_solution(path)
         self.show(self.start)

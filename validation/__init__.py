@@ -1,0 +1,28 @@
+"""What a model is worth: how well it predicts, where it fails, what it lacks, and what mends it.
+
+    from validation import compare, diagnose, improve
+
+Names are imported when they are first asked for, so that `import validation` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .compare import compare as compare
+    from .diagnosis import diagnose as diagnose
+    from .improvement import improve as improve
+    from .report import write_report as write_report
+
+_WHERE = {"compare": ".compare", "diagnose": ".diagnosis", "improve": ".improvement", "write_report": ".report"}
+__all__ = ["compare", "diagnose", "improve", "write_report"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'validation' has no attribute {name!r}")
+    found = getattr(importlib.import_module(_WHERE[name], __name__), name)
+    globals()[name] = found  # the function, not the module of the same name that importing has put there
+    return found
