@@ -156,9 +156,12 @@ def _cost(
         count[0] += 1
         if progress is not None:
             progress(min(1.0, count[0] / evaluations))
-        estimate = Estimator(crane, engine, std, noise_of(logs), augment=augment, gate=None).run(piece)
+        estimate = Estimator(crane, engine, std, noise_of(logs), augment=augment).run(piece)
         restarts = sum(e.count for e in estimate.events if e.where == "filter")
-        return -estimate.log_likelihood / max(float(estimate.dof.sum()), 1.0) + 10.0 * restarts
+        used = float(estimate.dof.sum())
+        rejected = 1.0 - used / max(float(np.isfinite(estimate.measured[1:]).sum()), 1.0)
+        # a jump of a sensor is the monitor's business: noise wide enough to explain it would spoil everything else
+        return -estimate.log_likelihood / max(used, 1.0) + rejected + 10.0 * restarts
 
     return cost, count
 
