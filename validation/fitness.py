@@ -128,10 +128,9 @@ def _notes(recording: Recording, time: np.ndarray, commands: np.ndarray, constan
         notes.append("the crane does not move: only its state at rest is compared")
     if recording.duration < 5.0:
         notes.append(f"the recording is short ({recording.duration:.1f} s): small errors will not show")
-    if len(recording.sensors) - len(constant) < 4:
-        notes.append(
-            f"only {len(recording.sensors) - len(constant)} sensors: which equation fails can hardly be told apart"
-        )
+    count = len(recording.sensors) - len(constant)
+    if count < 4:
+        notes.append(f"only {count} sensor{'s' * (count > 1)}: which equation fails can hardly be told apart")
     late = max(recording[n].time[-1] for n in recording.sensors) - time[-1]
     if late > 0.1:
         notes.append(f"the last command is held for {late:.1f} s, because sensors go on after the commands end")
