@@ -35,7 +35,7 @@ REPAIRED, LEFT_LEVEL = 0.8, 1.3
 #: log evidence that a further effect must bring, and within which two explanations are tied
 PROOF, TIE = 12.0, 6.0
 #: how many starts the screen hands on, and how many of the fits are carried to the end
-FITTED, FINISHED = 10, 4
+FITTED, FINISHED = 7, 3
 #: share of the best start's promise below which a start is not fitted
 HOPELESS = 0.02
 

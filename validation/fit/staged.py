@@ -40,7 +40,7 @@ class Stage:
 
 #: a ring of 7 Hz loses a thousandth of its frequency to a step of 2.5 ms: nothing in a quarter of a second, but not in 25 s
 FINE = 1e-3
-LOOSE, TIGHT, STIFF = Stage(SHORT, 1.0, 6), Stage(SHORT, 10.0, 6), Stage(SHORT, 100.0, 8, FINE)
+LOOSE, TIGHT, STIFF = Stage(SHORT, 1.0, 5), Stage(SHORT, 10.0, 5), Stage(SHORT, 100.0, 6, FINE)
 STAGES = (LOOSE, TIGHT, STIFF)
 WHOLE = Stage(LONG, 1.0, 6, FINE)
 #: a crane as it is, its start alone looked for
