@@ -20,7 +20,7 @@ demo: $(VENV)/installed
 	$(BIN)/patu demo -o $(OUT)/demo
 
 test: $(VENV)/installed-dev
-	$(BIN)/pytest
+	$(BIN)/pytest --durations=10
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check
