@@ -297,6 +297,39 @@ def test_unknown_inputs_are_found():
         assert estimate[name][-1] == pytest.approx(value, abs=0.15 * abs(value))
 
 
+def test_both_engines_carry_extra_states_alike():
+    """Parameters, a moment and a flow that differ from sigma point to sigma point: the engines share no equation."""
+    names = ("payload.mass", "torque.O", "flow.p2", "joints.A.x", "bodies.lift_boom.mass")
+    sensors = {n: (t[300:340], v[300:340]) for n, (t, v) in recording().sensors.items()}
+    part = Signals(TIME[300:340], COMMANDS[300:340], sensors)
+    one, other = (estimator(engine=e, augment=names).run(part) for e in ("exudyn", "semi-recursive"))
+    difference = np.abs(one.mean - other.mean).max(axis=0) / other.std.max(axis=0)
+    assert (difference < 1e-4).all()  # the engines' solvers stop at 1e-11 and 1e-12, the filter adds 40 steps
+
+
+def test_swinging_payload_is_followed():
+    crane = CRANE.with_effect("payload_swing", {"length": 1.0, "damping": 5.0}).with_parameters({"payload.mass": 100.0})
+    _, _, _, states = run_of(crane)
+    estimate = estimator(tuple(STD), crane=crane).run(recording(tuple(STD), states=states))
+    assert estimate.state_names[8:] == ("theta", "dtheta")
+    late = estimate.time > 1.5
+    swing = np.abs(states[late, 8]).max()
+    assert swing > 0.05 and np.abs(estimate.mean[late, 8] - states[late, 8]).max() < 0.15 * swing
+
+
+def test_measured_supply_pressures_drive_the_model():
+    """The pump falls to 70 bar: with its pressure as an input the filter is consistent, without it is not."""
+    engine, pump = SemiRecursiveEngine(CRANE), np.where(TIME < 0.4, 100e5, 70e5)
+    inputs = np.column_stack([INPUTS[:, :2], pump, np.full(TIME.size, 1e5)])
+    states = engine.simulate(engine.static_start(0.2, -0.75), TIME, inputs)
+    blind = recording(states=states)
+    seeing = Signals(TIME, COMMANDS, blind.sensors, {"pp": (TIME, pump), "pt": (TIME, np.full(TIME.size, 1e5))})
+    quiet = ProcessNoise((1e-6, 1e-6), (1e6,) * 4)
+    with_pump, without = (estimator(noise=quiet).run(s) for s in (seeing, blind))
+    np.testing.assert_allclose(with_pump.inputs[:, 2], pump)
+    assert with_pump.nis_mean == pytest.approx(4.0, rel=0.1) and without.nis_mean > 10.0
+
+
 def test_sensor_bias_is_found():
     signals = recording(tuple(STD))
     sensors = dict(signals.sensors) | {"p3": (TIME, signals.sensors["p3"][1] + 4e5)}
