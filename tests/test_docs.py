@@ -161,3 +161,16 @@ def test_the_site_is_built_without_a_warning(tmp_path):
         assert not re.search(
             r"<(script|link|img)[^>]*(src|href)=\"?https?://(?!(localhost|example))", page.read_text()
         ), page
+
+
+def test_names_of_the_python_interface_are_what_they_say_in_any_order():
+    """A function and its module share a name; whichever is imported first, users get the function."""
+    for first in (
+        "import validation.compare",
+        "from validation import compare",
+        "from validation.compare import Comparison",
+    ):
+        code = f"{first}\nfrom validation import compare, diagnose, improve\nfrom ukf import Estimator\n"
+        code += "from crane_exudyn import Crane, Recording, simulate\n"
+        code += "assert all(map(callable, (compare, diagnose, improve, Estimator, Crane, Recording, simulate)))"
+        subprocess.run([sys.executable, "-c", code], check=True)

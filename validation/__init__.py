@@ -8,6 +8,8 @@ Names are imported when they are first asked for, so that `import validation` co
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -20,9 +22,18 @@ _WHERE = {"compare": ".compare", "diagnose": ".diagnosis", "improve": ".improvem
 __all__ = ["compare", "diagnose", "improve", "write_report"]
 
 
+class _Package(ModuleType):
+    """This package: `validation.compare` stays the function, also after the module of that name has been imported."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _WHERE and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
+
+
 def __getattr__(name: str) -> Any:
     if name not in _WHERE:
         raise AttributeError(f"module 'validation' has no attribute {name!r}")
-    found = getattr(importlib.import_module(_WHERE[name], __name__), name)
-    globals()[name] = found  # the function, not the module of the same name that importing has put there
-    return found
+    return getattr(importlib.import_module(_WHERE[name], __name__), name)
