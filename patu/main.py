@@ -8,7 +8,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 BAD_INPUT = 2
@@ -79,18 +80,29 @@ class Leave(BaseException):
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run one command line and leave with its exit status; bad input gives one message and no traceback."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if threading.current_thread() is threading.main_thread():  # only there signals can be set
-        signal.signal(signal.SIGTERM, _terminated)
     try:
-        status = _guarded(words)
-        sys.stdout.flush()
+        with _terminations_clean_up():
+            status = _guarded(words)
+            sys.stdout.flush()
     except (Leave, BrokenPipeError) as leaving:
         status = _leave(leaving)
     sys.exit(status)
 
 
+@contextmanager
+def _terminations_clean_up() -> Iterator[None]:
+    """Let a termination end the block as an interrupt does, so that temporary files go and half-written ones never were."""
+    if threading.current_thread() is not threading.main_thread():  # only there signals can be set
+        yield
+        return
+    usual = signal.signal(signal.SIGTERM, _terminated)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, usual)
+
+
 def _terminated(number: int, _: object) -> None:
-    """Let a termination clean up as an interrupt does: temporary files go, half-written ones never were."""
     raise Leave(128 + number, "Terminated; no file was left half-written.")
 
 
