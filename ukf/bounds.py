@@ -6,9 +6,10 @@ physical state and its excess is carried through unchanged::
     f⁺(χ) = f(χ') + (χ - χ'),    χ' = χ clipped to the limits
 
 Inside the limits f⁺ = f. Outside, f⁺ extends f linearly with unit slope, so the spread of the points, and with it the
-covariance, survives, and no engine ever sees an impossible state. A corrected mean that is outside is moved back along the
-covariance, to the most probable state on the limit (Simon, IET Control Theory Appl. 4 (2010) 1303):
-x - P_i/P_ii (x_i - limit). States that are correlated with it move along.
+covariance, survives, and no engine ever sees an impossible state. A corrected mean with a pressure below the floor is moved
+back along the covariance, to the most probable state on the limit (Simon, IET Control Theory Appl. 4 (2010) 1303):
+x - P_i/P_ii (x_i - limit). States that are correlated with it move along. Angles are not moved: vapour is a fact, but strokes
+come from a crane file, and where the sensors are beyond them it is the file that is wrong.
 """
 
 from __future__ import annotations
@@ -28,6 +29,12 @@ class Bounds:
 
     lower: np.ndarray
     upper: np.ndarray
+
+    def without_angles(self) -> Bounds:
+        """Return the same limits but for z1 and z4, which are left free."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        lower[:2], upper[:2] = -np.inf, np.inf
+        return Bounds(lower, upper)
 
     def split(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the physical points (m, n) and the excess (m, n), or None where all points are physical."""
@@ -92,20 +99,17 @@ def _angle_range(
 ) -> tuple[float, float]:
     """Return the connected range of angle i around the start in which the length of cylinder i stays in its limits.
 
-    The length also has to go on growing or falling: beyond its extreme the same length belongs to another pose.
+    A boom may pass the pose at which its cylinder is shortest; nothing but the length is a limit.
     """
     angles = np.linspace(-np.pi, np.pi, 1441)
     z = np.tile(np.asarray(start, float), (angles.size, 1))
     z[:, i] = angles
-    with np.errstate(invalid="ignore"):
-        s = lengths(z)[:, i]
-        slope = np.gradient(s)
-        good = (s > empty) & (s < full)
+    s = lengths(z)[:, i]
+    good = (s > empty) & (s < full)  # a loop that cannot close has NaN lengths and is not good
     home = int(np.argmin(np.abs(angles - start[i])))
-    good &= slope * slope[home] > 0
     if not good[home]:
         return -np.inf, np.inf
     below, above = np.flatnonzero(~good[:home]), np.flatnonzero(~good[home:])
-    first = below[-1] + 1 if below.size else 0
-    last = home + above[0] - 1 if above.size else angles.size - 1
-    return float(angles[first]), float(angles[last])
+    first = angles[below[-1] + 1] if below.size else -np.inf
+    last = angles[home + above[0] - 1] if above.size else np.inf
+    return float(first), float(last)

@@ -99,6 +99,7 @@ class Estimator:
         lengths = lengths_of(crane)
         self._channels = Channels(crane, list(self.std_of), self._engine_states, self._extras, lengths)
         self._bounds = self._all_bounds(lengths)
+        self._limits = self._bounds.without_angles()
         self._process = Process(self.engine, self._channels, self._extras, self._bounds)
         self._method_name = method
         self._method = method_of(method, np.ones(self.size))
@@ -292,7 +293,7 @@ class Estimator:
         if result is None:
             self.belief = prior
             return innovation, variance, flags, float("nan"), 0.0
-        mean = self._bounds.project(result.mean, result.covariance) if self._bounds.broken(result.mean) else result.mean
+        mean = self._limits.project(result.mean, result.covariance) if self._limits.broken(result.mean) else result.mean
         self.belief = result if mean is result.mean else _moved(result, mean)
         return innovation, variance, flags, result.nis, result.log_likelihood
 
@@ -328,7 +329,7 @@ class Estimator:
         mean = self.belief.mean
         if not np.isfinite(mean).all():
             mean = np.where(np.isfinite(mean), mean, 0.0)
-        mean = np.clip(mean, self._bounds.lower, self._bounds.upper)
+        mean = np.clip(mean, self._limits.lower, self._limits.upper)
         self.belief = self._method.begin(mean, self._opened)
 
     def _all_bounds(self, lengths: Callable[[np.ndarray], np.ndarray] | None) -> Bounds:
