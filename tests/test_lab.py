@@ -2,6 +2,7 @@
 
 import math
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,3 +104,10 @@ def test_a_stuck_seal_holds_what_friction_by_speed_lets_go(lab):
 
 def test_effect_vector_has_room_for_the_new_effects(lab):
     assert slot("stuck_seal", "tilt") > slot("released_air", "") > slot("sensor_lag", "p4")
+
+
+def test_identified_crane_is_the_lab_crane_with_what_the_page_names(lab):
+    found = Crane.load(Path(__file__).parents[1] / "docs" / "real-crane.toml")
+    assert found.voltage == lab.voltage
+    named = {"pressure_compensation@lift", "released_air", "seal_friction@lift", "stuck_seal@tilt", "sensor_bias@z4"}
+    assert named <= {e.key for e in found.effects}
