@@ -49,7 +49,9 @@ def njit(*args: Any, **options: Any) -> Callable[..., Any]:
     options = {"cache": True, "error_model": "numpy", "nogil": True} | options
 
     def compile_function(function: Callable[..., Any]) -> Callable[..., Any]:
-        numba.config.CACHE_DIR = str(cache_folder(function.__module__.partition(".")[0] if options["cache"] else _FOUNDATION))
+        numba.config.CACHE_DIR = str(
+            cache_folder(function.__module__.partition(".")[0] if options["cache"] else _FOUNDATION)
+        )
         return numba.njit(function, **options)  # type: ignore[no-any-return]
 
     return compile_function(args[0]) if args else compile_function

@@ -21,7 +21,9 @@ WITH_CHECK = ("open_payload", "open_leak_lift")
 def test_an_open_case_is_diagnosed(name):
     learn, check = (Recording.load(DATA / f"{name}_{part}.csv.gz") for part in ("learn", "check"))
     whole = name in WITH_CHECK
-    found = diagnose(Crane.load("patu655"), learn if whole else learn.window(0.0, 15.0), check if whole else None, jobs=2)
+    found = diagnose(
+        Crane.load("patu655"), learn if whole else learn.window(0.0, 15.0), check if whole else None, jobs=2
+    )
     answer = ANSWERS[name]
     assert found.verdict == answer["verdict"]
     assert list(found.effects) == answer.get("effects", [])

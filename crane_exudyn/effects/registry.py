@@ -130,7 +130,9 @@ def load_file(path: str | Path) -> list[type[Effect]]:
     spec = importlib.util.spec_from_file_location(f"user_effects_{file.stem}", file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # so that its source can be found: worker processes and the cache of compiled code need it
+    sys.modules[spec.name] = (
+        module  # so that its source can be found: worker processes and the cache of compiled code need it
+    )
     try:
         spec.loader.exec_module(module)
     except Exception as problem:
