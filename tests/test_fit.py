@@ -8,7 +8,7 @@ import pytest
 from crane_exudyn import Crane, Recording
 from validation.fit.data import FitData
 from validation.fit.linear import columns_of, cut, model_at, normal_equations, robust
-from validation.fit.model import lagged
+from validation.fit.model import lagged, shown
 from validation.fit.solve import bounded_step, fit, prior_start, reduce
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters
@@ -32,8 +32,8 @@ def recorded(crane: Crane, seconds: float = 6.0, seed: int = 7, rate: float = 20
     w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((len(time), 2), np.nan)])
     X = engine.simulate(engine.static_start(0.2, -0.8), time, w)
     rng = np.random.default_rng(seed)
-    columns = {"z1": X[:, 0], "z4": X[:, 1], "p1": X[:, 4], "p2": X[:, 5], "p3": X[:, 6], "p4": X[:, 7]}
-    values = {n: v + NOISE[n] * rng.standard_normal(len(time)) for n, v in columns.items()}
+    seen = shown(tuple(NOISE), X[:, [0, 1, 4, 5, 6, 7]], crane.effect_vector(), 1.0 / rate)
+    values = {n: v + NOISE[n] * rng.standard_normal(len(time)) for n, v in zip(NOISE, seen.T, strict=True)}
     return Recording.from_arrays("made", time, {"u1": commands[:, 0], "u2": commands[:, 1], **values})
 
 
