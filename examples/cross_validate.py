@@ -11,16 +11,13 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from crane_exudyn import Crane, Recording
-from validation.fit.data import FitData
-from validation.fit.staged import SHORT, first_knots
 from validation.search.fitted import fitted_effect
 from validation.search.weigh import open_loop_error
 
 
 def error(crane: Crane, recording: Recording) -> float:
     """Return the open-loop error in noise units, the start fitted; 1 means nothing is left but noise."""
-    data = FitData.of(recording, crane)
-    return open_loop_error(crane, data, first_knots(crane, data, SHORT))[0]
+    return open_loop_error(crane, recording)[0]
 
 
 def fold(effect: str | None, learn: Path, files: list[Path]) -> tuple[str, str, float, float]:
