@@ -138,8 +138,9 @@ def test_sketches_are_those_of_the_crane_file(tmp_path):
     """The sketches are drawn from the crane file; drawn again they are the same but for the date."""
     subprocess.run([sys.executable, DOCS / "make_sketches.py", tmp_path], check=True)
     for name in ("crane.svg", "cylinder.svg"):
-        old, new = (re.sub(r"\d+(\.\d+)?", "#", (f / name).read_text()) for f in (DOCS / "images", tmp_path))
-        assert old.count("<path") == new.count("<path") > 20
+        old, new = (re.findall(r'<g id="(\w+)">', (f / name).read_text()) for f in (DOCS / "images", tmp_path))
+        assert old == new  # what is drawn; the glyphs of its texts depend on the machine's fonts
+        assert len(new) > 20
 
 
 def test_python_blocks_are_formatted_as_code_is():
