@@ -27,8 +27,8 @@ lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-docs: $(VENV)/installed-docs
-	$(BIN)/mkdocs build --strict --quiet --site-dir $(OUT)/site
+docs: $(VENV)/installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir $(OUT)/site
 	@echo "Documentation: $(OUT)/site/index.html"
 
 clean:
@@ -46,7 +46,3 @@ $(VENV)/installed: $(BIN)/python $(SOURCES)
 $(VENV)/installed-dev: $(BIN)/python $(SOURCES)
 	$(PIP) '.[dev]'
 	@touch $@ $(VENV)/installed
-
-$(VENV)/installed-docs: $(BIN)/python $(SOURCES)
-	$(PIP) '.[docs]'
-	@touch $@
