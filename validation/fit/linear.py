@@ -19,7 +19,7 @@ from crane_exudyn.crane import Crane
 
 from ..semi_recursive import sensitivity
 from .data import FitData, Samples
-from .model import SENSOR_PLACE, Model, affine, lagged, model_of, output_rows
+from .model import CYLINDER_OF, SENSOR_PLACE, Model, affine, cylinder_length, lagged, model_of, output_rows
 from .variables import Variable, lateness, with_variables
 
 #: size of a jump between two windows that is taken as one standard deviation: angles, rates, pressures, pendulum
@@ -177,12 +177,24 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     full[:, :, nx + moving] = S[:, :, nx:]
     Y, C = output_rows(channels, X, base.P)
     G = np.einsum("ijk,ikl->ijl", C, full)
+    _add_pins(G, channels, X, Y, base, columns)
     residuals, jacobians = [], []
     for j, sample in enumerate(data.samples):
         z, dz = _shown(channels[j], Y[:, j], G[:, j], base.E, columns, data.step, nx)
         residuals.append((sample.values - _at(z, sample)) / sample.noise)
         jacobians.append(_at(dz, sample) / sample.noise)
     return Swept(residuals, jacobians, X[-1], full[-1], status != 0 or not np.isfinite(X[-1]).all())
+
+
+def _add_pins(
+    G: np.ndarray, channels: tuple[str, ...], X: np.ndarray, Y: np.ndarray, base: Model, columns: Columns
+) -> None:
+    """Add to the derivatives G (n, channels, nx + m) that a cylinder's length depends on its pins and not on the angle alone."""
+    nx = X.shape[1]
+    for j, cylinder in ((j, CYLINDER_OF[c]) for j, c in enumerate(channels) if c in CYLINDER_OF):
+        for k in np.flatnonzero((columns.P != base.P).any(axis=1)):
+            moved = cylinder_length(cylinder, X[:, cylinder], columns.P[k])[0]
+            G[:, j, nx + k] += (moved - Y[:, j]) / columns.size[k]
 
 
 def _at(values: np.ndarray, sample: Samples) -> np.ndarray:

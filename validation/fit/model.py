@@ -22,6 +22,8 @@ _ROWS = {
     "dz1": {2: 1.0}, "dz4": {3: 1.0}, "dz4_abs": {2: 1.0, 3: 1.0},
     "p1": {4: 1.0}, "p2": {5: 1.0}, "p3": {6: 1.0}, "p4": {7: 1.0},
 }  # fmt: skip
+#: which cylinder's length an output channel is; it follows from z1 (lift) or z4 (tilt), and from where the pins are
+CYLINDER_OF = {"s1": 0, "s2": 1}
 
 
 @dataclass(frozen=True)
