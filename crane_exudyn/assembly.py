@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .channels import CHANNELS, COMMANDS, Channel
+from .channels import CHANNELS, COMMANDS, UNSEEN, Channel
 from .errors import CraneError, nearest
 from .tables import RawColumn, RawTable, split_header
 from .units import factor_to_si
@@ -19,6 +19,7 @@ EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": 
 _COMMAND_LIMIT = 1.05
 #: share of repeated times up to which the repeated samples are left out with a remark
 _MOST_REPEATED = 0.1
+_MEASURED = tuple(name for name in CHANNELS if name not in UNSEEN)
 
 
 def check_mapping(mapping: Mapping[str, str]) -> None:
@@ -47,7 +48,7 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> dict[st
     if not named:
         found = ", ".join(c.header for c in table.columns[:8])
         raise CraneError(
-            f"{path}: found no known channel among the columns {found}. Expected some of {', '.join(CHANNELS)}; "
+            f"{path}: found no known channel among the columns {found}. Expected some of {', '.join(_MEASURED)}; "
             "give other names with --map z1=BoomAngle[deg]."
         )
     notes = [*table.notes, *notes]
@@ -73,7 +74,10 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> dict[st
 def _name_columns(
     path: Path, table: RawTable, mapping: Mapping[str, str]
 ) -> tuple[dict[str, tuple[RawColumn, str | None]], list[str]]:
-    """Return {channel: (column, unit)} and remarks on columns that were left alone."""
+    """Return {channel: (column, unit)} and remarks on columns that were left alone.
+
+    A column that merely has the name of something unseen, without a unit, is somebody's own.
+    """
     by_column = {id(_find(path, table, column)): name for name, column in mapping.items()}
     named: dict[str, tuple[RawColumn, str | None]] = {}
     notes = []
@@ -83,7 +87,7 @@ def _name_columns(
         if id(column) in by_column:
             name = by_column[id(column)]
             unit = _mapped_unit(path, column.header, unit, split_header(mapping[name])[1])
-        elif name in mapping or name not in ("time", *CHANNELS):
+        elif name in mapping or name not in ("time", *CHANNELS) or (name in UNSEEN and unit is None):
             notes.append(_remark(column.header, name, mapping))
             continue
         if name in named:

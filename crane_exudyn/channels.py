@@ -18,9 +18,15 @@ SENSORS: Mapping[str, str] = MappingProxyType(
     | dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa")
     | dict.fromkeys(("s1", "s2"), "m")
 )
+#: what no sensor measures, but simulations and estimates hold: angle and rate of a payload on a pendulum
+UNSEEN: Mapping[str, str] = MappingProxyType({"theta": "rad", "dtheta": "rad/s"})
 #: all channels that a recording may have, and their SI units ("" is a pure number)
 CHANNELS: Mapping[str, str] = MappingProxyType(
-    dict.fromkeys(COMMANDS, "") | dict.fromkeys(VOLTAGES, "V") | dict(SENSORS) | dict.fromkeys(SUPPLY, "Pa")
+    dict.fromkeys(COMMANDS, "")
+    | dict.fromkeys(VOLTAGES, "V")
+    | dict(SENSORS)
+    | dict.fromkeys(SUPPLY, "Pa")
+    | dict(UNSEEN)
 )
 
 

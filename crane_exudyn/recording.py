@@ -6,18 +6,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from . import signals
-from .assembly import EXAMPLE, assemble, check_mapping, wanted
+from .assembly import assemble, check_mapping, wanted
 from .channels import CHANNELS, COMMANDS, SENSORS, SUPPLY, VOLTAGES, Channel
 from .errors import CraneError, nearest
 from .tables import RawColumn, RawTable
-from .units import factor_to_si
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from .crane import Crane
 
 
@@ -229,33 +230,30 @@ class Recording:
 
     to_csv = save
 
-    def plot(self, names: Iterable[str] | None = None) -> Any:
-        """Return a matplotlib figure with one row per channel."""
-        from matplotlib.figure import Figure
+    def plot(self, names: Iterable[str] | None = None) -> Figure:
+        """Return a matplotlib figure with one panel a channel, each on its own clock, in degrees and bar."""
+        from . import plots
 
         chosen = tuple(self.channels) if names is None else tuple(names)
-        figure = Figure(figsize=(8, 1.2 * len(chosen) + 0.6), layout="constrained")
-        axes = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
-        for axis, name in zip(axes, chosen, strict=True):
-            unit = EXAMPLE[CHANNELS[name]]
-            axis.plot(self[name].time, self[name].values / factor_to_si(unit, CHANNELS[name]), linewidth=0.8)
-            axis.set_ylabel(name if unit == "-" else f"{name} / {unit}")
-            axis.grid(alpha=0.3)
-        axes[0].set_title(self.name)
-        axes[-1].set_xlabel("time / s")
-        return figure
+        made = plots.figure(max(len(chosen), 1), height=1.2)
+        for axes, name in zip(made.axes, chosen, strict=False):
+            channel = self[name]
+            plots.draw_lines(axes, channel.time, {"": channel.values}, channel=name)
+        plots.entitle(made, self.name)
+        return made
 
     def __repr__(self) -> str:
         return f"<Recording {self.name}: {', '.join(self.channels)}; {self.duration:g} s at {self.sampling_rate:g} Hz>"
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{name}</td><td>{CHANNELS[name] or '-'}</td><td>{len(c)}</td><td>{c.values.min():.6g}</td>"
-            f"<td>{c.values.max():.6g}</td></tr>"
+        from .display import table_html
+
+        rows = [
+            (name, CHANNELS[name] or "–", len(c), float(c.values.min()), float(c.values.max()))
             for name, c in self.channels.items()
-        )
-        head = "<tr><th>channel</th><th>unit</th><th>samples</th><th>min</th><th>max</th></tr>"
-        return f"<b>{self.name}</b>: {self.duration:g} s at {self.sampling_rate:g} Hz<table>{head}{rows}</table>"
+        ]
+        title = f"{self.name}: {self.duration:g} s at {self.sampling_rate:g} Hz"
+        return table_html(("channel", "unit", "samples", "min", "max"), rows, title=title, note="; ".join(self.notes))
 
 
 # -- clocks ----------------------------------------------------------------------------------------------------------

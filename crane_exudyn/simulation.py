@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 #: length of the paper's working cycle, s
 CYCLE = 25.0
-#: units of states that no sensor measures
-_EXTRA_UNITS = {"theta": "rad", "dtheta": "rad/s"}
+PRESSURES = ("p1", "p2", "p3", "p4")
 
 
 @dataclass(frozen=True)
@@ -61,19 +60,25 @@ class Simulation:
 
     def recording(self) -> Recording:
         """Return the run as a recording, as if perfect sensors had measured every channel."""
-        channels = {n: v for n, v in self.channels().items() if n in CHANNELS}
-        return Recording.from_arrays(f"simulation of {self.crane.name}", self.time, channels)
+        return Recording.from_arrays(f"simulation of {self.crane.name}", self.time, self.channels())
 
     def to_csv(self, path: str | Path) -> None:
         """Write all channels in SI to .csv, .csv.gz, .parquet or .mat; `patu` reads them back as a recording."""
         from .formats import write_table
 
-        units = {**CHANNELS, **_EXTRA_UNITS}
-        write_table(path, {"time[s]": self.time} | {f"{n}[{units[n] or '-'}]": v for n, v in self.channels().items()})
+        columns = {f"{n}[{CHANNELS[n] or '-'}]": values for n, values in self.channels().items()}
+        write_table(path, {"time[s]": self.time} | columns)
 
     def plot(self) -> Figure:
         """Return a matplotlib figure of commands, angles and pressures."""
-        return self.recording().plot([*COMMANDS, "z1", "z4", "p1", "p2", "p3", "p4"])
+        from . import plots
+
+        names = [n for n in (*COMMANDS, "z1", "z4", "theta", *PRESSURES) if n in self.channels()]
+        made = plots.figure(len(names), height=1.2)
+        for axes, name in zip(made.axes, names, strict=True):
+            plots.draw_lines(axes, self.time, {"": self[name]}, channel=name)
+        plots.entitle(made, f"Simulation of {self.crane.name}")
+        return made
 
     def __repr__(self) -> str:
         z1, z4 = (np.degrees(self[name]) for name in ("z1", "z4"))
@@ -81,6 +86,18 @@ class Simulation:
             f"<Simulation of {self.crane.name}: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants; "
             f"z1 {z1.min():.1f} … {z1.max():.1f} deg, z4 {z4.min():.1f} … {z4.max():.1f} deg>"
         )
+
+    def _repr_html_(self) -> str:
+        from .display import table_html
+        from .plots import shown
+
+        rows = []
+        for name, values in self.channels().items():
+            what = shown(name)
+            ends = (values[0], values[-1], values.min(), values.max())
+            rows.append((name, what.unit or "–", *(float(v) * what.factor for v in ends)))
+        title = f"{self.crane.name}, open loop: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants"
+        return table_html(("channel", "unit", "first", "last", "min", "max"), rows, title=title)
 
 
 def simulate(

@@ -162,6 +162,28 @@ class Estimate:
 
         return estimate_figure(self, truth)
 
+    def _repr_html_(self) -> str:
+        from crane_exudyn.display import table_html
+
+        columns = ("quantity", "unit", "first", "last", "± (95 %)", "min", "max")
+        low, high = self.nis_bounds
+        note = f"Mean NIS {self.nis_mean:.4g}, expected {low:.3g} … {high:.3g}: {self.verdict}."
+        odd = [f"{e.start:.3g} s, {e.where}: {e.text} ({e.count})." for e in self.events[:5]]
+        title = f"Estimate of {self.crane} by {self.method}, {self.time[0]:g} … {self.time[-1]:g} s"
+        return table_html(columns, self.ranges(), title=title, note=" ".join([note, *odd]))
+
+    def ranges(self) -> list[tuple[str, str, float, float, float, float, float]]:
+        """Return rows for people: name, unit, first and last value, half its 95 % interval, smallest, largest value."""
+        from .plots import display
+
+        rows = []
+        for i, name in enumerate(self.state_names):
+            factor, unit = display(name, self.units.get(name, ""))
+            values, half = factor * self.mean[:, i], factor * 1.96 * float(self.std[-1, i])
+            first, last, lowest, highest = map(float, (values[0], values[-1], values.min(), values.max()))
+            rows.append((name, unit, first, last, half, lowest, highest))
+        return rows
+
     def __repr__(self) -> str:
         low, high = self.nis_bounds
         return (

@@ -1,10 +1,13 @@
-"""The picture of an estimate: states with their intervals beside what was measured, and whether the filter can be believed."""
+"""Pictures of an estimate: states with their intervals beside what was measured, and whether the filter can be believed."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from crane_exudyn import plots
+from crane_exudyn.plots import Shown
 
 from .monitor import FROZEN, OUTLIER
 
@@ -19,49 +22,77 @@ _MOST = 4000
 
 
 def estimate_figure(estimate: Estimate, truth: np.ndarray | None = None) -> Figure:
-    """Return a figure: one panel a quantity on the left, normalised innovations and NIS on the right.
+    """Return a figure for a screen: one panel a quantity on the left, normalised innovations and NIS on the right.
 
     Args:
         estimate: N instants, n quantities, k sensors.
         truth: (N, m) true values of the first m quantities, drawn dashed where they are known.
     """
-    from matplotlib.figure import Figure
-
     left, right = len(estimate.state_names), len(estimate.channel_names) + 1
     rows = max(left, right)
-    figure = Figure(figsize=(13, 1.25 * rows + 0.9), layout="constrained")
-    grid = figure.add_gridspec(rows, 2, width_ratios=(1.5, 1.0))
-    first = None
+    made = plots.figure(rows, 2, height=1.25, width=2 * plots.WIDTH)
     for i in range(left):
-        axes = figure.add_subplot(grid[i, 0], sharex=first)
-        first = first or axes
-        _state(axes, estimate, i, truth)
+        _state(made.axes[2 * i], estimate, i, truth)
     for k in range(right - 1):
-        _innovation(figure.add_subplot(grid[k, 1], sharex=first), estimate, k)
-    _nis(figure.add_subplot(grid[right - 1, 1], sharex=first), estimate)
-    for axes in figure.axes:
-        axes.grid(color="#dddddd", lw=0.6)
-        axes.tick_params(labelsize=8)
-        axes.spines[["top", "right"]].set_visible(False)
-    low, high = estimate.nis_bounds
-    figure.suptitle(
-        f"Estimate of {estimate.crane} by {estimate.method}: NIS {estimate.nis_mean:.3g} (expected {low:.3g} … {high:.3g}), {estimate.verdict}",
-        fontsize=11,
-    )
-    handles: dict[str, Any] = {}
-    for axes in figure.axes:
-        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, fontsize=9, frameon=False)
-    return figure
+        _innovation(made.axes[2 * k + 1], estimate, k)
+    _nis(made.axes[2 * right - 1], estimate)
+    for column, used in ((0, left), (1, right)):
+        _end(made.axes[2 * used - 2 + column])
+        for row in range(used, rows):
+            made.axes[2 * row + column].set_visible(False)
+    _finish(made, estimate, columns=6)
+    return made
+
+
+def states_figure(estimate: Estimate, truth: np.ndarray | None = None) -> Figure:
+    """Return a figure with one panel a quantity, in one column; `truth` (N, m) as in `estimate_figure`."""
+    made = plots.figure(len(estimate.state_names), height=1.25)
+    for i, axes in enumerate(made.axes):
+        _state(axes, estimate, i, truth)
+    _end(made.axes[-1])
+    _finish(made, None)
+    return made
+
+
+def innovations_figure(estimate: Estimate) -> Figure:
+    """Return a figure with the normalised innovations of each sensor and the NIS, in one column."""
+    made = plots.figure(len(estimate.channel_names) + 1, height=1.25)
+    for k, axes in enumerate(made.axes[:-1]):
+        _innovation(axes, estimate, k)
+    _nis(made.axes[-1], estimate)
+    _end(made.axes[-1])
+    _finish(made, None)
+    return made
 
 
 def display(name: str, unit: str) -> tuple[float, str]:
     """Return factor and unit in which people read a quantity: degrees and bar."""
-    if unit == "rad":
-        return float(np.degrees(1.0)), "°"
-    if unit == "rad/s":
-        return float(np.degrees(1.0)), "°/s"
-    return (1e-5, "bar") if unit == "Pa" else (1.0, unit)
+    what = plots.shown(name, unit)
+    return what.factor, what.unit
+
+
+def _finish(made: Figure, estimate: Estimate | None, columns: int = 3) -> None:
+    if estimate is not None:
+        low, high = estimate.nis_bounds
+        with plots.style():
+            made.suptitle(
+                f"Estimate of {estimate.crane} by {estimate.method}: mean NIS {estimate.nis_mean:.3g} "
+                f"(expected {low:.3g} … {high:.3g}), {estimate.verdict}",
+                fontsize=11,
+            )
+    made.align_ylabels()
+    plots.legend_above(made, columns, "outside upper left" if estimate is None else "outside lower left")
+
+
+def _end(axes: Axes) -> None:
+    """Name the time axis below the last panel of a column."""
+    with plots.style():
+        axes.set_xlabel("time / s")
+        axes.tick_params(labelbottom=True)
+
+
+def _what(estimate: Estimate, name: str) -> Shown:
+    return plots.shown(name, estimate.units.get(name, ""))
 
 
 def _thin(count: int) -> slice:
@@ -70,29 +101,38 @@ def _thin(count: int) -> slice:
 
 def _state(axes: Axes, estimate: Estimate, i: int, truth: np.ndarray | None) -> None:
     name = estimate.state_names[i]
-    factor, unit = display(name, estimate.units.get(name, ""))
+    what = _what(estimate, name)
     part = _thin(estimate.time.size)
-    time, mean = estimate.time[part], estimate.mean[part, i] * factor
-    half = 1.96 * estimate.std[part, i] * factor
-    axes.fill_between(time, mean - half, mean + half, color=_BLUE, alpha=0.25, lw=0, label="95 % interval")
-    if name in estimate.channel_names:
-        k = estimate.channel_names.index(name)
-        _dots(axes, estimate, k, factor)
-    axes.plot(time, mean, color=_BLUE, lw=1.2, label="estimated")
-    if truth is not None and i < truth.shape[1]:
-        axes.plot(time, truth[part, i] * factor, color=_BLACK, lw=1.0, ls=(0, (4, 2)), label="true")
-    axes.set_ylabel(f"{name.replace('.', chr(10), 1)}\n/ {unit}" if unit else name, fontsize=8)
-    if i == len(estimate.state_names) - 1:
-        axes.set_xlabel("time / s", fontsize=9)
+    time, mean = estimate.time[part], estimate.mean[part, i] * what.factor
+    half = 1.96 * estimate.std[part, i] * what.factor
+    with plots.style():
+        axes.fill_between(time, mean - half, mean + half, color=_BLUE, alpha=0.25, lw=0, label="95 % interval")
+        if name in estimate.channel_names:
+            _dots(axes, estimate, estimate.channel_names.index(name), what.factor)
+        axes.plot(time, mean, color=_BLUE, lw=1.2, label="estimated")
+        if truth is not None and i < truth.shape[1]:
+            axes.plot(time, truth[part, i] * what.factor, color=_BLACK, lw=1.0, ls=(0, (4, 2)), label="true")
+    settled = slice(time.size // 20, None)  # the interval at the start may be a hundred times as wide
+    low, high = min(mean.min(), (mean - half)[settled].min()), max(mean.max(), (mean + half)[settled].max())
+    _widen(axes, low, high)
+    plots.name_axes(axes, what)
+
+
+def _widen(axes: Axes, low: float, high: float) -> None:
+    """Set limits that hold all lines and low … high, with a margin; the band alone may reach beyond."""
+    lines = [np.asarray(line.get_ydata(), dtype=float) for line in axes.get_lines()]
+    low, high = min([low, *(y.min() for y in lines)]), max([high, *(y.max() for y in lines)])
+    margin = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
+    axes.set_ylim(low - margin, high + margin)
 
 
 def _dots(axes: Axes, estimate: Estimate, k: int, factor: float) -> None:
     values = estimate.measured[:, k] * factor
     known = np.flatnonzero(np.isfinite(values))[_thin(int(np.isfinite(values).sum()))]
-    axes.plot(estimate.time[known], values[known], ".", ms=1.5, color=_GREY, zorder=1, label="measured")
+    axes.plot(estimate.time[known], values[known], ".", ms=2.5, color=_GREY, zorder=1, label="measured")
     bad = np.flatnonzero((estimate.flags[:, k] == OUTLIER) | (estimate.flags[:, k] == FROZEN))
     if bad.size:
-        axes.plot(estimate.time[bad], values[bad], "x", ms=3, color=_RED, zorder=2, label="rejected")
+        axes.plot(estimate.time[bad], values[bad], "x", ms=4, color=_RED, zorder=2, label="rejected")
 
 
 def _innovation(axes: Axes, estimate: Estimate, k: int) -> None:
@@ -100,16 +140,18 @@ def _innovation(axes: Axes, estimate: Estimate, k: int) -> None:
     scaled = estimate.innovation[:, k] / estimate.innovation_std[:, k]
     known = np.flatnonzero(np.isfinite(scaled))
     known = known[_thin(known.size)]
-    axes.plot(
-        estimate.time[known], scaled[known], ".", ms=1.2, color=_BLACK, label="innovation / its standard deviation"
-    )
-    axes.axhspan(-1.96, 1.96, color=_BLUE, alpha=0.15, lw=0)
-    axes.set_ylim(-6, 6)
     p = estimate.whiteness[name]
-    axes.set_ylabel(name, fontsize=8)
-    axes.set_title(
-        f"white: p = {p:.2g}" if np.isfinite(p) else "too few samples to judge", fontsize=8, loc="right", pad=2
-    )
+    with plots.style():
+        axes.plot(estimate.time[known], scaled[known], ".", ms=1.8, color=_BLACK, label="innovation / its std")
+        beyond = known[np.abs(scaled[known]) > 6.0]
+        if beyond.size:
+            at = np.clip(scaled[beyond], -5.7, 5.7)
+            axes.plot(estimate.time[beyond], at, "x", ms=3, color=_RED, label="beyond 6")
+        axes.axhspan(-1.96, 1.96, color=_BLUE, alpha=0.15, lw=0, label="where 95 % should be")
+        axes.set_ylim(-6, 6)
+        white = f"white: p = {p:.2g}" if np.isfinite(p) else "too few samples to judge"
+        axes.set_title(white, fontsize=9, loc="right", pad=3.0)
+    plots.name_axes(axes, _what(estimate, name)._replace(unit=""))
 
 
 def _nis(axes: Axes, estimate: Estimate) -> None:
@@ -117,14 +159,14 @@ def _nis(axes: Axes, estimate: Estimate) -> None:
     time, ratio = estimate.time[known], estimate.nis[known] / estimate.dof[known]
     window = max(1, ratio.size // 100)
     count = ratio.size // window
-    if count:
-        blocks = ratio[: count * window].reshape(count, window).mean(axis=1)
-        axes.step(time[: count * window : window], blocks, where="post", color=_BLACK, lw=1.0, label="NIS per sensor")
-    axes.axhline(1.0, color=_BLUE, lw=1.0)
-    axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    axes.set_ylim(min(low, 0.5), max(high, 2.0))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter("")
-    axes.set_ylabel("NIS / sensors", fontsize=8)
-    axes.set_xlabel("time / s", fontsize=9)
+    with plots.style():
+        if count:
+            blocks = ratio[: count * window].reshape(count, window).mean(axis=1)
+            axes.step(time[: count * window : window], blocks, where="post", color=_BLACK, lw=1.0, label="NIS a sensor")
+        axes.axhline(1.0, color=_BLUE, lw=1.0)
+        axes.set_yscale("log")
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, 0.5), max(high, 2.0))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("")
+    plots.name_axes(axes, Shown("normalised innovation squared, a sensor", "NIS", 1.0, ""))

@@ -10,21 +10,37 @@ sections; a section is a title and parts; a part is a paragraph (text), a `Table
 from __future__ import annotations
 
 import base64
-import math
 import platform
+import re
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from crane_exudyn.display import cell, table_html
 from crane_exudyn.errors import CraneError
 from crane_exudyn.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+__all__ = [
+    "FILE_NAME",
+    "PACKAGES",
+    "Mood",
+    "Part",
+    "Picture",
+    "Section",
+    "Table",
+    "cell",
+    "render",
+    "table_html",
+    "write_report",
+]
 
 FILE_NAME = "report.html"
 #: packages whose version can change a number in a report
@@ -145,22 +161,6 @@ def versions() -> dict[str, str]:
     return found
 
 
-def cell(value: object) -> str:
-    """Return a table cell's text: four digits, yes and no, a dash for what is not there."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:  # numpy numbers
-        return cell(value.item())
-    return f"{value:.4g}".replace("-", "−") if isinstance(value, float) else str(value)
-
-
-def table_html(columns: Sequence[str], rows: Sequence[Sequence[object]], *, title: str = "", note: str = "") -> str:
-    """Return a table as an HTML fragment, as results show themselves in notebooks."""
-    return _environment().get_template("table.html.j2").render(part=_table(Table(columns, rows, title, note)))
-
-
 def _directory(directory: str | Path) -> Path:
     path = Path(directory)
     try:
@@ -175,13 +175,22 @@ def _directory(directory: str | Path) -> Path:
 def _environment() -> Any:
     import jinja2
 
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("validation", "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["code"] = _with_code
+    return environment
+
+
+def _with_code(text: str) -> Any:
+    """Return text as HTML in which `such words` are set as code."""
+    from markupsafe import Markup
+
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text, quote=False))))
 
 
 def _part(part: Part) -> dict[str, Any]:
@@ -189,30 +198,12 @@ def _part(part: Part) -> dict[str, Any]:
     if isinstance(part, str):
         return {"kind": "text", "paragraphs": [p for p in part.split("\n\n") if p.strip()]}
     if isinstance(part, Table):
-        return {"kind": "table", **_table(part)}
+        return {
+            "kind": "table",
+            "html": table_html(part.columns, part.rows, title=part.title, note=part.note),
+        }
     picture = part if isinstance(part, Picture) else Picture(part, _title_of(part))
     return {"kind": "picture", "caption": picture.caption, "source": _source(picture.content)}
-
-
-def _table(table: Table) -> dict[str, Any]:
-    wrong = [row for row in table.rows if len(row) != len(table.columns)]
-    if wrong:
-        raise ValueError(f"table {table.title!r}: row {wrong[0]!r} has not {len(table.columns)} cells")
-    numeric = [
-        bool(table.rows) and all(row[i] is None or _is_number(row[i]) for row in table.rows)
-        for i in range(len(table.columns))
-    ]
-    rows = [[(cell(value), numeric[i]) for i, value in enumerate(row)] for row in table.rows]
-    return {"columns": list(zip(table.columns, numeric, strict=True)), "rows": rows} | {
-        "title": table.title,
-        "note": table.note,
-    }
-
-
-def _is_number(value: object) -> bool:
-    return (isinstance(value, int | float) and not isinstance(value, bool)) or (
-        hasattr(value, "item") and getattr(value, "ndim", 1) == 0
-    )
 
 
 def _title_of(figure: Any) -> str:

@@ -1,0 +1,222 @@
+"""Plots that every result shares: one look, units for people, legible without colour and on a phone.
+
+Figures are matplotlib `Figure` objects made without pyplot, so nothing is global, no window opens and no backend is
+chosen. Every line differs from its neighbours in dash pattern as well as in colour and lightness.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .channels import CHANNELS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+class Look(NamedTuple):
+    """How one kind of line is drawn everywhere."""
+
+    color: str
+    dashes: str | tuple[int, tuple[float, ...]]
+    width: float
+    order: int
+
+
+#: the three sources of a trajectory, drawn alike in plots and, in colour, in pictures of the crane
+LOOKS: Mapping[str, Look] = {
+    "measured": Look("#111111", "-", 1.6, 3),
+    "simulated": Look("#D55E00", (0, (5, 2)), 1.5, 4),
+    "estimated": Look("#0072B2", (0, (1.2, 1.2)), 1.9, 5),
+    "published": Look("#777777", (0, (7, 2, 1, 2)), 1.3, 3),
+}
+OTHERS = (
+    Look("#111111", "-", 1.5, 3),
+    Look("#D55E00", (0, (5, 2)), 1.5, 3),
+    Look("#0072B2", (0, (1.2, 1.2)), 1.8, 3),
+    Look("#009E73", (0, (7, 2, 1, 2)), 1.5, 3),
+    Look("#9A6BB0", (0, (3, 1, 1, 1, 1, 1)), 1.5, 3),
+    Look("#999999", (0, (9, 3)), 1.5, 3),
+)
+_STYLE: dict[str, Any] = {
+    "figure.dpi": 100,
+    "savefig.dpi": 160,
+    "font.size": 10,
+    "font.family": "DejaVu Sans",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.formatter.useoffset": False,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "legend.handlelength": 2.8,
+    "legend.columnspacing": 1.4,
+    "hatch.linewidth": 0.5,
+    "svg.fonttype": "path",
+}
+#: width of a figure in inches: as wide as makes 10 point letters legible on a phone
+WIDTH = 5.4
+_NAMES: Mapping[str, tuple[str, str]] = {
+    "u1": ("lift command", "u1"), "u2": ("tilt command", "u2"), "U1": ("lift valve", "U1"), "U2": ("tilt valve", "U2"),
+    "z1": ("lift boom", "z1"), "z4": ("outer boom against lift boom", "z4"), "z4_abs": ("outer boom", "z1+z4"),
+    "dz1": ("lift boom rate", "ż1"), "dz4": ("outer boom rate", "ż4"), "dz4_abs": ("outer boom rate", "ż1+ż4"),
+    "p1": ("lift piston side", "p1"), "p2": ("lift rod side", "p2"), "p3": ("tilt piston side", "p3"),
+    "p4": ("tilt rod side", "p4"), "s1": ("lift cylinder", "s1"), "s2": ("tilt cylinder", "s2"), "pp": ("pump", "pp"),
+    "pt": ("tank", "pt"), "theta": ("payload's pendulum", "θ"), "dtheta": ("payload's pendulum rate", "θ̇"),
+}  # fmt: skip
+#: what one SI unit is in the unit that people read
+_PEOPLE = {"rad": (math.degrees(1.0), "°"), "rad/s": (math.degrees(1.0), "°/s"), "Pa": (1e-5, "bar"), "m": (1e3, "mm")}
+
+
+class Shown(NamedTuple):
+    """A channel as people read it: multiply SI values by `factor` to get `unit`; `symbol` is "" where there is none."""
+
+    words: str
+    symbol: str
+    factor: float
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """Words and symbol, such as "lift boom z1"."""
+        return f"{self.words} {self.symbol}".strip()
+
+    @property
+    def axis(self) -> str:
+        """The label of an axis whose title are the words: symbol and unit, such as "z1 / °"."""
+        return " / ".join(filter(None, (self.symbol, self.unit)))
+
+
+def shown(channel: str, unit: str | None = None) -> Shown:
+    """Return words, factor and unit in which a channel is drawn: degrees and bar instead of rad and Pa.
+
+    Args:
+        channel: a channel of recordings, or any other quantity, such as "payload.mass" or "internal_leakage@lift.k".
+        unit: its SI unit, where the channel is none of recordings.
+    """
+    if channel in _NAMES:
+        words, symbol = _NAMES[channel]
+        factor, people = _PEOPLE.get(CHANNELS[channel], (1.0, CHANNELS[channel]))
+        return Shown(words, symbol, factor, people)
+    words = channel.replace("_", " ").replace("@", " of ").replace(".", " ")
+    unit = unit or ""
+    return Shown(words, "", *(_PEOPLE[unit] if unit in ("rad", "rad/s", "Pa") else (1.0, unit)))
+
+
+def style() -> AbstractContextManager[None]:
+    """Return a context in which matplotlib draws in this project's style."""
+    import matplotlib
+
+    settings: Any = _STYLE  # matplotlib's own stub wants literal keys
+    return matplotlib.rc_context(settings)
+
+
+def figure(
+    rows: int = 1, columns: int = 1, *, height: float = 1.5, width: float = WIDTH, sharex: bool = True
+) -> Figure:
+    """Return a figure with rows x columns axes (`figure.axes`), `height` and `width` in inches a row and in all."""
+    from matplotlib.figure import Figure
+
+    with style():
+        made = Figure(figsize=(width, max(height * rows, 2.0)), layout="constrained")
+        made.subplots(rows, columns, sharex=sharex, squeeze=False)
+    return made
+
+
+def look(label: str, position: int) -> dict[str, Any]:
+    """Return matplotlib line properties for a label such as "measured", or for the n-th other line."""
+    chosen = LOOKS.get(label.split(" ")[0], OTHERS[position % len(OTHERS)])
+    return {"color": chosen.color, "linestyle": chosen.dashes, "linewidth": chosen.width, "zorder": chosen.order}
+
+
+def draw_lines(
+    axes: Axes,
+    time: np.ndarray,
+    lines: Mapping[str, np.ndarray | tuple[np.ndarray, np.ndarray]],
+    *,
+    channel: str = "",
+    band: tuple[np.ndarray, np.ndarray] | None = None,
+    band_label: str = "95 % interval",
+) -> None:
+    """Draw lines over time on `axes`, in the channel's display unit.
+
+    Args:
+        axes: where to draw.
+        time: (n,) s, for all lines that are not a pair (own time, values).
+        lines: SI values by label; "measured", "simulated", "estimated" have their own looks.
+        channel: name such as "z1", for unit and axis label.
+        band: lower and upper (n,) in SI, shaded.
+    """
+    unit = shown(channel)
+    with style():
+        if band is not None:
+            lower, upper = thin(time, *(np.asarray(b) * unit.factor for b in band))[1:]
+            axes.fill_between(thin(time, time)[0], lower, upper, color="#0072B2", alpha=0.22, lw=0, label=band_label)
+        for i, (label, values) in enumerate(lines.items()):
+            own, y = values if isinstance(values, tuple) else (time, values)
+            t, y = thin(own, np.asarray(y, dtype=float) * unit.factor)
+            axes.plot(t, y, label=label, **look(label, i))
+        if channel:
+            name_axes(axes, unit)
+
+
+def name_axes(axes: Axes, what: Shown) -> None:
+    """Write above the axes what is drawn, in words, and beside it symbol and unit."""
+    with style():
+        axes.set_title(what.words, loc="left", fontsize=9, color="#444444", pad=3.0)
+        axes.set_ylabel(what.axis)
+
+
+def thin(time: np.ndarray, *columns: np.ndarray, most: int = 4000) -> tuple[np.ndarray, ...]:
+    """Return at most `most` samples of time and each column, evenly chosen: more than a page can show."""
+    step = max(1, math.ceil(len(time) / most))
+    return tuple(np.asarray(c)[::step] for c in (time, *columns))
+
+
+def legend_above(made: Figure, columns: int = 3, loc: str = "outside upper left") -> None:
+    """Put one legend of all panels above the figure, each label once, in at most so many columns."""
+    found: dict[str, Any] = {}
+    for axes in made.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    if found:
+        place: Any = loc  # matplotlib's stub wants a literal
+        with style():
+            made.legend(list(found.values()), list(found), loc=place, ncols=min(len(found), columns))
+
+
+def entitle(made: Figure, title: str) -> None:
+    """Write a title above a figure of panels over one time axis, and what that axis is below it."""
+    with style():
+        made.suptitle(title, x=0.01, ha="left", fontsize=11)
+        made.axes[-1].set_xlabel("time / s")
+        made.align_ylabels()
+
+
+def png(made: Figure) -> bytes:
+    """Return the figure as PNG at 160 dots an inch."""
+    stream = BytesIO()
+    with style():
+        made.savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def save(made: Figure, path: str | Path) -> None:
+    """Write the figure as PNG, SVG or PDF by its ending, whole or not at all."""
+    from .files import replacing
+
+    with replacing(path) as temporary, style():
+        made.savefig(temporary, format=Path(path).suffix.lstrip(".") or "png")
