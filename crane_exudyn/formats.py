@@ -265,7 +265,7 @@ def write_table(path: str | Path, columns: Mapping[str, np.ndarray], digits: int
 
     Args:
         path: its ending chooses the format.
-        columns: "name[unit]" -> (n,) values; NaN is a missing sample.
+        columns: "name[unit]" -> (n,) values, NaN is a missing sample; or (n,) texts.
         digits: significant digits in text files; by default as many as read back the same number.
     """
     write = check_writable(path)
@@ -292,9 +292,28 @@ def check_writable(path: str | Path) -> Writer:
 def _csv_bytes(columns: Mapping[str, np.ndarray], digits: int | None) -> bytes:
     """Return the columns as CSV, missing samples empty."""
     text: Callable[[float], str] = repr if digits is None else f"{{:.{digits}g}}".format
-    fields = [["" if x != x else text(x) for x in np.asarray(v, dtype=float).tolist()] for v in columns.values()]
+    fields = [_quoted(v) if _is_text(v) else _numbers(v, text) for v in columns.values()]
     lines = [",".join(columns), *map(",".join, zip(*fields, strict=True))]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _numbers(values: np.ndarray, text: Callable[[float], str]) -> list[str]:
+    return ["" if x != x else text(x) for x in np.asarray(values, dtype=float).tolist()]
+
+
+def _quoted(values: np.ndarray) -> list[str]:
+    """Return texts as CSV fields, in quotes where they hold what separates fields or lines."""
+    plain = [str(v) for v in values]
+    return ['"' + v.replace('"', '""') + '"' if re.search(r'[",;\n]', v) else v for v in plain]
+
+
+def _is_text(values: np.ndarray) -> bool:
+    return np.asarray(values).dtype.kind in "US"
+
+
+def _array(values: np.ndarray) -> np.ndarray:
+    """Return numbers as floats, texts as objects."""
+    return np.asarray(values, dtype=object if _is_text(values) else float)
 
 
 def _write_csv(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
@@ -309,7 +328,7 @@ def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], digits: int | 
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.table({name: pa.array(np.asarray(v, dtype=float)) for name, v in columns.items()}), path)
+    pq.write_table(pa.table({name: pa.array(_array(v)) for name, v in columns.items()}), path)
 
 
 def _write_mat(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
@@ -321,7 +340,7 @@ def _write_mat(path: Path, columns: Mapping[str, np.ndarray], digits: int | None
     for header, values in columns.items():
         name, unit = split_header(header)
         name = re.sub(r"\W", "_", name)
-        content[name], units[name] = np.asarray(values, dtype=float).reshape(-1, 1), unit or "-"
+        content[name], units[name] = _array(values).reshape(-1, 1), unit or "-"
     savemat(path, content | {"units": units}, do_compression=True, long_field_names=True)
 
 
