@@ -133,6 +133,24 @@ class Comparison:
             "where": [finding.to_dict() for finding in self.where],
         }
 
+    def to_csv(self, path: str | Path) -> None:
+        """Write what was measured and what the open-loop run gave in SI to .csv, .csv.gz, .parquet or .mat.
+
+        One row an instant of any channel, `z1_measured[rad]`, `z1_simulated[rad]`, …; NaN where a channel has no sample.
+        """
+        from crane_exudyn.channels import CHANNELS
+        from crane_exudyn.formats import write_table
+
+        time = np.unique(np.concatenate([own for own, _ in self.measured.values()]))
+        columns = {"time[s]": time}
+        for name in self.channels:
+            for kind, series in (("measured", self.measured), ("simulated", self.simulated)):
+                own, values = series[name]
+                column = np.full(time.size, np.nan)
+                column[np.searchsorted(time, own)] = values
+                columns[f"{name}_{kind}[{CHANNELS[name]}]"] = column
+        write_table(path, columns)
+
     def plot(self) -> Figure:
         """Return the picture for a glance: what fails when, above the commands that were given."""
         from .compare_figures import where_figure
@@ -146,7 +164,7 @@ class Comparison:
         return figures(self)
 
     def _repr_html_(self) -> str:
-        from .report import table_html
+        from crane_exudyn.display import table_html
 
         columns = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²")
         errors = [
