@@ -125,15 +125,23 @@ class Diagnosis:
 
         return diagnosis_figure(self)
 
-    def to_csv(self, path: str) -> None:
-        """Write the candidates as a table."""
-        from crane_exudyn.files import write_text
+    def to_csv(self, path: str | Path) -> None:
+        """Write the candidates, best first, to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""
+        from crane_exudyn.formats import write_table
 
-        rows = ["effect,evidence,probability,error_after,check_error_after"]
-        rows += [
-            f"{c.name},{c.evidence},{c.probability},{c.error_after},{c.check_error_after}" for c in self.candidates
+        keys = ("evidence", "probability", "error_before", "error_after", "check_error_before", "check_error_after")
+        numbers = {key: np.array([getattr(c, key) for c in self.candidates]) for key in keys}
+        write_table(path, {"effect": np.array([c.name for c in self.candidates], dtype=str)} | numbers)
+
+    def _repr_html_(self) -> str:
+        from crane_exudyn.display import table_html
+
+        best = max((c.evidence for c in self.candidates), default=0.0)
+        rows = [
+            (c.name, c.evidence - best, c.probability, c.error_after, c.check_error_after) for c in self.candidates
         ]
-        write_text(path, "\n".join(rows) + "\n")
+        columns = ("explanation", "log evidence", "probability", "error / noise", "on check")
+        return table_html(columns, rows, title=repr(self).strip("<>"), note=" ".join(self.notes))
 
 
 def sentence(d: Diagnosis) -> str:

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from crane_exudyn.crane import Crane
 from crane_exudyn.recording import Recording
 
@@ -71,6 +73,23 @@ class Improvement:
         from .search.plots import improvement_figure
 
         return improvement_figure(self)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the steps to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""
+        from crane_exudyn.formats import write_table
+
+        columns: dict[str, Any] = {"added": np.array([s.added or "" for s in self.steps], dtype=str)}
+        for key in ("error", "check_error", "nis_mean"):
+            columns[key] = np.array([getattr(s, key) for s in self.steps])
+        columns["verdict"] = np.array([s.verdict for s in self.steps], dtype=str)
+        write_table(path, columns)
+
+    def _repr_html_(self) -> str:
+        from crane_exudyn.display import table_html
+
+        rows = [(s.added or "as given", s.error, s.check_error, s.nis_mean, s.text) for s in self.steps]
+        columns = ("added", "error / noise", "on check", "NIS", "what was found")
+        return table_html(columns, rows, title=repr(self).strip("<>"))
 
 
 Progress = Callable[[str, float], None]
