@@ -58,7 +58,7 @@ def command(
     if report is not None:
         from validation.search.reports import report_diagnosis
 
-        report_diagnosis(result, report)
+        report_diagnosis(result, report, {"check": other.name if other else None, "effects of one's own": effects or None})
     write_json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())
     tell(Printer(json), result)
 

@@ -70,7 +70,8 @@ def command(
     if report is not None:
         from validation.search.reports import report_improvement
 
-        report_improvement(result, report)
+        given = {"check": other.name if other else None, "most steps": most, "crane file written": str(output)}
+        report_improvement(result, report, given)
     write_json(json, {"recording": str(recording)} | result.to_dict(output))
     printer.line(f"Left: {result.verdict}. Written: {output}")
 
