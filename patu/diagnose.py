@@ -58,7 +58,8 @@ def command(
     if report is not None:
         from validation.search.reports import report_diagnosis
 
-        report_diagnosis(result, report, {"check": other.name if other else None, "effects of one's own": effects or None})
+        given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
+        report_diagnosis(result, report, given)
     write_json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())
     tell(Printer(json), result)
 

@@ -137,9 +137,7 @@ class Diagnosis:
         from crane_exudyn.display import table_html
 
         best = max((c.evidence for c in self.candidates), default=0.0)
-        rows = [
-            (c.name, c.evidence - best, c.probability, c.error_after, c.check_error_after) for c in self.candidates
-        ]
+        rows = [(c.name, c.evidence - best, c.probability, c.error_after, c.check_error_after) for c in self.candidates]
         columns = ("explanation", "log evidence", "probability", "error / noise", "on check")
         return table_html(columns, rows, title=repr(self).strip("<>"), note=" ".join(self.notes))
 
