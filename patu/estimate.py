@@ -76,7 +76,7 @@ def command(
         best.to_csv(output)
     if plot is not None:
         save_plot(best, plot)
-    page = None if report is None else save_report(result, measured.name, report, engine)
+    page = None if report is None else save_report(result, measured.name, report, engine, std)
     write_json(json, result.document() | {"recording": str(recording), "engine": engine})
     tell(Printer(json), result, measured, [p for p in (output, plot, page) if p is not None])
 
@@ -134,18 +134,23 @@ def save_plot(estimate: Estimate, path: Path) -> None:
         figure.savefig(temporary, format=path.suffix.lstrip("."), dpi=130)
 
 
-def save_report(result: Estimate, name: str, directory: Path, engine: str) -> Path:
-    """Write the report of an estimate, verdict first, and return its file."""
+def save_report(result: Estimate, name: str, directory: Path, engine: str, std: dict[str, float]) -> Path:
+    """Write the report of an estimate, verdict first, and return its file; std: the sensors' noise in SI."""
+    from ukf.plots import display, innovations_figure, states_figure
     from validation.report import Picture, Table, write_report
 
     best = result.smoothed if result.smoothed is not None else result
-    lines = event_lines(result)
+    states = Picture(states_figure(best), "Every quantity with its 95 % interval, and what the sensors showed.")
+    words = "Innovations in units of what the filter expects; 95 % should lie in the band, without a pattern in time."
     sections: list[tuple[str, list[Any]]] = [
-        ("States", [Table(COLUMNS, rows(best)), Picture(best.plot(), "States with 95 % intervals, and innovations.")]),
-        ("Consistency", [consistency(result)]),
-        ("What happened on the way", lines or ["Nothing odd."]),
+        ("States", [states, Table(COLUMNS, rows(best))]),
+        ("Consistency", [consistency(result), Picture(innovations_figure(result), words)]),
+        ("What happened on the way", event_lines(result) or ["Nothing odd."]),
     ]
-    parameters = {"crane": result.crane, "engine": engine, "filter": result.method}
+    parameters: dict[str, object] = {"crane": result.crane, "recording": name, "engine": engine, "filter": result.method}
+    for channel, value in std.items():
+        factor, unit = display(channel, "")
+        parameters[f"noise of {channel} / {unit}"] = factor * value
     mood: Any = "good" if result.consistent else "bad"
     return write_report(directory, f"Estimate of {name}", verdict(result), sections, parameters=parameters, mood=mood)
 
@@ -155,15 +160,7 @@ COLUMNS = ("quantity", "first", "last", "± (95 %)", "min", "max")
 
 def rows(estimate: Estimate) -> list[tuple[object, ...]]:
     """Return the table: each quantity in units for people, at the start, at the end with its interval, and its range."""
-    from ukf.plots import display
-
-    out: list[tuple[object, ...]] = []
-    for i, name in enumerate(estimate.state_names):
-        factor, unit = display(name, estimate.units.get(name, ""))
-        values, half = factor * estimate.mean[:, i], factor * 1.96 * estimate.std[-1, i]
-        label = f"{name} / {unit}" if unit else name
-        out.append((label, *map(float, (values[0], values[-1], half, values.min(), values.max()))))
-    return out
+    return [(f"{name} / {unit}" if unit else name, *numbers) for name, unit, *numbers in estimate.ranges()]
 
 
 def tell(printer: Printer, result: Estimate, recording: Any, paths: list[Path]) -> None:
