@@ -141,8 +141,12 @@ def write(folder: Path, result: Comparison) -> Path:
         ("Where the model fails", [pictures["where"], Table(("score", "where"), worst(result, 20))]),
         ("What the balances lack", [Table(*balance_table(result)), pictures["balances_by_work"], pictures["balances"]]),
         ("Open loop", [Table(_COLUMNS, error_rows(result)), pictures["open_loop"]]),
-        ("Filter", [filter_words(result), *result.notes]),
+        ("Filter", [filter_words(result), *(f"Note: {note}." for note in result.notes)]),
     ]
     title = f"{result.recording} against {result.crane}"
     mood: Mood = "good" if not result.where and result.error < 1.2 else "bad"
-    return write_report(folder, title, result.verdict, sections, parameters={"engine": result.engine}, mood=mood)
+    parameters = {
+        "crane": result.crane, "recording": result.recording, "engine": result.engine,
+        "noise of the sensors": ", ".join(f"{n} {c.noise_std:.3g} {c.unit}" for n, c in result.channels.items()),
+    }  # fmt: skip
+    return write_report(folder, title, result.verdict, sections, parameters=parameters, mood=mood)

@@ -47,7 +47,7 @@ def command(
     for path in save_figures(result, output) if output else ():
         printer.line(f"Picture: {path}")
     if report:
-        printer.line(f"Report: {_write_report(report, result, seed)}")
+        printer.line(f"Report: {_write_report(report, result, seed, states, seconds)}")
     printer.line(verdict(result))
     raise typer.Exit(0 if result.ok else 1)
 
@@ -66,7 +66,7 @@ def _row(q: Quantity) -> tuple[object, ...]:
     return q.name, q.unit, f"{q.max_abs:.2e}", f"{q.relative:.1e}", f"{q.tolerance:.0e}", q.ok, why
 
 
-def _write_report(directory: Path, result: CrossCheck, seed: int) -> Path:
+def _write_report(directory: Path, result: CrossCheck, seed: int, states: int, seconds: float) -> Path:
     from validation.crosscheck import by_name, figure_of
     from validation.report import Picture, Table, write_report
 
@@ -79,5 +79,5 @@ def _write_report(directory: Path, result: CrossCheck, seed: int) -> Path:
     )
     return write_report(
         directory, f"Cross-check of {result.crane}", verdict(result), [("Trajectories", pictures), ("Quantities", [table])],
-        seed=seed, mood="good" if result.ok else "bad",
+        parameters={"crane": result.crane, "random states": states, "length of the runs / s": seconds}, seed=seed, mood="good" if result.ok else "bad",
     )  # fmt: skip

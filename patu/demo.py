@@ -93,42 +93,40 @@ def save(case: Case, folder: Path, seed: int) -> list[Path]:
     from validation import paper_figures, plots
     from validation.report import Picture, Table, write_report
 
-    figures = {"states.png": states_figure(case), "errors.png": paper_figures.figure_7(case)}
+    figures = {"states.png": states_figure(case, columns=2), "errors.png": paper_figures.figure_7(case)}
     for name, figure in figures.items():
         plots.save(figure, folder / name)
     case.estimate.to_csv(folder / "states.csv")
     sections: list[tuple[str, list[Any]]] = [
         ("Errors", [Table(COLUMNS, rows(case), note="PN-RMSE: 100 RMSE / (max - min of the true state)."), OWN_MEANS]),
-        ("States", [Picture(figures["states.png"], "True states, the model without filter, and the estimate.")]),
+        ("States", [Picture(states_figure(case), "True states, the model without filter, and the estimate.")]),
         (
             "Errors and 95 % intervals",
             [Picture(figures["errors.png"], "Error of the estimate, over its 95 % interval.")],
         ),
     ]
     title = f"The paper's experiment on {case.experiment.crane.name}"
-    parameters = {"model error": f"{100 * case.model_error:g} %", "engine": case.engine, "tuning": case.tuning}
+    parameters = {
+        "crane": case.experiment.crane.name, "engine": case.engine, "tuning": case.tuning,
+        "error of the booms' masses and inertias": f"{100 * case.model_error:g} %", "sensors": "z1, z4, p1, p4 at 1 kHz",
+    }  # fmt: skip
     report = write_report(folder, title, verdict(case), sections, seed=seed, parameters=parameters)
     return [*(folder / name for name in figures), folder / "states.csv", report]
 
 
-def states_figure(case: Case) -> Figure:
-    """Return all eight states over time: true, model alone, estimated with 95 % interval."""
+def states_figure(case: Case, columns: int = 1) -> Figure:
+    """Return all eight states over time: true, model alone, estimated with 95 % interval; one column, or two for wide pages."""
     from validation import plots
     from validation.paper import STATES
 
     truth, alone = case.experiment.truth, case.open_loop
     low, high = case.estimate.interval()
-    made = plots.figure(4, 2, height=1.5)
+    made = plots.figure(8 // columns, columns, height=1.25 if columns == 1 else 1.5, width=plots.WIDTH * columns**0.5)
     for i, (axes, name) in enumerate(zip(made.axes, STATES, strict=True)):
         lines = {"true": truth[:, i], "model alone": alone[:, i], "estimated": case.estimate.mean[:, i]}
         plots.draw_lines(axes, case.experiment.time, lines, channel=name, band=(low[:, i], high[:, i]))
-    return _finished(made)
-
-
-def _finished(made: Figure) -> Figure:
-    from validation import plots
-
-    for axes in made.axes[-2:]:
+    for axes in made.axes[-columns:]:
         axes.set_xlabel("time / s")
-    plots.legend_above(made)
+    made.align_ylabels()
+    plots.legend_above(made, columns=4 if columns > 1 else 2)
     return made

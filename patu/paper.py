@@ -70,7 +70,7 @@ def command(
             progress=done,
         )
     compared = _compare(engine, seed, chosen) if filters else []
-    paths = save(result, output, seed, engine, compared)
+    paths = save(result, output, seed, engine, compared, chosen)
     document = result.document() | ({"filters": [r.document() for r in compared]} if filters else {})
     write_json(json, document)
     tell(Printer(json), result, paths, compared)
@@ -119,6 +119,11 @@ def _check(errors: list[float] | None, inputs: list[int] | None, tunings: list[s
             raise CraneError(f"--tuning {name!r}: use paper or own.")
 
 
+_CAPTIONS = (
+    "As Figure 5 of the paper: angles and rates, 15 % case, input set 1.",
+    "As Figure 6: pressures.",
+    "As Figure 7: error of each estimate, and its 95 % interval.",
+)
 COLUMNS = ("error", "inputs", "row", "z1", "z4", "ż1", "ż4", "p1", "p2", "p3", "p4")
 
 
@@ -214,10 +219,10 @@ def _found(case: Case) -> str:
     return f"Found on the way: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: 100)."
 
 
-def save(result: Reproduction, folder: Path, seed: int, engine: str, compared: list[Row]) -> list[Path]:
+def save(result: Reproduction, folder: Path, seed: int, engine: str, compared: list[Row], crane: Crane) -> list[Path]:
     """Write figures and report to `folder`, and return the files."""
     from validation import paper_figures, plots
-    from validation.report import Table, write_report
+    from validation.report import Picture, Table, write_report
 
     paths: list[Path] = []
     sections: list[tuple[str, list[Any]]] = [
@@ -235,7 +240,9 @@ def save(result: Reproduction, folder: Path, seed: int, engine: str, compared: l
         for name, figure in figures.items():
             plots.save(figure, folder / name)
             paths.append(folder / name)
-        sections.append((f"Figures 5, 6, 7: {_TUNINGS[tuning]}", list(figures.values())))
+        pictures = [Picture(figure, words) for figure, words in zip(figures.values(), _CAPTIONS, strict=True)]
+        sections.append((f"Figures 5, 6, 7: {_TUNINGS[tuning]}", list(pictures)))
     verdict = findings(result)[0] if result.shown else f"{len(result.documents)} cases."
-    report = write_report(folder, "The paper's experiment", verdict, sections, seed=seed, parameters={"engine": engine})
+    parameters = {"crane": crane.name, "engine": engine, "cases": len(result.documents)}
+    report = write_report(folder, "The paper's experiment", verdict, sections, seed=seed, parameters=parameters)
     return [*paths, report]

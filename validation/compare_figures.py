@@ -48,7 +48,7 @@ def _stacked(ratios: Sequence[float], height: float) -> Figure:
     from matplotlib.figure import Figure
 
     with plots.style():
-        made = Figure(figsize=(7.6, height), layout="constrained")
+        made = Figure(figsize=(plots.WIDTH, height), layout="constrained")
         made.subplots(len(ratios), 1, sharex=True, gridspec_kw={"height_ratios": list(ratios)})
     return made
 
@@ -68,7 +68,7 @@ def where_figure(comparison: Comparison) -> Figure:
         bar = made.colorbar(mesh, ax=[command_axes, strip, map_axes], aspect=40, pad=0.01)
         bar.set_label("times what noise explains")
         bar.set_ticks([1, 3, 10, 30, 100], labels=["1", "3", "10", "30", "100"])
-        made.suptitle(f"Where {comparison.crane} fails on {comparison.recording}", x=0.01, ha="left", fontsize=11)
+        made.suptitle(f"Where {comparison.crane} fails on {comparison.recording}", x=0.01, ha="left", fontsize=10)
     return made
 
 
@@ -91,7 +91,7 @@ def _strip(axes: Axes, phases: Sequence[Phase]) -> None:
     present = [k for k in KINDS if any(p.kind == k for p in phases)]
     axes.legend(
         [Patch(color=_COLORS[k]) for k in present], present, loc="lower left", bbox_to_anchor=(0.0, 1.0),
-        ncols=5, fontsize=7.5, handlelength=1.2, columnspacing=1.0, borderpad=0.1,
+        ncols=4, fontsize=7.5, handlelength=1.2, columnspacing=0.9, borderpad=0.1,
     )  # fmt: skip
 
 
@@ -113,7 +113,7 @@ def _map(axes: Axes, phases: Sequence[Phase], rows: Sequence[str], values: np.nd
 
 def open_loop_figure(comparison: Comparison) -> Figure:
     """Return every channel over time, measured and simulated open loop."""
-    made = plots.figure(len(comparison.channels), height=1.45)
+    made = plots.figure(len(comparison.channels), height=1.3)
     with plots.style():
         for axes, (name, error) in zip(made.axes, comparison.channels.items(), strict=True):
             lines = {"measured": comparison.measured[name], "simulated": comparison.simulated[name]}
@@ -127,7 +127,7 @@ def open_loop_figure(comparison: Comparison) -> Figure:
 def balances_figure(comparison: Comparison) -> Figure:
     """Return what each balance lacks over time, with its 95 % interval, on the colours of the work that was done."""
     balances = comparison.balances
-    made = _stacked((0.18, *[1.0] * len(EQUATIONS)), 1.35 * len(EQUATIONS) + 0.8)
+    made = _stacked((0.18, *[1.0] * len(EQUATIONS)), 1.2 * len(EQUATIONS) + 0.9)
     with plots.style():
         _strip(made.axes[0], comparison.phases)
         for j, (axes, equation) in enumerate(zip(made.axes[1:], EQUATIONS, strict=True)):
@@ -146,24 +146,31 @@ def balances_figure(comparison: Comparison) -> Figure:
 
 
 def by_work_figure(comparison: Comparison) -> Figure:
-    """Return what each balance lacks in each kind of work: bars with 95 % intervals, moments beside flows."""
+    """Return what each balance lacks in each kind of work: bars with 95 % intervals, moments first, then flows."""
     kinds = comparison.scores.by_kind()
-    made = plots.figure(1, len(EQUATIONS), height=0.9 + 0.32 * len(kinds), width=10.5, sharex=False)
-    at = np.arange(len(kinds))
+    made = plots.figure(3, 2, height=0.75 + 0.2 * len(kinds), sharex=False)
     with plots.style():
-        for j, (axes, equation) in enumerate(zip(made.axes, EQUATIONS, strict=True)):
-            unit, factor = people_unit(equation)
-            mean = np.array([m[j] for _, m, _ in kinds]) / factor
-            half = 1.96 * np.array([s[j] for _, _, s in kinds]) / factor
-            axes.barh(at, mean, 0.62, color=[_COLORS[k] for k, _, _ in kinds], edgecolor="#555555", lw=0.6)
-            axes.errorbar(mean, at, xerr=half, fmt="none", ecolor="#111111", elinewidth=1.0, capsize=2.0)
-            axes.axvline(0.0, color="#111111", lw=0.8)
-            axes.set_yticks(at, [k for k, _, _ in kinds] if j == 0 else [""] * len(kinds))
-            axes.invert_yaxis()
-            axes.set_xlabel(unit)
-            axes.set_title(_LABELS[equation], loc="left", fontsize=9)
+        for j, axes in enumerate(made.axes):
+            _work(axes, kinds, j)
+            axes.set_yticks(
+                range(len(kinds)), [k for k, _, _ in kinds] if j % 2 == 0 else [""] * len(kinds), fontsize=8
+            )
         for group in (made.axes[:2], made.axes[2:]):  # one scale for what has one unit
             widest = 1.05 * max(abs(x) for axes in group for x in axes.get_xlim())
             for axes in group:
                 axes.set_xlim(-widest, widest)
     return made
+
+
+def _work(axes: Axes, kinds: Sequence[tuple[str, np.ndarray, np.ndarray]], j: int) -> None:
+    """Draw bars of balance j for every kind of work."""
+    unit, factor = people_unit(EQUATIONS[j])
+    at = np.arange(len(kinds))
+    mean = np.array([m[j] for _, m, _ in kinds]) / factor
+    half = 1.96 * np.array([s[j] for _, _, s in kinds]) / factor
+    axes.barh(at, mean, 0.62, color=[_COLORS[k] for k, _, _ in kinds], edgecolor="#555555", lw=0.6)
+    axes.errorbar(mean, at, xerr=half, fmt="none", ecolor="#111111", elinewidth=1.0, capsize=2.0)
+    axes.axvline(0.0, color="#111111", lw=0.8)
+    axes.invert_yaxis()
+    axes.set_xlabel(unit)
+    axes.set_title(_LABELS[EQUATIONS[j]], loc="left", fontsize=9)

@@ -461,19 +461,18 @@ def figure_of(runs: Sequence[Run]) -> Figure:
 
     columns = {"z1": 0, "z4": 1, "p1": 4, "p2": 5, "p3": 6, "p4": 7}
     last = runs[-1]
-    made = plots.figure(len(columns), 2, height=1.5, width=11.0)
+    made = plots.figure(2 * len(columns), height=1.0)
     for row, (name, i) in enumerate(columns.items()):
-        left, right = made.axes[2 * row], made.axes[2 * row + 1]
-        plots.draw_lines(
-            left, last.time, {"Exudyn": last.first[:, i], "semi-recursive": last.second[:, i]}, channel=name
-        )
+        above, below = made.axes[2 * row], made.axes[2 * row + 1]
+        lines = {"Exudyn": last.first[:, i], "semi-recursive": last.second[:, i]}
+        plots.draw_lines(above, last.time, lines, channel=name)
+        what = plots.shown(name)
         for k, run in enumerate(runs):
-            unit = plots.shown(name)
-            t, y = plots.thin(run.time, np.abs(run.first - run.second)[:, i] * unit.factor)
-            right.semilogy(t, np.maximum(y, 1e-16), label=f"difference, {1e3 * run.step:g} ms", **plots.look("", k))
-            right.set_ylabel(f"/ {unit.unit}")
-    for axes in made.axes[-2:]:
-        axes.set_xlabel("time / s")
+            t, y = plots.thin(run.time, np.abs(run.first - run.second)[:, i] * what.factor)
+            below.semilogy(t, np.maximum(y, 1e-16), label=f"difference, {1e3 * run.step:g} ms", **plots.look("", k))
+        plots.name_axes(below, what._replace(words=f"{what.words}: difference", symbol=f"|Δ{what.symbol}|"))
+    made.axes[-1].set_xlabel("time / s")
+    made.align_ylabels()
     plots.legend_above(made)
     return made
 

@@ -20,21 +20,22 @@ _MEASURED = ("z1", "z4", "p1", "p4")
 
 def states(case: Case, names: Sequence[str]) -> Figure:
     """Return measured, true, simulated and estimated states, one panel each."""
-    made = plots.figure(len(names), height=1.75)
+    made = plots.figure(len(names), height=1.5)
     time, signals = case.experiment.time, case.experiment.signals.sensors
     for axes, name in zip(made.axes, names, strict=True):
         i = STATES.index(name)
         if name in _MEASURED:
             t, y = plots.thin(*signals[name], most=2500)
-            axes.plot(t, y * plots.shown(name).factor, ".", ms=1.0, color="#bbbbbb", label="sensor", zorder=1)
+            axes.plot(t, y * plots.shown(name).factor, ".", ms=1.5, color="#aaaaaa", label="sensor", zorder=1)
         lines = {
             "true": case.experiment.truth[:, i],
-            "simulated (errors, open loop)": case.open_loop[:, i],
+            "simulated, model alone": case.open_loop[:, i],
             "estimated": case.estimate.mean[:, i],
         }
         plots.draw_lines(axes, time, lines, channel=name)
     made.axes[-1].set_xlabel("time / s")
-    plots.legend_above(made)
+    made.align_ylabels()
+    plots.legend_above(made, columns=2)
     return made
 
 
@@ -50,7 +51,7 @@ def figure_6(case: Case) -> Figure:
 
 def figure_7(case: Case) -> Figure:
     """Return the equivalent of Figure 7: the error of each state in its 95 % interval."""
-    made = plots.figure(4, 2, height=1.6, width=9.5)
+    made = plots.figure(len(STATES), height=1.15)
     time, truth = case.experiment.time, case.experiment.truth
     for axes, name in zip(made.axes, STATES, strict=True):
         i = STATES.index(name)
@@ -59,8 +60,9 @@ def figure_7(case: Case) -> Figure:
         settled = time > min(1.0, 0.1 * time[-1])
         limit = 1.3 * plots.shown(name).factor * max(np.abs(error[settled]).max(), half[settled].max())
         axes.set_ylim(-limit, limit)  # the start is far outside; what comes after is what the figure is about
-        axes.set_title(f"inside {100 * case.coverage[name]:.1f} % of the time", fontsize=8)
-    for axes in made.axes[-2:]:
-        axes.set_xlabel("time / s")
+        with plots.style():
+            axes.set_title(f"inside {100 * case.coverage[name]:.1f} % of the time", loc="right", fontsize=9, pad=3.0)
+    made.axes[-1].set_xlabel("time / s")
+    made.align_ylabels()
     plots.legend_above(made)
     return made
