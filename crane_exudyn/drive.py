@@ -31,15 +31,23 @@ def with_steps(time: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.n
     )
 
 
-def spool_on(crane: Crane, grid: np.ndarray, time: np.ndarray, commands: np.ndarray, late: float = 0.0) -> np.ndarray:
+def spool_on(
+    crane: Crane,
+    grid: np.ndarray,
+    time: np.ndarray,
+    commands: np.ndarray,
+    late: float = 0.0,
+    valve: int | None = None,
+) -> np.ndarray:
     """Return spool positions (N, 2) on a grid (N,), exact for commands (n, 2) that are linear between their own samples.
 
     Args:
         late: seconds by which the commands come after their stamps `time` (n,).
+        valve: the only one to be computed (the other stays at 0); both by default.
     """
     stamps = time + late
     inside = stamps[(stamps > grid[0]) & (stamps < grid[-1])]
     every = np.unique(np.concatenate([grid, inside]))
     on_all = np.column_stack([np.interp(every, stamps, u) for u in commands.T])
-    spool: np.ndarray = SpoolPath(crane).run(every, on_all)
+    spool: np.ndarray = SpoolPath(crane).run(every, on_all, valve)
     return spool[np.searchsorted(every, grid)]

@@ -75,12 +75,13 @@ class SpoolPath:
         self._held = np.zeros(2)
         self._last = np.zeros(2)
 
-    def run(self, time: np.ndarray, commands: np.ndarray) -> np.ndarray:
+    def run(self, time: np.ndarray, commands: np.ndarray, valve: int | None = None) -> np.ndarray:
         """Return spool positions (n, 2) at `time` for a whole record; leaves the live state of `step` alone.
 
         Args:
             time: (n,) increasing, in s.
             commands: (n, 2) in [-1, 1], linear between samples.
+            valve: the only one to be computed (the other stays at 0); both by default.
 
         Raises:
             CraneError: wrong shapes, commands outside [-1, 1] or missing, or time that does not increase.
@@ -93,8 +94,8 @@ class SpoolPath:
         self._check(t, u)
         changed = np.empty_like(u)
         _apply_command_hooks(self._E, np.ascontiguousarray(u), changed)
-        out = np.empty_like(changed)
-        for c in range(2):
+        out = np.zeros_like(changed)
+        for c in range(2) if valve is None else (valve,):
             out[:, c] = _run_one(t, np.ascontiguousarray(changed[:, c]), self._delay[c], self._play[c], self._tau[c])
         return out
 
@@ -146,14 +147,32 @@ class SpoolPath:
 
 @njit
 def _run_one(time, command, delay, width, tau):
-    """Return the spool positions (n,) of one valve at `time`."""
+    """Return the spool positions (n,) of one valve at `time`; the samples that arrive are walked through once."""
     out = np.empty(time.size)
-    spool = held = command[0]
-    out[0] = spool
+    spool = held = start = command[0]
+    out[0], begin, arriving = spool, time[0] - delay, 0
     for k in range(1, time.size):
-        spool, held = _advance(time, command, time[k - 1], time[k], spool, held, delay, width, tau)
+        end = time[k] - delay
+        while arriving < time.size and time[arriving] <= end:
+            if time[arriving] > begin:
+                spool, held = _play_step(spool, held, start, command[arriving], width, time[arriving] - begin, tau)
+                begin, start = time[arriving], command[arriving]
+            arriving += 1
+        if end > begin:
+            after = _between(time, command, arriving, end)
+            spool, held = _play_step(spool, held, start, after, width, end - begin, tau)
+            begin, start = end, after
         out[k] = spool
     return out
+
+
+@njit
+def _between(time, command, after, t):
+    """Return the command at t, which lies before sample `after` and not before the one that precedes it."""
+    if after == 0:
+        return command[0]
+    slope = (command[after] - command[after - 1]) / (time[after] - time[after - 1])
+    return command[after - 1] + slope * (t - time[after - 1])
 
 
 @njit

@@ -18,6 +18,7 @@ from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
 from .fit.data import FitData
+from .fit.evidence import log_evidence
 from .fit.solve import Fit
 from .fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions, timing_of
 from .fit.variables import Variable, effect_variables
@@ -36,6 +37,8 @@ REPAIRED, LEFT_LEVEL = 0.8, 1.3
 PROOF, TIE = 12.0, 6.0
 #: how many starts the screen hands on, and how many of the fits are carried to the end
 FITTED, FINISHED = 7, 3
+#: a third fit is carried to the end if it lacks no more than this share of what the best gained in loosely joined windows
+NEAR = 0.3
 #: share of the best start's promise below which a start is not fitted
 HOPELESS = 0.02
 
@@ -55,6 +58,7 @@ class Candidate:
     check_error_after: float = math.nan
     at_bound: tuple[str, ...] = ()
     level: float = math.nan
+    fit: Fit | None = field(default=None, repr=False)
 
     @property
     def name(self) -> str:
@@ -296,7 +300,8 @@ def _finish(search: _Search, loose: Sequence[Weighed], most: int = FINISHED) -> 
     if not loose:
         return []
     best = loose[0].evidence
-    leading = [w for i, w in enumerate(loose[:most]) if i < 2 or w.evidence > best - max(100.0, 0.3 * abs(best))]
+    near = max(100.0, NEAR * (best - log_evidence(search.base)))
+    leading = [w for i, w in enumerate(loose[:most]) if i < 2 or w.evidence > best - near]
     return search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))
 
 
@@ -410,7 +415,7 @@ def _candidate(w: Weighed, probability: float) -> Candidate:
             parameters[prefix + p.name] = {"value": values[p.name], "std": spread.get(p.name, math.inf), "unit": unit}
     bounds = tuple(f"{k}:{p}" for k in w.hypothesis.keys for p in at_bound(w, k))
     return Candidate(
-        w.hypothesis.keys, parameters, w.evidence, probability, w.fit.crane, at_bound=bounds, level=w.level
+        w.hypothesis.keys, parameters, w.evidence, probability, w.fit.crane, at_bound=bounds, level=w.level, fit=w.fit
     )
 
 
@@ -472,7 +477,7 @@ def _with_errors(
     """Add open-loop errors on both recordings: of the crane as given, of the candidates that came near, of the choice."""
     best = max((c.evidence for c in d.candidates), default=0.0)
     near = [c for i, c in enumerate(d.candidates) if i < 2 or c.evidence > best - 3 * TIE or c.effects == d.effects]
-    cranes = [(search.crane, as_given.fit), *((c.crane, search.base) for c in near)]
+    cranes = [(search.crane, as_given.fit), *((c.crane, c.fit or search.base) for c in near)]
     tasks: list[tuple[Any, ...]] = [(_error, crane, recording, fit) for crane, fit in cranes]
     tasks += [(_error, crane, check, None) for crane, _ in cranes] if check is not None else []
     errors = in_parallel(search.jobs, tasks)

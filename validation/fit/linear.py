@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
 
@@ -107,14 +108,16 @@ def columns_of(crane: Crane, variables: Sequence[Variable], u: np.ndarray, base:
         size = variable.difference if u[j] + variable.difference <= variable.upper else -variable.difference
         shifted = u.copy()
         shifted[j] += size
-        moved.append(model_at(crane, variables, shifted, data))
+        moved.append(model_at(crane, variables, shifted, data, base))
         sizes.append(size)
     return pack(base, moved, np.array(sizes))
 
 
-def model_at(crane: Crane, variables: Sequence[Variable], u: np.ndarray, data: FitData) -> Model:
-    """Return the model that the values u of the variables describe."""
-    return model_of(with_variables(crane, variables, u), data, lateness(variables, u))
+def model_at(
+    crane: Crane, variables: Sequence[Variable], u: np.ndarray, data: FitData, near: Model | None = None
+) -> Model:
+    """Return the model that the values u of the variables describe; `near` as in `model_of`."""
+    return model_of(with_variables(crane, variables, u), data, lateness(variables, u), near)
 
 
 def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
@@ -152,10 +155,13 @@ def _sensor_slots() -> list[int]:
 
 @dataclass
 class Swept:
-    """One window swept: residuals and their derivative in noise units, by channel; end state and its derivative."""
+    """One window swept: sums of squared residuals (noise units) and counts by channel; J'J and J'r by first state and variables;
+    end state and its derivative."""
 
-    residuals: list[np.ndarray]
-    jacobians: list[np.ndarray]
+    squares: list[float]
+    counts: list[int]
+    JJ: np.ndarray
+    Jr: np.ndarray
     end: np.ndarray
     end_jacobian: np.ndarray
     failed: bool
@@ -183,7 +189,12 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
         z, dz = _shown(channels[j], Y[:, j], G[:, j], base.E, columns, data.step, nx)
         residuals.append((sample.values - _at(z, sample)) / sample.noise)
         jacobians.append(_at(dz, sample) / sample.noise)
-    return Swept(residuals, jacobians, X[-1], full[-1], status != 0 or not np.isfinite(X[-1]).all())
+    r, J = np.concatenate(residuals), np.concatenate(jacobians)
+    J[:, :nx] *= JUMP[:nx]
+    return Swept(
+        [float(part @ part) for part in residuals], [len(part) for part in residuals], J.T @ J, J.T @ r,
+        X[-1], full[-1], status != 0 or not np.isfinite(X[-1]).all(),
+    )  # fmt: skip
 
 
 def _add_pins(
@@ -260,21 +271,20 @@ def _swept(
     if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
         yield from (sweep_window(w, x0, base, columns, channels) for w, x0 in zip(windows, knots, strict=True))
         return
-    with ThreadPoolExecutor(THREADS) as pool:
+    # products of small matrices: threads of the linear algebra's own would only be in the way
+    with threadpool_limits(1), ThreadPoolExecutor(THREADS) as pool:
         yield from pool.map(lambda k: sweep_window(windows[k], knots[k], base, columns, channels), range(len(windows)))
 
 
 def _add_data(linear: Linear, k: int, part: Swept, channels: tuple[str, ...], scale: np.ndarray) -> None:
     nx = len(scale)
-    for channel, r in zip(channels, part.residuals, strict=True):
-        linear.squares[channel] = linear.squares.get(channel, 0.0) + float(r @ r)
-        linear.counts[channel] = linear.counts.get(channel, 0) + len(r)
-    r, J = np.concatenate(part.residuals), np.concatenate(part.jacobians)
-    squares, number = float(r @ r), max(1, len(r))
+    for channel, own, count in zip(channels, part.squares, part.counts, strict=True):
+        linear.squares[channel] = linear.squares.get(channel, 0.0) + own
+        linear.counts[channel] = linear.counts.get(channel, 0) + count
+    squares, number = sum(part.squares), max(1, sum(part.counts))
     linear.window_error[k] = np.sqrt(squares / number)
     linear.window_cost[k], weight = robust(squares, number)
-    J[:, :nx] *= scale
-    H, g = weight * (J.T @ J), -weight * (J.T @ r)
+    H, g = weight * part.JJ, -weight * part.Jr
     linear.Hxx[k] += H[:nx, :nx]
     linear.Hxu[k] += H[:nx, nx:]
     linear.Huu += H[nx:, nx:]

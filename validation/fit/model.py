@@ -12,6 +12,7 @@ from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import hooks
 from crane_exudyn.effects.base import SENSORS
 from crane_exudyn.effects.registry import find
+from crane_exudyn.parameters import CYLINDERS
 
 from .data import FitData
 
@@ -28,12 +29,13 @@ CYLINDER_OF = {"s1": 0, "s2": 1}
 
 @dataclass(frozen=True)
 class Model:
-    """Vectors of one crane for one recording: P, E, and the inputs W (N, 4) on the recording's grid."""
+    """Vectors of one crane for one recording: P, E, the inputs W (N, 4) on the recording's grid; and the commands' lateness, s."""
 
     crane: Crane
     P: np.ndarray
     E: np.ndarray
     W: np.ndarray
+    late: float = 0.0
 
     @property
     def nx(self) -> int:
@@ -41,20 +43,61 @@ class Model:
         return 10 if hooks.pendulum(self.E)[0] > 0.0 else 8
 
 
-def model_of(crane: Crane, data: FitData, late: float = 0.0) -> Model:
-    """Return the model of a crane driven by the commands of a recording, `late` seconds after their stamps."""
-    E = crane.effect_vector()
-    return Model(crane, crane.parameter_vector(), E, np.column_stack([spool_path(crane, data, late), data.supply]))
+def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None = None) -> Model:
+    """Return the model of a crane driven by the commands of a recording, `late` seconds after their stamps.
+
+    Args:
+        near: a model of hardly another crane with equal lateness, from which the spool positions are extrapolated where only time
+            constants of the valves differ (many joint moves of parameters change them a little each).
+    """
+    P, E = crane.parameter_vector(), crane.effect_vector()
+    spool = None if near is None else _extrapolated(near, crane, data, late)
+    if spool is None:
+        spool = spool_path(crane, data, late)
+    return Model(crane, P, E, np.column_stack([spool, data.supply]), late)
 
 
 def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:
-    """Return spool positions (N, 2) on the grid; equal commands and valves are computed once."""
+    """Return spool positions (N, 2) on the grid of a recording."""
     E = crane.effect_vector()
-    key = tuple(
-        (crane[f"valves.{name}.time_constant"], hooks.delay(E, c), hooks.backlash(E, c))
-        for c, name in enumerate(("lift", "tilt"))
-    )
-    return _spool_path(_Driven(crane, data), (*key, late))
+    return np.column_stack([_valve_path(crane, data, c, _valve(crane, E, c), late) for c in range(2)])
+
+
+#: share of a time constant by which it may differ for the spool's path to be extrapolated, and that of the difference quotient
+_NEAR, _QUOTIENT = 1e-2, 1e-4
+
+
+def _extrapolated(near: Model, crane: Crane, data: FitData, late: float) -> np.ndarray | None:
+    """Return spool positions (N, 2) from those of a model nearby, or None if more than the time constants differ."""
+    if late != near.late or _commanded(crane) != _commanded(near.crane):
+        return None
+    spool = near.W[:, :2].copy()
+    for c, name in enumerate(CYLINDERS):
+        here, there = _valve(crane, crane.effect_vector(), c), _valve(near.crane, near.E, c)
+        change = here[0] - there[0]
+        if here[1:] != there[1:] or abs(change) > _NEAR * there[0]:
+            return None
+        if change != 0.0:
+            step = _QUOTIENT * there[0]
+            beside = near.crane.with_parameters({f"valves.{name}.time_constant": there[0] + step})
+            path = _valve_path(beside, data, c, (there[0] + step, *there[1:]), late)
+            spool[:, c] += change / step * (path - near.W[:, c])
+    return spool
+
+
+def _valve(crane: Crane, E: np.ndarray, c: int) -> tuple[float, float, float]:
+    """Return what a valve does to its command: time constant, delay, backlash."""
+    return crane[f"valves.{CYLINDERS[c]}.time_constant"], float(hooks.delay(E, c)), float(hooks.backlash(E, c))
+
+
+def _commanded(crane: Crane) -> tuple[object, ...]:
+    """Return the effects that change the command itself."""
+    return tuple((e.key, *e.parameters.values()) for e in crane.effects if "command" in find(e.name).hooks())
+
+
+def _valve_path(crane: Crane, data: FitData, c: int, valve: tuple[float, float, float], late: float) -> np.ndarray:
+    """Return the positions (N,) of one spool on the grid; equal commands and valves are computed once."""
+    return _spool_path(_Driven(crane, data), c, (*valve, late))
 
 
 class _Driven:
@@ -71,15 +114,15 @@ class _Driven:
 
     def _key(self) -> tuple[object, ...]:
         data = self.data
-        own = [e for e in self.crane.effects if "command" in find(e.name).hooks()]
-        changed = tuple((e.key, *e.parameters.values()) for e in own)
-        return id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), changed
+        return (
+            id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), _commanded(self.crane),
+        )  # fmt: skip
 
 
 @lru_cache(maxsize=256)
-def _spool_path(driven: _Driven, key: tuple[object, ...]) -> np.ndarray:
+def _spool_path(driven: _Driven, c: int, key: tuple[float, ...]) -> np.ndarray:
     data = driven.data
-    return spool_on(driven.crane, data.time, data.command_time, data.commands, float(key[-1]))  # type: ignore[arg-type]
+    return spool_on(driven.crane, data.time, data.command_time, data.commands, key[-1], c)[:, c].copy()
 
 
 def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

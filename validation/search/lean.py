@@ -16,7 +16,7 @@ from crane_exudyn.crane import Crane
 from ..fit.data import FitData
 from ..fit.linear import columns_of, model_at, normal_equations
 from ..fit.solve import Fit, reduce, with_prior
-from ..fit.staged import STIFF, TIGHT, timing_of
+from ..fit.staged import STIFF, timing_of
 from ..fit.variables import Variable, effect_variables, uncertain_parameters
 from .weigh import Weighed, weigh
 
@@ -28,15 +28,15 @@ def leaner(crane: Crane, data: FitData, full: Weighed) -> Weighed:
     """Return the explanation with the fewest moved parameters, or `full` where moving everything is better supported."""
     own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
     held: list[Variable] = [timing_of(data), *own]
-    bare = weigh(crane, data, held, full.fit, full.hypothesis, (TIGHT, STIFF))
+    bare = weigh(crane, data, held, full.fit, full.hypothesis, (STIFF,))
     tried = [full, bare]
     let_go = needed(crane, bare.fit)
     if let_go:
-        tried.append(weigh(crane, data, [*held, *let_go], full.fit, full.hypothesis, (TIGHT, STIFF)))
+        tried.append(weigh(crane, data, [*held, *let_go], full.fit, full.hypothesis, (STIFF,)))
         more = needed(crane, tried[-1].fit, most=4)
         if more:
             again = [*held, *let_go, *more]
-            tried.append(weigh(crane, data, again, tried[-1].fit, full.hypothesis, (TIGHT, STIFF)))
+            tried.append(weigh(crane, data, again, tried[-1].fit, full.hypothesis, (STIFF,)))
     return max(tried, key=lambda w: w.evidence)
 
 

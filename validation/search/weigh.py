@@ -102,14 +102,14 @@ def open_loop_error(crane: Crane, recording: Recording, knots: Fit | None = None
     Args:
         crane: the crane as it is.
         recording: what it is held against.
-        knots: a fit to this recording from which to take first states; guessed from the measurements if there is none.
+        knots: a fit of this crane to this recording, from which to start; guessed from the measurements if there is none.
     """
     data = FitData.of(recording, crane)
     variables: list[Variable] = [timing_of(data)]
     if knots is None:
         fit = staged(crane, data, variables, np.zeros(1), first_knots(crane, data), START)
     else:
-        fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, START[1:])
+        fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, START[-1:])
     every = FitData.of(recording, crane, rate=math.inf, step=FINE)
     return rms(residuals(crane, every, fit.knots[0], fit.late)), fit
 
