@@ -60,6 +60,7 @@ class Trajectory:
         time: (n,) s, increasing.
         z1, z4: (n,) rad.
         pressures: channel -> (n,) Pa, for those of p1 … p4 that are known.
+        theta: (n,) rad, angle of the payload's pendulum against straight down; None where it is not known.
     """
 
     label: str
@@ -67,12 +68,14 @@ class Trajectory:
     z1: np.ndarray
     z4: np.ndarray
     pressures: dict[str, np.ndarray] = field(default_factory=dict)
+    theta: np.ndarray | None = None
 
     @classmethod
     def from_states(cls, label: str, time: np.ndarray, states: np.ndarray) -> Trajectory:
         """Return the trajectory of states (n, nx) as engines give them, at `time` (n,)."""
         pressures = {name: states[:, 4 + i] for i, name in enumerate(PRESSURES)}
-        return cls(label, np.asarray(time, dtype=float), states[:, 0], states[:, 1], pressures)
+        theta = states[:, 8] if states.shape[1] > 8 else None
+        return cls(label, np.asarray(time, dtype=float), states[:, 0], states[:, 1], pressures, theta)
 
     @classmethod
     def from_recording(cls, recording: Recording, label: str = "measured") -> Trajectory:
@@ -90,7 +93,8 @@ class Trajectory:
         time, z1 = recording["z1"].time, recording["z1"].values
         z4 = recording[other].held(time) - (z1 if other == "z4_abs" else 0.0)
         known = [p for p in PRESSURES if recording.has(p)]
-        return cls(label, time, z1, z4, {p: recording[p].held(time) for p in known})
+        theta = recording["theta"].held(time) if recording.has("theta") else None
+        return cls(label, time, z1, z4, {p: recording[p].held(time) for p in known}, theta)
 
     @classmethod
     def at_rest(cls, crane: Crane) -> Trajectory:
@@ -102,18 +106,33 @@ class Trajectory:
         """Return (z1, z4) in rad at a time, linear between samples, held outside."""
         return float(np.interp(time, self.time, self.z1)), float(np.interp(time, self.time, self.z4))
 
+    def swing_at(self, time: float) -> float:
+        """Return the pendulum's angle in rad at a time; 0, hanging at rest, where it is not known."""
+        return 0.0 if self.theta is None else float(np.interp(time, self.time, self.theta))
+
+    def pose_at(self, time: float) -> tuple[float, float, float]:
+        """Return (z1, z4, theta) in rad at a time: what `coordinates` needs."""
+        return *self.at(time), self.swing_at(time)
+
     def pressure_at(self, name: str, time: float) -> float:
         """Return a pressure in Pa at a time; NaN where it is not known."""
         values = self.pressures.get(name)
         return math.nan if values is None else float(np.interp(time, self.time, values))
 
 
-def coordinates(crane: Crane, z1: np.ndarray | float, z4: np.ndarray | float) -> np.ndarray:
-    """Return x, y, angle of every part of `render_shapes.PARTS` at n poses, shape (n, 3 * parts), in m and rad."""
+def coordinates(
+    crane: Crane, z1: np.ndarray | float, z4: np.ndarray | float, theta: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Return x, y, angle of every part of `render_shapes.PARTS` at n poses, shape (n, 3 * parts), in m and rad.
+
+    theta is the angle of the payload's pendulum, where the crane has one (effect `payload_swing`).
+    """
     closed = pose(crane, z1, z4)
     at = {name: closed.points[:, i] for i, name in enumerate(POINT_NAMES)}
     z1, z4 = np.broadcast_to(z1, closed.z2.shape), np.broadcast_to(z4, closed.z2.shape)
     lift, tilt = _direction(at["F"], at["G"]), _direction(at["H"], at["C"])
+    theta, length = np.broadcast_to(theta, closed.z2.shape), shapes.pendulum_length(crane)
+    log = at["E"] + length * np.column_stack([np.sin(theta), -np.cos(theta)])
     placed = {
         "lift_boom": (at["O"], z1),
         "bracket_1": (at["B"], z1 + closed.z2),
@@ -123,7 +142,8 @@ def coordinates(crane: Crane, z1: np.ndarray | float, z4: np.ndarray | float) ->
         "lift_rod": (at["G"], lift),
         "tilt_barrel": (at["H"], tilt),
         "tilt_rod": (at["C"], tilt),
-        "log": (at["E"], z1 + z4),
+        "rope": (at["E"], theta),
+        "log": (log, theta if length > 0.0 else z1 + z4),
     }
     return np.column_stack([np.column_stack(placed[part]) for part in shapes.PARTS])
 
@@ -280,7 +300,10 @@ class Scene:
         reached = [np.array([[-0.55, 0.0], [0.6, 0.0]])]
         for t in self.trajectories:
             step = max(1, len(t.time) // 200)
+            theta = 0.0 if t.theta is None else t.theta[::step]
             reached.append(pose(self.crane, t.z1[::step], t.z4[::step]).points.reshape(-1, 2))
+            placed = coordinates(self.crane, t.z1[::step], t.z4[::step], theta)
+            reached.append(placed.reshape(len(placed), -1, 3)[:, shapes.PARTS.index("log"), :2])
         low, high = np.min(np.vstack(reached), axis=0) - 0.45, np.max(np.vstack(reached), axis=0) + 0.45
         wide, tall = high - low
         above, below = 0.14, 0.06 if self.colour is None else 0.20  # shares of the height for heading and colour scales
@@ -293,7 +316,7 @@ class Scene:
     def show(self, time: float) -> None:
         """Move every crane to where it is at `time` in s."""
         rows = [
-            coordinates(self.crane, *trajectory.at(time))[0] for trajectory in self.trajectories
+            coordinates(self.crane, *trajectory.pose_at(time))[0] for trajectory in self.trajectories
         ]  # interpolating angles keeps the loop closed, interpolating coordinates would not
         for configuration in (exu.ConfigurationType.Current, exu.ConfigurationType.Visualization):
             self.mbs.systemData.SetODE2Coordinates(np.concatenate(rows).tolist(), configuration)
@@ -310,7 +333,7 @@ class Scene:
     def _changing(self, mbs: Any) -> list[shapes.Graphics]:
         """Return what is drawn anew in every frame: oil, booms by residual, arrows."""
         time = mbs.systemData.GetTime(exu.ConfigurationType.Visualization)
-        placed = coordinates(self.crane, *self.trajectories[0].at(time))[0].reshape(-1, 3)
+        placed = coordinates(self.crane, *self.trajectories[0].pose_at(time))[0].reshape(-1, 3)
         frames = dict(zip(shapes.PARTS, placed, strict=True))
         drawn: list[shapes.Graphics] = []
         if self.colour is not None:
@@ -468,8 +491,8 @@ class Scene:
         times = np.linspace(self.start, self.end, count)
         rows = []
         for trajectory in self.trajectories:
-            z1, z4 = (np.interp(times, trajectory.time, a) for a in (trajectory.z1, trajectory.z4))
-            rows.append(coordinates(self.crane, z1, z4))
+            poses = np.array([trajectory.pose_at(t) for t in times])
+            rows.append(coordinates(self.crane, *poses.T))
         table = np.column_stack([times, *rows])
         with replacing(path) as temporary:
             np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=_solution_header(table.shape), comments="")

@@ -7,7 +7,8 @@ Names of the parts, with origin and x axis of their frames:
     pillar (world) · lift_boom (O) · bracket_1 (B) · bracket_2 (C) · outer_boom (A): as in the crane file
     lift_barrel, tilt_barrel: the base pin F or H, x towards the rod end
     lift_rod, tilt_rod: the rod end G or C, x away from the base
-    log (E): parallel to the outer boom
+    rope (E): hangs along -y; only where the payload hangs on a pendulum
+    log (E, or the rope's end): parallel to the outer boom, or as the rope hangs
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Disc = tuple[float, float, float]  # x, y, radius
 
 PARTS = (
     "lift_boom", "bracket_1", "bracket_2", "outer_boom",
-    "lift_barrel", "lift_rod", "tilt_barrel", "tilt_rod", "log",
+    "lift_barrel", "lift_rod", "tilt_barrel", "tilt_rod", "rope", "log",
 )  # fmt: skip
 
 #: half widths across the plane of the crane, m: what stands beside what
@@ -253,6 +254,18 @@ def log(crane: Crane, paint: Paint) -> list[Graphics]:
     return [bar([0, 0, -half], [0, 0, 2 * half], radius, paint.log, paint.edges), *ends, *rings]
 
 
+def pendulum_length(crane: Crane) -> float:
+    """Return the length in m of the pendulum on which the payload hangs (effect `payload_swing`); 0 without one."""
+    effect = crane.effect("payload_swing")
+    return 0.0 if effect is None else float(effect.parameters["length"])
+
+
+def rope(crane: Crane, paint: Paint) -> list[Graphics]:
+    """Return the rod from E down to the payload; nothing where the payload is fixed to the boom."""
+    length = pendulum_length(crane)
+    return [bar([0, 0, 0], [0, -length, 0], 0.016, paint.rod, paint.edges)] if length > 0.0 else []
+
+
 def parts(crane: Crane, paint: Paint) -> Mapping[str, list[Graphics]]:
     """Return the graphics of every moving part by name, in the order of `PARTS`."""
     made = {
@@ -264,7 +277,7 @@ def parts(crane: Crane, paint: Paint) -> Mapping[str, list[Graphics]]:
     for name in ("lift", "tilt"):
         made[f"{name}_barrel"] = barrel(crane, name, paint)
         made[f"{name}_rod"] = rod(crane, name, paint)
-    return made | {"log": log(crane, paint)}
+    return made | {"rope": rope(crane, paint), "log": log(crane, paint)}
 
 
 def oil(crane: Crane, cylinder: str, length: float, colors: tuple[Color, Color]) -> list[Graphics]:
