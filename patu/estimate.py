@@ -116,10 +116,10 @@ def _tuned(
     crane: Crane, recording: Recording, std: dict[str, float], augment: list[str], json: str | None, thorough: bool
 ) -> ProcessNoise:
     """Return the most likely process noise; a wrong model needs more of it than a right one."""
-    from ukf.tuning import tune, widen
+    from ukf.tuning import scale, tune
 
     with progress("Noise") as done:
-        found = (tune if thorough else widen)(crane, recording, std, augment=tuple(augment), progress=done)
+        found = (tune if thorough else scale)(crane, recording, std, augment=tuple(augment), progress=done)
     if found.after > found.before:
         Printer(json).line(repr(found).strip("<>"))
     return found.noise

@@ -23,8 +23,8 @@ from .signals import Signals
 #: the logarithms (base 10) that are searched, with their ranges
 LIMITS = ((-8.0, 3.0), (-8.0, 3.0), (2.0, 14.0), (2.0, 14.0))
 _FINEST = 0.25
-#: `widen` goes up at most so many powers of ten
-_RUNGS = 7
+#: `scale` goes so many powers of ten up and down at most; below that the noise does no longer matter on a right model
+_UP, _DOWN = 6, 3
 
 
 @dataclass(frozen=True)
@@ -105,32 +105,36 @@ def _along(
 
 
 def _climb(cost: Callable[[np.ndarray], float], first: np.ndarray, before: float) -> tuple[np.ndarray, float]:
-    """Return all logarithms raised together by whole powers of ten for as long as that helps, and the cost there."""
+    """Return all logarithms moved together by whole powers of ten, up or down, for as long as that helps, and the cost."""
     best, chosen = before, first
-    for rung in range(1, _RUNGS):
-        value = cost(first + rung)
-        if value >= best:
+    for rungs in (range(1, _UP + 1), range(-1, -_DOWN - 1, -1)):
+        for rung in rungs:
+            value = cost(first + rung)
+            if value >= best:
+                break
+            best, chosen = value, first + rung
+        if chosen is not first:
             break
-        best, chosen = value, first + rung
     return chosen, best
 
 
-def widen(
+def scale(
     crane: Crane,
     recording: Any,
     sensors: Mapping[str, float],
     *,
     engine: Any = "semi-recursive",
     augment: tuple[Any, ...] = (),
-    seconds: float = 5.0,
+    seconds: float = 10.0,
     progress: Callable[[float], None] | None = None,
 ) -> Tuned:
-    """Return the default noise, or ten, a hundred … times as much, whichever makes the innovations most likely.
+    """Return the default noise times the power of ten that makes the innovations most likely, from 10⁻³ to 10⁶.
 
-    A few short runs: enough that a filter with a wrong model follows its sensors. `tune` searches further.
+    A few short runs: enough that a filter with a wrong model follows its sensors, and that one with a right model does not
+    expect more of its innovations than there is. `tune` searches further.
     """
     std = sensor_std(crane, sensors)
-    cost, count = _cost(crane, recording, std, engine, augment, seconds, _RUNGS, progress)
+    cost, count = _cost(crane, recording, std, engine, augment, seconds, _UP, progress)
     first = logs_of(ProcessNoise())
     before = cost(first)
     chosen, best = _climb(cost, first, before)
