@@ -21,7 +21,7 @@ import numpy as np
 from crane_exudyn.compiled import njit
 
 from .linear_algebra import cholesky, lower_factor, solve_lower
-from .sigma_points import Weights, centre_gain, place
+from .sigma_points import Weights, centre_gain, drawn, place
 
 Points = Callable[[np.ndarray], np.ndarray]
 
@@ -111,10 +111,11 @@ def draw(belief: Belief, weights: Weights, *, step: int | None = None) -> np.nda
     Raises:
         FilterError: the covariance has no Cholesky factor.
     """
-    root = np.empty_like(belief.covariance)
-    if cholesky(belief.covariance, root) >= 0:
+    points: np.ndarray
+    points, failed = drawn(belief.mean, belief.covariance, weights.spread, weights.count)
+    if failed:
         raise FilterError("state covariance", belief.covariance, step)
-    return place(belief.mean, root, weights.spread, weights.count)
+    return points
 
 
 def root_of(belief: Belief, *, step: int | None = None) -> RootBelief:

@@ -34,6 +34,16 @@ def cholesky(matrix: np.ndarray, root: np.ndarray) -> int:
 
 
 @njit()
+def all_finite(points: np.ndarray) -> bool:
+    """Return whether no entry of `points` (m, n) is infinite or not a number."""
+    for k in range(points.shape[0]):
+        for i in range(points.shape[1]):
+            if not np.isfinite(points[k, i]):
+                return False
+    return True
+
+
+@njit()
 def solve_lower(root: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     """Return root⁻¹ rhs (n, m) for a lower triangular `root` (n, n)."""
     n, m = rhs.shape

@@ -14,6 +14,7 @@ from crane_exudyn.errors import CraneError
 from .augment import DISTURBANCES, Extra
 from .bounds import Bounds
 from .channels import Channels
+from .linear_algebra import all_finite
 
 
 class Process:
@@ -50,7 +51,7 @@ class Process:
             states = self.engine.propagate(
                 states, inputs[k : k + 2], times[k + 1] - times[k], float(times[k]), **keyword
             )
-        if not np.isfinite(states).all():
+        if not all_finite(states):
             raise ArithmeticError("the engine returned states that are not finite")
         return self._assemble(inside, states, excess, float(times[-1] - times[0]))
 

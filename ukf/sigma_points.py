@@ -17,6 +17,8 @@ import numpy as np
 from crane_exudyn.compiled import njit
 from crane_exudyn.errors import CraneError
 
+from .linear_algebra import cholesky
+
 
 @dataclass(frozen=True)
 class Weights:
@@ -97,3 +99,12 @@ def place(mean: np.ndarray, root: np.ndarray, spread: float, count: int) -> np.n
             points[first + j, i] = mean[i] + step
             points[first + n + j, i] = mean[i] - step
     return points
+
+
+@njit()
+def drawn(mean, covariance, spread, count):  # type: ignore[no-untyped-def]
+    """Return the sigma points (count, n) of a mean (n,) and a covariance (n, n), and whether that has no Cholesky factor."""
+    root = np.empty_like(covariance)
+    if cholesky(covariance, root) >= 0:
+        return np.empty((0, mean.size)), True
+    return place(mean, root, spread, count), False
