@@ -43,6 +43,8 @@ _ALLOWED = ((-20.0, 75.0), (-140.0, 8.0))
 #: rough speeds in deg/s at fully open spools, extending and retracting; plans need no more
 _SPEED = ((25.0, 31.0), (-55.0, -53.0))
 _MOST_DRAWS = 60
+#: after so many draws without success other effects are drawn, where none were asked for
+_OTHER_EFFECTS = 20
 
 Draw = Callable[[np.random.Generator, Mapping[str, Any]], dict[str, float]]
 
@@ -349,6 +351,7 @@ class _Setting:
     nominal: Crane
     visible: tuple[float, float]
     foreign: bool
+    picked: bool  # the effects were drawn, not asked for
 
 
 def make_case(
@@ -389,9 +392,9 @@ def make_case(
     stds = {n: NOISES[level][0 if n.startswith("z") else 1] for n in SENSOR_SETS[chosen]}
     nominal = crane or Crane.load("patu655")
     machine = _machine(nominal, rng, kind, off == 1)
-    if keys is None:
-        keys = _pick(rng, kind, list(stds)) if kind in ("effect", "two") else []
-    return _until_it_does(seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, foreign))
+    picked = keys is None and kind in ("effect", "two")
+    keys = _pick(rng, kind, list(stds)) if picked else keys or []
+    return _until_it_does(seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, foreign, picked))
 
 
 def _machine(nominal: Crane, rng: np.random.Generator, kind: str, off: bool) -> Crane:
@@ -407,6 +410,8 @@ def _until_it_does(seed: int, s: _Setting) -> HiddenCase:
     for attempt in range(_MOST_DRAWS):
         if attempt and s.kind == "parameters":
             s = replace(s, machine=_machine(s.nominal, s.rng, s.kind, True))
+        if s.picked and attempt and attempt % _OTHER_EFFECTS == 0:
+            s = replace(s, keys=_pick(s.rng, s.kind, list(s.noise)))
         try:
             return _try_case(seed, s)
         except CraneError as found:
