@@ -56,6 +56,15 @@ def clean() -> Comparison:
     return compare(CRANE, measured(driven(CRANE), seed=11))
 
 
+def test_balances_that_have_not_settled_are_said(clean, monkeypatch):
+    assert clean.balances.unsettled == () and clean.notes == ()
+    monkeypatch.setattr(balances, "_ROUNDS", 1)
+    leaking = CRANE.with_effect("internal_leakage@lift", {"k": 1e-11})
+    comparison = compare(CRANE, measured(driven(leaking, TIME[:600]), seed=12))
+    assert comparison.balances.unsettled
+    assert "still moving" in comparison.notes[-1]
+
+
 LEAK = 4e-12
 
 

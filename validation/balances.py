@@ -50,6 +50,7 @@ class Balances:
         states: (K, nx) smoothed states.
         values, std: (K, 6) residual of each equation of `EQUATIONS` and its standard deviation, N m and m³/s.
         log_likelihood: of all samples under this model with unknown inputs.
+        unsettled: stretches (from, to) in s in which the smoother still moved after its last round.
     """
 
     time: np.ndarray
@@ -59,6 +60,7 @@ class Balances:
     log_likelihood: float
     _covariance: np.ndarray = field(repr=False)
     _gains: np.ndarray = field(repr=False)
+    unsettled: tuple[tuple[float, float], ...] = ()
 
     def mean(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean residuals (6,) over instants first … last - 1, and their standard deviations (6,).
@@ -120,10 +122,14 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
         knots = np.column_stack([np.interp(data.time[starts], at, x) for x in states.T])
         inputs = np.column_stack([np.interp(data.time, at, d) for d in found.T])
         moved = np.sqrt(np.mean(smoothed.mean**2, axis=0))
-        if moved[:-6].max() < _SETTLED_STATE and moved[-6:].max() < _SETTLED_INPUT:
+        settled = moved[:-6].max() < _SETTLED_STATE and moved[-6:].max() < _SETTLED_INPUT
+        if settled:
             break
+    unsettled = () if settled else ((float(at[0]), float(at[-1])),)
     std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
-    return Balances(at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains)
+    return Balances(
+        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains, unsettled
+    )
 
 
 def _joined(parts: list[Balances]) -> Balances:
@@ -144,6 +150,7 @@ def _joined(parts: list[Balances]) -> Balances:
         likelihood,
         column("_covariance"),
         column("_gains"),
+        tuple(stretch for part in parts for stretch in part.unsettled),
     )
 
 

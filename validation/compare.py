@@ -228,6 +228,10 @@ def compare(
     done(1.0)
     if _LATE < abs(start.late) < 0.9 * timing_of(data).upper * timing_of(data).scale:
         notes.append(f"the commands act {1e3 * start.late:.1f} ms after their stamps; this is allowed for")
+    for begin, end in balances.unsettled:
+        notes.append(
+            f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: their ± is too small"
+        )
     return Comparison(
         recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured, simulated,
         (data.command_time, data.commands), nis_bounds(estimate, kept, crane), tuple(notes),
