@@ -160,6 +160,7 @@ def fit(
     for _ in range(iterations):
         if point.linear.failed:
             break
+        guess = _widened(guess, point.knots)
         reduced = reduce(point.linear, guess, point.knots)
         H, g = with_prior(reduced, variables, point.u)
         moved = _step(crane, data, windows, variables, point, reduced, H, g, (lower, upper), stiffness, guess)
@@ -199,12 +200,22 @@ def fitting_knots(knots: np.ndarray, base: Model) -> np.ndarray:
     return wide
 
 
+def _widened(guess: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Return guessed knots with as many states as `knots`: a fit may give the payload a pendulum on its way, or take it away."""
+    if guess.shape == knots.shape:
+        return guess
+    wide = knots.copy()
+    n = min(guess.shape[1], knots.shape[1])
+    wide[:, :n] = guess[:, :n]
+    return wide
+
+
 def _cost(point: _Point, variables: Sequence[Variable], guess: np.ndarray) -> float:
     if point.linear.failed:
         return math.inf
     prior = sum((x / v.prior) ** 2 for x, v in zip(point.u, variables, strict=True) if math.isfinite(v.prior))
-    nx = guess.shape[1]
-    away = (point.knots[:, :nx] - guess) / JUMP[:nx]
+    guess = _widened(guess, point.knots)
+    away = (point.knots - guess) / JUMP[: guess.shape[1]]
     weak = float((prior_start(guess) * away**2).sum())
     return 0.5 * (point.linear.cost + weak + prior)
 
@@ -238,7 +249,7 @@ def _finish(
     linear, m = point.linear, len(point.u)
     cov = np.full((m, m), math.nan)
     if m and not linear.failed:
-        reduced = reduce(linear, guess, point.knots)
+        reduced = reduce(linear, _widened(guess, point.knots), point.knots)
         H, _ = with_prior(reduced, variables, point.u)
         cov = np.linalg.pinv(H + 1e-12 * np.eye(m), hermitian=True)
     errors = {c: math.sqrt(linear.squares[c] / max(1, linear.counts[c])) for c in linear.squares}
