@@ -10,6 +10,8 @@ from html import escape
 _AMOUNT = re.compile(r"[-−+<]? ?\d[\d.]*(e[-−+]?\d+)?( ± [\d.]+)?\*? *")
 #: texts longer than this get a column of their own width and break into lines
 _LONG = 28
+#: tables of at most so many rows stay on one page of paper
+_SHORT = 14
 
 
 def cell(value: object) -> str:
@@ -42,7 +44,8 @@ def table_html(columns: Sequence[str], rows: Sequence[Sequence[object]], *, titl
     )
     caption = f"<caption>{escape(title)}</caption>\n" if title else ""
     below = f'\n<p class="note">{escape(note)}</p>' if note else ""
-    table = f"<table>\n{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+    short = ' class="short"' if len(rows) <= _SHORT else ""
+    table = f"<table{short}>\n{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
     return f'<div class="scroll">{table}</div>{below}'
 
 

@@ -137,9 +137,11 @@ def write(folder: Path, result: Comparison) -> Path:
     from validation.report import Mood, Picture, Section, Table, write_report
 
     pictures = {name: Picture(figure, _CAPTIONS[name]) for name, figure in result.figures().items()}
+    columns, by_work = balance_table(result)
+    headings = [c.replace("torque.", "moment at ").replace("flow.", "flow into ") for c in columns]
     sections: list[Section] = [
         ("Where the model fails", [pictures["where"], Table(("score", "where"), worst(result, 20))]),
-        ("What the balances lack", [Table(*balance_table(result)), pictures["balances_by_work"], pictures["balances"]]),
+        ("What the balances lack", [Table(headings, by_work), pictures["balances_by_work"], pictures["balances"]]),
         ("Open loop", [Table(_COLUMNS, error_rows(result)), pictures["open_loop"]]),
         ("Filter", [filter_words(result), *(f"Note: {note}." for note in result.notes)]),
     ]

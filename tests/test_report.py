@@ -13,8 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from crane_exudyn import Crane
 from crane_exudyn.errors import CraneError
+from crane_exudyn.simulation import Simulation
+from ukf.estimate import Estimate
 from validation import plots, report
+from validation.compare import ChannelError, Comparison
+from validation.diagnosis import Candidate, Diagnosis
+from validation.improvement import Improvement, Step
+from validation.search.reports import report_diagnosis, report_improvement
 
 TIME = np.linspace(0.0, 25.0, 5001)
 
@@ -189,3 +196,125 @@ def test_the_browser_check_notices_a_broken_page(tmp_path):
     page = tmp_path / "broken.html"
     page.write_text("<body><script>console.error('broken')</script></body>")
     assert "CONSOLE" in browse(page, tmp_path / "profile", "--dump-dom")[1]
+
+
+# -- results show themselves, and leave as tables --------------------------------------------------------------------
+
+
+def example_diagnosis():
+    crane = Crane.load("patu655")
+    leak = {"k": {"value": 2e-11, "std": 1e-13, "unit": "m^3/s/Pa"}}
+    candidates = (
+        Candidate(("internal_leakage@lift",), leak, 300.0, 1.0, crane, 22.0, 0.99),
+        Candidate((), {}, 10.0, 1e-9, crane),
+    )
+    return Diagnosis(
+        "lift, slow", "effect", crane, crane, {}, candidates, ("internal_leakage@lift",), error_before=22.0,
+        error_after=0.99,
+    )  # fmt: skip
+
+
+def example_improvement():
+    found = example_diagnosis()
+    steps = (
+        Step(None, 22.0, 24.0, 600.0, "effect"),
+        Step("internal_leakage@lift", 0.99, 0.9, 5.8, "effect", text="a, b"),
+    )
+    return Improvement("lift", steps, found.crane, "adequate", (found,))
+
+
+def example_comparison():
+    """Two channels with clocks of their own; what the filter and the balances say is not asked for here."""
+    series = {"z1": (np.array([0.0, 0.1, 0.2]), np.array([0.1, 0.2, 0.3])), "p1": (np.array([0.1]), np.array([3e6]))}
+    shifted = {name: (time, values + 1.0) for name, (time, values) in series.items()}
+    error = ChannelError("deg", 1.0, 1.0, 0.1, 10.0, 0.0, 0.9)
+    unused = dict.fromkeys(("balances", "scores", "commands")) | {"estimate": example_estimate()}
+    return Comparison(
+        "lift", "patu655", "exudyn", {"z1": error, "p1": error}, where=(), measured=series, simulated=shifted, **unused
+    )
+
+
+def test_a_comparison_leaves_on_the_clocks_of_its_channels(tmp_path):
+    example_comparison().to_csv(tmp_path / "c.csv")
+    assert (tmp_path / "c.csv").read_text().splitlines() == [
+        "time[s],z1_measured[rad],z1_simulated[rad],p1_measured[Pa],p1_simulated[Pa]",
+        "0.0,0.1,1.1,,", "0.1,0.2,1.2,3000000.0,3000001.0", "0.2,0.3,1.3,,",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("result", [example_diagnosis, example_improvement])
+def test_results_with_texts_leave_in_every_format(result, tmp_path):
+    from pyarrow import parquet
+    from scipy.io import loadmat
+
+    for name in ("r.csv", "r.parquet", "r.mat"):
+        result().to_csv(tmp_path / name)
+    columns = parquet.read_table(tmp_path / "r.parquet").to_pydict()
+    text, number = ("effect", "evidence") if "effect" in columns else ("added", "error")
+    assert "internal_leakage@lift" in columns[text]
+    assert (tmp_path / "r.csv").read_text().splitlines()[0] == ",".join(columns)
+    assert loadmat(tmp_path / "r.mat")[number].ravel() == pytest.approx(columns[number])
+
+
+def example_simulation():
+    states = np.tile([0.1, -0.5, 0.0, 0.0, 3e6, 2e6, 2e6, 4e6], (3, 1))
+    names = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
+    inputs = np.column_stack([np.zeros((3, 2)), np.full((3, 2), np.nan)])
+    return Simulation(Crane.load("patu655"), np.array([0.0, 0.1, 0.2]), names, states, np.zeros((3, 2)), inputs)
+
+
+def example_estimate():
+    """Three instants of one angle, and a mass that has no sensor."""
+    one = np.array([[0.1], [0.2], [0.3]])
+    return Estimate(
+        np.array([0.0, 0.1, 0.2]), ("z1", "payload.mass"), ("z1",), np.hstack([one, 100 * one]), np.hstack([one, one]),
+        one, 0.01 * one, 0.1 * one, np.zeros((3, 1), np.uint8), np.ones(3), np.ones(3), 0.0, (), np.zeros((3, 4)), "patu655",
+        units={"z1": "rad", "payload.mass": "kg"},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("result", "told", "panels"),
+    [
+        (example_simulation, "lift piston side", 8), (example_estimate, "payload mass", 4),
+        (example_diagnosis, "learned from", 2), (example_improvement, "as given", 1),
+    ],
+)  # fmt: skip
+def test_results_draw_themselves(result, told, panels):
+    made = result().plot()
+    assert len([a for a in made.axes if a.get_visible()]) == panels
+    words = [
+        t.get_text() for a in made.axes for t in (a.title, a._left_title, *a.get_xticklabels(), *a.get_yticklabels())
+    ]
+    assert told in words
+    assert plots.png(made).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("result", "told"),
+    [
+        (example_simulation, "open loop: 0.2 s at 3 instants"), (example_estimate, "payload.mass"), (example_comparison, "10 times the noise"),
+        (example_diagnosis, "internal_leakage@lift"), (example_improvement, "internal_leakage@lift"),
+    ],
+)  # fmt: skip
+def test_results_show_themselves_in_notebooks(result, told):
+    html = result()._repr_html_()
+    assert Page(html).open == [] and "<table" in html
+    assert told in html
+    assert repr(result()).startswith(f"<{type(result()).__name__} o")
+
+
+def test_a_diagnosis_is_told_and_drawn_in_words(tmp_path):
+    text = report_diagnosis(example_diagnosis(), tmp_path, {"check": None}).read_text()
+    assert "Internal leakage (lift) is missing (<code>internal_leakage@lift</code>): the open-loop error falls" in text
+    labels = [label.get_text() for label in example_diagnosis().plot().axes[0].get_yticklabels()]
+    assert labels == ["internal leakage (lift)", "parameters"]
+
+
+def test_an_improvement_says_what_it_did(tmp_path):
+    text = report_improvement(example_improvement(), tmp_path).read_text()
+    assert "With internal leakage (lift) the open-loop error falls from 22 to 0.99 times" in text
+    assert [line.get_label() for line in example_improvement().plot().axes[0].get_lines()[:2]] == [
+        "learned from",
+        "only predicted",
+    ]

@@ -112,7 +112,7 @@ def _state(axes: Axes, estimate: Estimate, i: int, truth: np.ndarray | None) -> 
         axes.plot(time, mean, color=_BLUE, lw=1.2, label="estimated")
         if truth is not None and i < truth.shape[1]:
             axes.plot(time, truth[part, i] * what.factor, color=_BLACK, lw=1.0, ls=(0, (4, 2)), label="true")
-    settled = slice(time.size // 20, None)  # the interval at the start may be a hundred times as wide
+    settled = slice(time.size // 6, None)  # the interval at the start may be a hundred times as wide
     low, high = min(mean.min(), (mean - half)[settled].min()), max(mean.max(), (mean + half)[settled].max())
     _widen(axes, low, high)
     plots.name_axes(axes, what)
@@ -149,7 +149,7 @@ def _innovation(axes: Axes, estimate: Estimate, k: int) -> None:
             axes.plot(estimate.time[beyond], at, "x", ms=3, color=_RED, label="beyond 6")
         axes.axhspan(-1.96, 1.96, color=_BLUE, alpha=0.15, lw=0, label="where 95 % should be")
         axes.set_ylim(-6, 6)
-        white = f"white: p = {p:.2g}" if np.isfinite(p) else "too few samples to judge"
+        white = f"white: p {'< 0.001' if p < 1e-3 else f'= {p:.2g}'}" if np.isfinite(p) else "too few samples to judge"
         axes.set_title(white, fontsize=9, loc="right", pad=3.0)
     plots.name_axes(axes, _what(estimate, name)._replace(unit=""))
 

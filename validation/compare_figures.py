@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 _COLORS = {
     "rest": "#eeeeee", "lift extending": "#F0C27B", "lift retracting": "#A7CBE8", "tilt extending": "#E39B57",
     "tilt retracting": "#6FA3CF", "both moving": "#B9A3C9", "reversal": "#7A5C8E", "low pressure": "#3E6E5A", "end of stroke": "#333333",
+}  # fmt: skip
+#: and hatches, so that they differ without colour
+_HATCHES = {
+    "lift extending": "//////", "lift retracting": "\\\\\\\\\\\\", "tilt extending": "......", "tilt retracting": "xxxxxx",
+    "both moving": "++++++", "reversal": "------",
 }  # fmt: skip
 _LABELS = {
     "torque.O": "moment at O", "torque.A": "moment at A", "flow.p1": "flow into p1", "flow.p2": "flow into p2",
@@ -83,16 +88,20 @@ def _commands(axes: Axes, comparison: Comparison) -> None:
 
 def _strip(axes: Axes, phases: Sequence[Phase]) -> None:
     for phase in phases:
-        axes.axvspan(phase.start, phase.end, color=_COLORS[phase.kind], lw=0)
+        axes.axvspan(phase.start, phase.end, **_look(phase.kind))
     axes.set_yticks([])
     axes.grid(visible=False)
     from matplotlib.patches import Patch
 
     present = [k for k in KINDS if any(p.kind == k for p in phases)]
     axes.legend(
-        [Patch(color=_COLORS[k]) for k in present], present, loc="lower left", bbox_to_anchor=(0.0, 1.0),
-        ncols=4, fontsize=7.5, handlelength=1.2, columnspacing=0.9, borderpad=0.1,
+        [Patch(**_look(k)) for k in present], present, loc="lower left", bbox_to_anchor=(0.0, 1.0),
+        ncols=3, fontsize=7.5, handlelength=2.0, columnspacing=0.9, borderpad=0.1,
     )  # fmt: skip
+
+
+def _look(kind: str) -> dict[str, Any]:
+    return {"facecolor": _COLORS[kind], "hatch": _HATCHES.get(kind, ""), "edgecolor": "#555555", "lw": 0.0}
 
 
 def _map(axes: Axes, phases: Sequence[Phase], rows: Sequence[str], values: np.ndarray) -> QuadMesh:

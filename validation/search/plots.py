@@ -47,10 +47,10 @@ def _gains(axes: Axes, d: Diagnosis) -> None:
     shown = d.candidates[:_SHOWN]
     alone = next((c.evidence for c in d.candidates if not c.effects), d.candidates[-1].evidence)
     gains = [max(c.evidence - alone, 0.0) for c in shown]
-    for label, chosen in (("what was chosen", True), ("what was weighed", False)):
+    for chosen in (True, False):
         rows = [i for i, c in enumerate(shown) if (c.effects == d.effects) == chosen]
         look: dict[str, Any] = {"color": _CHOSEN if chosen else _PLAIN, "hatch": "" if chosen else _HATCH}
-        axes.barh(rows, [gains[i] for i in rows], 0.7, label=label, edgecolor="white", **look)
+        axes.barh(rows, [gains[i] for i in rows], 0.7, edgecolor="white", **look)
     for i, gain in enumerate(gains):
         axes.annotate(f"{gain:.0f}", (gain, i), (4, 0), textcoords="offset points", va="center", fontsize=8)
     axes.set_yticks(range(len(shown)), [in_words(c.name).replace(" + ", "\n+ ") for c in shown])
@@ -91,7 +91,7 @@ def _noise_axis(axes: Axes, values: Sequence[float], which: str) -> None:
     ticks = [t for t in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 1e4) if low <= t <= high]
     axis.set_ticks(ticks, labels=[f"{t:g}" for t in ticks])
     axis.set_ticks([], minor=True)
-    axis.set_label_text("open-loop error / noise of the sensors")
+    axis.set_label_text("open-loop error / noise")
 
 
 def improvement_figure(result: Improvement) -> Figure:

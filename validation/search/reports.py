@@ -55,7 +55,10 @@ def diagnosis_sections(d: Diagnosis) -> list[Section]:
         ],
         note="Evidence is relative to the best. Errors are open-loop RMS in units of the sensors' noise.",
     )
-    caption = "How much likelier than moved parameters alone each explanation makes the recording, and the error before and after."
+    caption = (
+        "How much likelier than moved parameters alone each explanation makes the recording (in full colour what was chosen), "
+        "and the error before and after."
+    )
     sections: list[Section] = [("What was weighed", [Picture(d.plot(), caption), weighed])]
     effects = [row for c in d.candidates[:3] for row in _parameter_rows(c)]
     if effects:
