@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -71,6 +73,10 @@ def command(
     estimator = Estimator(chosen, engine, std, noise, method, augment or (), max_step=step)
     with progress("Estimate") as done:
         result = estimator.run(measured, smooth=smooth, progress=done)
+    slack = noise_slack(chosen, measured, std)
+    result = replace(
+        result, noise_slack=slack, smoothed=result.smoothed and replace(result.smoothed, noise_slack=slack)
+    )
     best = result.smoothed if result.smoothed is not None else result
     if output is not None:
         best.to_csv(output)
@@ -112,6 +118,13 @@ def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> 
     return {n: crane.sensors.get(n, max(measured[n], 0.02 * DEFAULT_STD[n])) for n in chosen}
 
 
+def noise_slack(crane: Crane, recording: Recording, std: Iterable[str]) -> float:
+    """Return what guessed sensor noise adds to the spread of the mean NIS; 0 where the crane file says all."""
+    from ukf.consistency import guessed_noise
+
+    return guessed_noise(len(recording[n]) for n in std if n not in crane.sensors)
+
+
 def _tuned(
     crane: Crane, recording: Recording, std: dict[str, float], augment: list[str], json: str | None, thorough: bool
 ) -> ProcessNoise:
@@ -147,7 +160,12 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
         ("Consistency", [consistency(result), Picture(innovations_figure(result), words)]),
         ("What happened on the way", event_lines(result) or ["Nothing odd."]),
     ]
-    parameters: dict[str, object] = {"crane": result.crane, "recording": name, "engine": engine, "filter": result.method}
+    parameters: dict[str, object] = {
+        "crane": result.crane,
+        "recording": name,
+        "engine": engine,
+        "filter": result.method,
+    }
     for channel, value in std.items():
         factor, unit = display(channel, "")
         parameters[f"noise of {channel} / {unit}"] = factor * value
@@ -194,12 +212,19 @@ def consistency(result: Estimate) -> str:
 
 
 def verdict(result: Estimate) -> str:
-    """Return what to make of the consistency."""
+    """Return what to make of the consistency, in plain words."""
     if result.consistent:
         return "The filter is consistent with the recording: its intervals can be trusted."
+    mend = "`patu compare` shows where it fails, --augment estimates what is unknown."
     if result.nis_mean > result.nis_bounds[1]:
         return (
             "Not consistent: the model explains less than the filter believes, so the intervals are too narrow. "
-            "`patu compare` shows where it fails, --tune finds a noise that fits, --augment estimates what is unknown."
+            f"{mend} --tune finds a noise that fits."
         )
-    return "Not consistent: the intervals are wider or the innovations less white than they should be; try --tune."
+    if result.persistent:
+        return (
+            f"Not consistent: the innovations of {', '.join(result.persistent)} keep their sign for a while, as noise never does: the model "
+            "lacks something. The intervals of what no sensor measures are too narrow, and those of the angles may be. "
+            + mend
+        )
+    return "Not consistent: the filter expects more noise than there is, so the intervals are wider than need be; try --tune."

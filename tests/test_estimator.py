@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath
+from crane_exudyn.recording import Recording
+from patu.estimate import sensor_noise
 from ukf.augment import Augment
 from ukf.bounds import Bounds, crane_bounds
 from ukf.estimator import Estimator
@@ -20,7 +23,7 @@ from ukf.monitor import FROZEN, OUTLIER
 from ukf.noise import PaperNoise, ProcessNoise, paper_process_noise, paper_start_covariance
 from ukf.sigma_points import merwe
 from ukf.signals import Signals
-from ukf.tuning import busiest, tune
+from ukf.tuning import busiest, cut, scale, tune
 from validation.semi_recursive import SemiRecursiveEngine
 
 CRANE = Crane.load("patu655")
@@ -263,6 +266,30 @@ def test_a_wrong_model_is_not_taken_for_wrong_sensors():
 def test_right_model_is_called_consistent():
     """With process noise as it is in the truth (none but the little that the filter assumes)."""
     estimate = estimator(noise=ProcessNoise((1e-7, 1e-7), (1e4,) * 4)).run(recording())
+    assert estimate.consistent, repr(estimate)
+
+
+OPEN = Path(__file__).parent / "data"
+
+
+@pytest.mark.parametrize(("case", "right"), [("none_learn", True), ("none_check", True), ("friction_O_check", False)])
+def test_verdict_on_recordings_that_others_made(case, right):
+    """Scaled noise: a right model is called consistent, with its noise far below the default, a wrong one is not."""
+    measured = Recording.load(OPEN / f"open_{case}.csv.gz")
+    std = sensor_noise(CRANE, measured, None)
+    signals = cut(Signals.of(measured, CRANE), 0.0, 10.0)
+    noise = scale(CRANE, signals, std, seconds=3.0).noise
+    estimate = Estimator(CRANE, "semi-recursive", std, noise, max_step=5e-3).run(signals)
+    assert estimate.consistent == right, repr(estimate)
+    assert (noise.pressure[0] < ProcessNoise().pressure[0]) == right
+    assert right or (estimate.persistent and "lacks something" in estimate.verdict)
+
+
+def test_a_recording_may_begin_in_motion():
+    """Cut out of the middle of a movement: rates and pressures change over the first samples, and nothing is rejected."""
+    moving = cut(recording(every=5), 1.95, 1.0)
+    estimate = estimator(noise=ProcessNoise((1e-7, 1e-7), (1e5,) * 4)).run(moving)
+    assert abs(TRUTH[1950, 2]) > 0.1 and not estimate.events
     assert estimate.consistent, repr(estimate)
 
 

@@ -6,6 +6,8 @@ innovations that are white with the covariance it states (NIS), and errors with 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy import stats
 
@@ -28,6 +30,15 @@ def mean_bounds(degrees: float, count: float, probability: float = 0.95) -> tupl
     return float(low / count), float(high / count)
 
 
+def guessed_noise(counts: Iterable[int]) -> float:
+    """Return the standard deviation of the mean NIS that comes from sensor noise estimated from n samples a sensor.
+
+    An estimated standard deviation is known to 1.3/√n (`crane_exudyn.signals.noise_std`), and each sensor adds its innovation
+    squared over its variance, which is off by twice as much.
+    """
+    return float(2.0 * 1.3 * np.sqrt(sum(1.0 / n for n in counts)))
+
+
 def coverage(errors: np.ndarray, std: np.ndarray, probability: float = 0.95) -> np.ndarray:
     """Return the share of samples (n,) inside the interval ±z·std; errors and std are (N, n), NaN rows left out."""
     inside = np.abs(errors) <= stats.norm.ppf(0.5 + probability / 2) * std
@@ -44,6 +55,16 @@ def autocorrelation(series: np.ndarray, lags: int) -> np.ndarray:
     if energy == 0.0:
         return np.zeros(lags)
     return np.array([float(series[k:] @ series[:-k]) / energy for k in range(1, lags + 1)])
+
+
+def persistence(series: np.ndarray, lags: int = 20) -> float:
+    """Return Σ r_k over the first lags of a series (N,): positive where it keeps its sign for a while, 0 for white noise.
+
+    A model that lacks something makes innovations that persist; process noise that is too large, ones that swing back.
+    """
+    values = np.asarray(series, float)
+    values = values[np.isfinite(values)]
+    return float(autocorrelation(values, lags).sum()) if values.size >= 2 * lags else 0.0
 
 
 def ljung_box(series: np.ndarray, lags: int = 20) -> float:

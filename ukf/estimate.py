@@ -46,6 +46,7 @@ class Estimate:
         events: what happened on the way.
         inputs: (N, 4) spool positions and supply pressures.
         covariance: (N, n, n) if it was kept.
+        noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed (`consistency.guessed_noise`).
         smoothed: the smoothed estimate if it was asked for.
     """
 
@@ -66,6 +67,7 @@ class Estimate:
     crane: str = ""
     method: str = "ukf"
     covariance: np.ndarray | None = None
+    noise_slack: float = 0.0
     smoothed: Estimate | None = None
     units: Mapping[str, str] = field(default_factory=dict)
 
@@ -89,34 +91,55 @@ class Estimate:
     def nis_bounds(self) -> tuple[float, float]:
         """The interval that holds the mean NIS of a consistent filter with a probability of 99 %."""
         known = np.isfinite(self.nis)
-        return (
-            consistency.mean_bounds(float(self.dof[known].mean()), int(known.sum()), 0.99)
-            if known.any()
-            else (0.0, 0.0)
-        )
+        if not known.any():
+            return 0.0, 0.0
+        low, high = consistency.mean_bounds(float(self.dof[known].mean()), int(known.sum()), 0.99)
+        middle, half = 0.5 * (low + high), float(np.hypot(0.5 * (high - low), 2.576 * self.noise_slack))
+        return middle - half, middle + half
+
+    @property
+    def _normalised(self) -> np.ndarray:
+        return np.where(self.flags == USED, self.innovation / self.innovation_std, np.nan)
 
     @property
     def whiteness(self) -> dict[str, float]:
         """p-value of whiteness (Ljung-Box) of the normalised innovations of each sensor."""
-        used = np.where(self.flags == USED, self.innovation / self.innovation_std, np.nan)
+        used = self._normalised
         return {n: consistency.ljung_box(used[:, i]) for i, n in enumerate(self.channel_names)}
+
+    @property
+    def coloured(self) -> tuple[str, ...]:
+        """Sensors whose innovations are not white, at the 1 % level of all together."""
+        p = self.whiteness
+        known = sum(np.isfinite(v) for v in p.values())
+        return tuple(n for n, v in p.items() if v < 0.01 / max(known, 1))
+
+    @property
+    def persistent(self) -> tuple[str, ...]:
+        """Those of the coloured sensors whose innovations keep their sign for a while, which is an error of the model."""
+        used = dict(zip(self.channel_names, self._normalised.T, strict=True))
+        return tuple(n for n in self.coloured if consistency.persistence(used[n]) > 0.0)
 
     @property
     def consistent(self) -> bool:
         """Whether innovations have the size that the filter states (NIS) and are white, at the 1 % level each."""
         low, high = self.nis_bounds
-        p = [v for v in self.whiteness.values() if np.isfinite(v)]
-        return bool(low <= self.nis_mean <= high and min(p, default=1.0) >= 0.01 / max(len(p), 1))
+        return bool(low <= self.nis_mean <= high and not self.coloured)
 
     @property
     def verdict(self) -> str:
-        """In words, whether the filter's intervals can be believed."""
+        """In words, whether the filter's intervals can be believed.
+
+        Innovations that keep their sign are an error of the model, whatever their size: noise that was widened until the size
+        fits does not make them random, and what no sensor measures follows the model.
+        """
         if self.consistent:
             return "consistent"
-        low, high = self.nis_bounds
-        if self.nis_mean > high:
+        if self.nis_mean > self.nis_bounds[1]:
             return "not consistent: intervals too narrow"
-        return "not consistent: intervals too wide" if self.nis_mean < low else "not consistent: innovations not white"
+        if self.persistent:
+            return "not consistent: the model lacks something"
+        return "not consistent: intervals too wide"
 
     def coverage(self, truth: np.ndarray, probability: float = 0.95) -> dict[str, float]:
         """Return the share of instants at which the true states (N, m), m <= n, are inside their intervals."""

@@ -232,9 +232,13 @@ class Estimator:
 
     # -- the recursion -------------------------------------------------------------------------------------------
 
-    def start_at(self, time: float, first: Mapping[str, float]) -> None:
-        """Set the belief at `time` from the first measurements (NaN is missing), or from the `start` that was given."""
-        start = self._start if self._start is not None else start_belief(self.crane, self.engine, first, self.std_of)
+    def start_at(self, time: float, first: Mapping[str, float], spread: Mapping[str, float] | None = None) -> None:
+        """Set the belief at `time` from the first measurements (NaN is missing), or from the `start` that was given.
+
+        `spread` is what the measurements may be off by, beside their noise, because the crane moves already.
+        """
+        std = {n: float(np.hypot(s, (spread or {}).get(n, 0.0))) for n, s in self.std_of.items()}
+        start = self._start if self._start is not None else start_belief(self.crane, self.engine, first, std)
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         n = self._engine_states
         mean[:n], covariance[:n, :n] = start.mean, start.covariance
@@ -368,7 +372,7 @@ class Estimator:
         self.reset()
         plan = signals.plan(self.crane, self.channel_names, self.max_step)
         self.events.extend(plan.events)
-        self.start_at(float(plan.time[0]), plan.first)
+        self.start_at(float(plan.time[0]), plan.first, plan.spread)
         recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
         recorder.start(self.belief)
         for k in range(1, plan.time.size):

@@ -21,13 +21,16 @@ from .augment import SENSORS
 
 Series = tuple[np.ndarray, np.ndarray]
 _SAME = 1e-7  # s: stamps of different clocks that are closer than this are one instant
+_FIRST = 5  # samples of a sensor that the start is taken from, so that a single bad one does no harm
+_GLANCE = 0.1  # s, in which the angles must show a rate for it to be believed
 
 
 @dataclass(frozen=True)
 class Plan:
     """Instants `time` (N,), measurements `values` (N, k) with NaN, inner `grid` (G,) with `inputs` (G, 4).
 
-    `inner[k]` is where instant k stands in the grid; `first` are the measurements to start from.
+    `inner[k]` is where instant k stands in the grid; `first` are the measurements to start from, with rates as the angles show
+    them, and `spread` is how far they may be from the very first instant because the crane moves.
     """
 
     time: np.ndarray
@@ -36,6 +39,7 @@ class Plan:
     inputs: np.ndarray
     inner: np.ndarray
     first: Mapping[str, float]
+    spread: Mapping[str, float]
     events: list[tuple[float, str, str]]
 
 
@@ -98,8 +102,10 @@ class Signals:
         grid, inner = inner_grid(time, max_step)
         spool = spool_on(crane, grid, self.command_time, self.commands)
         inputs = np.column_stack([spool, *(self._supply(n, grid) for n in ("pp", "pt"))])
-        first = {c: float(np.median(series[c][1][:5])) for c in present if series[c][1].size}
-        return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, first, events)
+        shown = {c: s for c, s in series.items() if s[1].size}
+        first = {c: float(np.median(y[:_FIRST])) for c, (_, y) in shown.items()} | _rates(shown)
+        spread = {c: float(np.subtract(*np.percentile(y[:_FIRST], [75, 25]))) for c, (_, y) in shown.items()}
+        return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, first, spread, events)
 
     def _supply(self, name: str, grid: np.ndarray) -> np.ndarray:
         if name not in self.supply:
@@ -112,6 +118,20 @@ def _held(grid: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return values linear between samples, constant outside; NaN samples are skipped."""
     known = np.isfinite(values)
     return np.interp(grid, time[known], values[known]) if known.any() else np.full(grid.size, np.nan)
+
+
+def _rates(series: Mapping[str, Series]) -> dict[str, float]:
+    """Return the rates with which the angles set out, where they stand out of the noise: a recording may begin in motion."""
+    rates = {}
+    for angle in ("z1", "z4", "z4_abs"):
+        time, values = series.get(angle, (np.empty(0), np.empty(0)))
+        early = time <= time[:1] + _GLANCE
+        if early.sum() < _FIRST or f"d{angle}" in series:
+            continue
+        (slope, at), covariance = np.polyfit(time[early] - time[0], values[early], 1, cov=True)
+        if abs(slope) > 6.0 * np.sqrt(covariance[0, 0]):
+            rates[f"d{angle}"] = float(slope)
+    return rates
 
 
 def clean(time: np.ndarray, values: np.ndarray, name: str, events: list[tuple[float, str, str]]) -> Series:

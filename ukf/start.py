@@ -1,4 +1,4 @@
-"""The belief to start with: a crane at rest, valves closed, in the pose and at the pressures that the sensors first show."""
+"""The belief to start with: the pose, the rates and the pressures that the sensors first show, else a crane at rest."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Map
     mean, deviation = np.zeros(nx), np.full(nx, 0.05)
     mean[:] = engine.static_start(z[0], z[1])
     mean[2:4] = [known.get("dz1", 0.0), known.get("dz4", known.get("dz4_abs", 0.0) - known.get("dz1", 0.0))]
-    deviation[:8] = [*z_std, RATE, RATE, *[PRESSURE] * 4]
+    deviation[:8] = [*z_std, *np.hypot(RATE, 0.5 * mean[2:4]), *[PRESSURE] * 4]
     for cylinder in (0, 1):
         _set_pressures(crane, cylinder, mean, deviation, known, std)
     return Belief(mean, np.diag(deviation**2))
