@@ -1,4 +1,4 @@
-"""Renders the pictures of the documentation; takes about half a minute.
+"""Makes the pictures of README and documentation; takes a few minutes.
 
 python docs/make_pictures.py [FOLDER]     # default: docs/images
 """
@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from crane_exudyn import Crane, Recording, simulate
 from crane_exudyn.render import Scene, Trajectory
@@ -42,7 +43,8 @@ def estimated(model: Simulation, true: Simulation) -> Trajectory:
 
 
 def main(folder: Path) -> None:
-    """Write all pictures to a folder."""
+    """Write all pictures to a folder, which is made if it does not exist."""
+    folder.mkdir(parents=True, exist_ok=True)
     crane = Crane.load("patu655")
     true = simulate(crane, step=2e-3)
     off = crane.with_parameters({"supply.pump_pressure": 80e5, "payload.mass": 120.0})
@@ -52,7 +54,21 @@ def main(folder: Path) -> None:
     Scene(crane, three, marks=["lift"], title="A model with 20 bar less", size=SIZE).save(
         folder / "ghosts.png", time=14.0
     )
+    demo(folder)
     tutorial(folder)
+
+
+def patu(*words: str, work: str) -> None:
+    """Run a command in a folder."""
+    subprocess.run([sys.executable, "-m", "patu", *words], cwd=work, check=True)
+
+
+def demo(folder: Path) -> None:
+    """Keep the picture of the states that the demo makes."""
+    with tempfile.TemporaryDirectory() as work:
+        patu("demo", "-o", "demo", work=work)
+        with Image.open(Path(work) / "demo" / "states.png") as picture:  # few colours: a quarter of the size
+            picture.convert("RGB").quantize(64, dither=Image.Dither.NONE).save(folder / "demo.png", optimize=True)
 
 
 def tutorial(folder: Path) -> None:
@@ -65,8 +81,8 @@ def tutorial(folder: Path) -> None:
         subprocess.run([sys.executable, script.name], cwd=work, check=True)
         for words in commands:
             if words[1] in ("simulate", "render", "improve"):
-                subprocess.run([sys.executable, "-m", "patu", *words[1:]], cwd=work, check=True)
-        subprocess.run([sys.executable, "-m", "patu", "compare", "learn.csv", "-o", "pictures"], cwd=work, check=True)
+                patu(*words[1:], work=work)
+        patu("compare", "learn.csv", "-o", "pictures", work=work)
         for name in ("apart.png", "together.png"):
             shutil.copy(Path(work) / name, folder / name)
         shutil.copy(Path(work) / "pictures" / "where.png", folder / "fails.png")
