@@ -311,7 +311,9 @@ def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
         names = given.only or sorted(json.loads((given.folder / "answers.json").read_text(encoding="utf-8")))
         return [(name, _folder_line, (given.folder, name)) for name in names]
     first, _, last = given.seeds.partition("-")
-    more = {n: getattr(given, n) for n in ("sensors", "noise", "foreign") if getattr(given, n) not in (None, False)}
+    more = {n: getattr(given, n) for n in ("sensors", "noise") if getattr(given, n) is not None}
+    if given.foreign:
+        more["foreign"] = True
     if given.visible:
         low, _, high = given.visible.partition("-")
         more["visible"] = (float(low), float(high or "inf"))
