@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,10 +44,14 @@ class Simulation:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a channel (N,) by name: a command, a state, z4_abs, dz4_abs, s1 or s2."""
-        return self.channels()[name]
+        return self._channels[name]
 
     def channels(self) -> dict[str, np.ndarray]:
         """Return every channel (N,) that a recording may hold, as it really is: without noise and sensor effects."""
+        return dict(self._channels)
+
+    @cached_property
+    def _channels(self) -> dict[str, np.ndarray]:
         from .geometry import pose
 
         found = dict(zip(COMMANDS, self.commands.T, strict=True))
