@@ -31,9 +31,9 @@ def leaking(tmp_path_factory):
     """Return a folder with two short recordings of a crane whose lift cylinder leaks."""
     folder = tmp_path_factory.mktemp("recordings")
     crane = Crane.load("patu655").with_effect("internal_leakage@lift", {"k": 2e-11})
-    time = np.arange(0.0, 4.0, 0.01)
+    time = np.arange(0.0, 2.6, 0.01)
     for name, level, seed in (("one", 0.4, 1), ("two", 0.3, 2)):
-        commands = {"u1": level * ((time > 0.6) & (time < 1.8)), "u2": -level * ((time > 2.2) & (time < 3.2))}
+        commands = {"u1": level * ((time > 0.5) & (time < 1.4)), "u2": -level * ((time > 1.6) & (time < 2.3))}
         run = simulate(crane, Recording.from_arrays("c", time, commands), engine=SemiRecursiveEngine(crane), step=2e-3)
         random = np.random.default_rng(seed)
         seen = {c: run[c] + random.normal(0.0, std, time.size) for c, std in NOISE.items()}
