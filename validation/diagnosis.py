@@ -242,6 +242,8 @@ def diagnose(
     if not (_good(parameters) or (finished and _good(finished[0]))):
         progress("trying pairs", 0.7)
         finished = _with_pairs(search, loose, finished, parameters)
+    elif finished and finished[0].evidence > parameters.evidence + PROOF:
+        finished = _with_seconds(search, finished)
     progress("weighing", 0.9)
     result = _conclude(search, as_given, parameters, finished, notes)
     if result.verdict == "unknown":
@@ -325,6 +327,24 @@ def _with_pairs(
     proven = [
         w for w in done if w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF
     ]
+    return sorted([*finished, *proven], key=lambda w: -w.evidence)
+
+
+def _with_seconds(search: _Search, finished: Sequence[Weighed]) -> list[Weighed]:
+    """Return the finished fits with second effects added that the screen finds beside one that leaves hardly more than noise.
+
+    Moved parameters can make up for a second effect, but not for nothing: their prior charges for it, and the screen knows that.
+    """
+    best = finished[0]
+    scores = screen(best.fit, starts(best.fit.crane, search.data), STIFF.stiffness)
+    own = {k: fitted_values(best, k) for k in best.hypothesis.keys}
+    hypotheses = [
+        (Hypothesis(own | {s.start.key: scaled(s.start, s.amplitude)}), best.fit)
+        for s in _likely(scores, 2)
+        if s.gain > PROOF and s.start.key not in own
+    ]
+    done = search.run(hypotheses, (STIFF,)) if hypotheses else []
+    proven = [w for w in done if w.evidence > best.evidence + PROOF]
     return sorted([*finished, *proven], key=lambda w: -w.evidence)
 
 
