@@ -100,7 +100,7 @@ def test_shell_lines_name_what_exists():
     for page in PAGES:
         for block in blocks(page):
             for line in block.body.splitlines() if block.kind == "sh" else ():
-                installs = re.fullmatch(r"pip install '?crane-exudyn(?:\[(\w+)\])?'?", line)
+                installs = re.fullmatch(r"pip install '?(?:\.|crane-exudyn)(?:\[(\w+)\])?'?", line)
                 makes = re.fullmatch(r"make (\w+)", line)
                 assert (installs and (installs[1] is None or installs[1] in extras)) or (
                     makes and makes[1] in targets
