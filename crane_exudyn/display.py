@@ -12,6 +12,8 @@ _AMOUNT = re.compile(r"[-−+<]? ?\d[\d.]*(e[-−+]?\d+)?( ± [\d.]+)?\*? *")
 _LONG = 28
 #: tables of at most so many rows stay on one page of paper
 _SHORT = 14
+#: names longer than this may break after _ and @
+_BREAKS = 22
 
 
 def cell(value: object) -> str:
@@ -53,7 +55,10 @@ def _tag(tag: str, kind: str, text: str) -> str:
     """Return one cell; the alignment stands in it, since notebooks have no style sheet of ours."""
     side = "right" if kind == "n" else "left"
     named = f' class="{kind}"' if kind else ""
-    return f'<{tag}{named} style="text-align:{side}">{escape(text)}</{tag}>'
+    shown = escape(text)
+    if len(text) > _BREAKS and " " not in text:  # a long name may break where its words meet
+        shown = re.sub(r"([_@])", r"\1<wbr>", shown)
+    return f'<{tag}{named} style="text-align:{side}">{shown}</{tag}>'
 
 
 def _kind(values: Sequence[object]) -> str:

@@ -48,7 +48,7 @@ def example_sections():
 class Page(HTMLParser):
     """Collects tags with their attributes, and checks that what is opened is closed."""
 
-    VOID = frozenset({"meta", "link", "img", "br"})
+    VOID = frozenset({"meta", "link", "img", "br", "wbr"})
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -110,6 +110,11 @@ def test_report_says_how_to_repeat_it(text):
 def test_cells_read_as_people_write_them():
     values = [0.123456, -2.0, True, None, float("nan"), np.float64(3e-9), 12]
     assert [report.cell(v) for v in values] == ["0.1235", "−2", "yes", "–", "–", "3e−09", "12"]
+
+
+def test_a_long_name_may_break_on_a_phone():
+    html = report.table_html(("effect",), [("pressure_dependent_friction@tilt",), ("dead_band@lift",)])
+    assert ">pressure_<wbr>dependent_<wbr>friction@<wbr>tilt<" in html and ">dead_band@lift<" in html
 
 
 def test_table_with_a_missing_cell_is_refused():
