@@ -37,6 +37,10 @@ REPAIRED, LEFT_LEVEL = 0.8, 1.3
 PROOF, TIE = 12.0, 6.0
 #: how many starts the screen hands on, and how many of the fits are carried to the end
 FITTED, FINISHED = 7, 3
+#: probability of parameters' moves below which they are no longer taken as within their uncertainty
+IMPLAUSIBLE = 1e-9
+#: share of the first effect's excess error that a second one may leave
+LEFT_BY_SECOND = 0.5
 #: a third fit is carried to the end if it lacks no more than this share of what the best gained in loosely joined windows
 NEAR = 0.3
 #: share of the best start's promise below which a start is not fitted
@@ -325,7 +329,10 @@ def _with_pairs(
     singles = {w.hypothesis.keys[0]: w.evidence for w in finished}
     bare = max([parameters.evidence, *singles.values()])
     proven = [
-        w for w in done if w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF
+        w
+        for w in done
+        if w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF
+        and (not finished or _repairs(w, finished[0]))
     ]
     return sorted([*finished, *proven], key=lambda w: -w.evidence)
 
@@ -349,8 +356,25 @@ def _with_seconds(search: _Search, finished: Sequence[Weighed]) -> list[Weighed]
 
 
 def _good(w: Weighed) -> bool:
-    """Whether a model leaves hardly more than noise."""
-    return w.level < LEVEL and float(w.bad.mean()) <= SHARE
+    """Whether a model leaves hardly more than noise, its parameters within their uncertainty."""
+    return w.level < LEVEL and float(w.bad.mean()) <= SHARE and _plausible(w)
+
+
+def _plausible(w: Weighed) -> bool:
+    """Whether the moved parameters, taken together, are what their stated uncertainties allow."""
+    from scipy.stats import chi2
+
+    known = sum(math.isfinite(v.prior) for v in w.fit.variables)
+    return known == 0 or 2.0 * w.fit.prior_cost < float(chi2.isf(IMPLAUSIBLE, known))
+
+
+def _repairs(pair: Weighed, single: Weighed) -> bool:
+    """Whether a second effect takes away most of what the first one leaves.
+
+    What is left of a law that is only nearly the machine's can be told from noise, and many a second effect makes a little of it
+    good, with much evidence and no use.
+    """
+    return _good(pair) or pair.level**2 - 1.0 < LEFT_BY_SECOND * (single.level**2 - 1.0)
 
 
 def _conclude(
@@ -373,7 +397,7 @@ def _conclude(
 
 def _explains(best: Weighed, parameters: Weighed) -> bool:
     """Whether an effect explains the recording: hardly more than noise left, or nearly all that was wrong repaired."""
-    if best.evidence < parameters.evidence + PROOF:
+    if best.evidence < parameters.evidence + PROOF or not _plausible(best):
         return False
     if _good(best):
         return True

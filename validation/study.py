@@ -116,10 +116,13 @@ def run_one(case: HiddenCase, name: str, jobs: int = 1) -> dict[str, Any]:
     began = time.perf_counter()
     line: dict[str, Any] = {"name": name, "answer": case.answer}
     try:
-        found = json.loads(json.dumps(diagnose(Crane.load("patu655"), case.learn, case.check, jobs=jobs).to_dict()))
+        diagnosis = diagnose(Crane.load("patu655"), case.learn, case.check, jobs=jobs)
+        found = json.loads(json.dumps(diagnosis.to_dict()))
     except Exception as problem:  # a study of hundreds must tell of a failure, not end with it
         return line | {"failed": repr(problem), "trace": traceback.format_exc(limit=-4)}
-    return line | {"diagnosis": found, "judged": judge(case.answer, found), "seconds": time.perf_counter() - began}
+    moved = {c.name: c.fit.prior_cost for c in diagnosis.candidates if c.fit is not None}
+    seconds = time.perf_counter() - began
+    return line | {"diagnosis": found, "judged": judge(case.answer, found), "prior_cost": moved, "seconds": seconds}
 
 
 def _seed_line(seed: int, more: Mapping[str, Any]) -> dict[str, Any]:
