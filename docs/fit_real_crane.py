@@ -16,7 +16,7 @@ from validation.fit.data import FitData
 from validation.fit.linear import cut
 from validation.fit.solve import Fit, fit, reknot
 from validation.fit.staged import first_knots, residuals
-from validation.fit.variables import NominalDirection, Variable, effect_variables, uncertain_parameters
+from validation.fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
 
 FREE = (
     "payload.mass", "bodies.lift_boom.mass", "bodies.lift_boom.com.x", "bodies.outer_boom.mass", "bodies.outer_boom.com.x",
@@ -69,19 +69,37 @@ def with_lever(crane: Crane, recording: Recording) -> Crane:
 
 def fitted(crane: Crane, data: FitData) -> Fit:
     """Return the crane fitted to the data, at last as one open-loop run."""
-    variables: list[Variable] = [v for v in uncertain_parameters(crane) if v.name in FREE]
-    for key, (_, names) in EFFECTS.items():
-        variables += [v for v in effect_variables(key, crane.effect(key).parameters) if v.parameter.name in names]
-    u = np.array([BEGIN.get(v.name, 0.0) if isinstance(v, NominalDirection) else v.to_u(v.start) for v in variables])
-    knots, found = first_knots(crane, data), None
-    for seconds, stiffness, iterations in ((0.25, 100.0, 6), (2.0, 100.0, 8), (60.0, 1.0, 15), (60.0, 1.0, 15)):
+    nominal = [v for v in uncertain_parameters(crane) if v.name in FREE]
+    acting = [
+        v
+        for effect in crane.effects
+        if effect.key in EFFECTS
+        for v in effect_variables(effect.key, effect.parameters)
+        if v.parameter.name in EFFECTS[effect.key][1]
+    ]
+    variables: list[Variable] = [*nominal, *acting]
+    u = np.array([*(BEGIN.get(v.name, 0.0) for v in nominal), *(v.to_u(v.start) for v in acting)])
+    windows = cut(data, 0.25)
+    found = fit(crane, data, windows, first_knots(crane, data), variables, u, stiffness=100.0, iterations=6)
+    for seconds, stiffness, iterations in ((2.0, 100.0, 8), (60.0, 1.0, 15), (60.0, 1.0, 15)):
         windows = cut(data, seconds)
-        knots = knots if found is None else reknot(found, windows)
-        found = fit(crane, data, windows, knots, variables, u, stiffness=stiffness, iterations=iterations)
-        u = found.u
+        knots = reknot(found, windows)
+        found = fit(crane, data, windows, knots, variables, found.u, stiffness=stiffness, iterations=iterations)
         if seconds > 2.0:
             data = raised(data, {s.channel: s.noise * found.errors[s.channel] for s in data.samples})
     return found
+
+
+def told(found: Fit) -> None:
+    """Print what was fitted, with standard deviations of the linearised fit."""
+    for v, x in zip(found.variables, found.u, strict=True):
+        if isinstance(v, NominalDirection):
+            value, scale = found.crane[v.name], v.weights[v.name]
+        elif isinstance(v, EffectParameter):
+            value, scale = v.to_value(float(x)), v.scale
+        else:
+            continue
+        print(f"{v.name:40s} {value:.5g} +- {found.std(v.name) * scale:.2g}")
 
 
 def raised(data: FitData, levels: dict[str, float]) -> FitData:
@@ -108,10 +126,7 @@ def main(path: str, out: str, until: float = np.inf) -> None:
     crane = with_effects(with_lever(Crane.load("patu655-lab"), learn))
     data = raised(FitData.of(learn, crane, step=5e-3), LEVELS)
     found = fitted(crane, data)
-    for v, x in zip(found.variables, found.u, strict=True):
-        direct = isinstance(v, NominalDirection)
-        value, scale = (found.crane[v.name], v.weights[v.name]) if direct else (v.to_value(float(x)), v.scale)
-        print(f"{v.name:40s} {value:.5g} +- {found.std(v.name) * scale:.2g}")
+    told(found)
     whole = FitData.of(recording, found.crane, step=5e-3)
     print("all       ", {k: round(e, 2) for k, e in errors(found.crane, whole, found.knots[0]).items()})
     if np.isfinite(until):

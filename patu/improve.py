@@ -73,6 +73,8 @@ def command(
         given = {"check": other.name if other else None, "most steps": most, "crane file written": str(output)}
         report_improvement(result, report, given)
     write_json(json, {"recording": str(recording)} | result.to_dict(output))
+    for note in result.notes:
+        printer.line(f"{note}.")
     printer.line(f"Left: {result.verdict}. Written: {output}")
 
 

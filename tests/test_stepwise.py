@@ -1,0 +1,94 @@
+"""Effects taken in one by one, on synthetic recordings whose sensors drift, ring on, round off, and start anywhere."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crane_exudyn import Crane, Recording
+from crane_exudyn.effects.base import Parameter
+from crane_exudyn.inputs import SpoolPath
+from validation.fit.variables import EffectParameter
+from validation.semi_recursive.engine import SemiRecursiveEngine
+from validation.stepwise import PLAUSIBLE, Plausible, Stated, explained, falls, grow, independent
+
+NOISE = {"z1": 1e-3, "z4": 1e-3, "p1": 3e4, "p2": 2e4, "p3": 2e4, "p4": 2e4}
+#: few parameters are uncertain here, so that the fits are short
+KNOWN = ("payload.mass", "valves.lift.flow_coefficient", "fluid.oil_bulk_modulus")
+
+
+def coloured(rng: np.random.Generator, n: int, rho: float) -> np.ndarray:
+    """Return n samples of unit variance whose neighbours are correlated by rho."""
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter([math.sqrt(1.0 - rho**2)], [1.0, -rho], rng.standard_normal(n + 500))[500:])
+
+
+def recorded(crane: Crane, seconds: float = 4.5) -> Recording:
+    """Return a lift with correlated, rounded sensors that drift, from a start that the crane file does not tell."""
+    time = np.arange(0.0, seconds, 0.01)
+    u = np.column_stack([np.interp(time, [0.5, 0.8, 3.0, 3.3], [0.0, 0.25, 0.25, 0.0]), np.zeros_like(time)])
+    engine = SemiRecursiveEngine(crane)
+    w = np.column_stack([SpoolPath(crane).run(time, u), np.full((len(time), 2), np.nan)])
+    start = engine.static_start(0.13, -0.7)
+    start[4] += 3e5  # not at rest: it rings from the first sample on
+    X = engine.simulate(start, time, w)
+    rng = np.random.default_rng(11)
+    values = {}
+    for name, column in zip(NOISE, (0, 1, 4, 5, 6, 7), strict=True):
+        error = coloured(rng, len(time), 0.9) + 1.0 * (time / seconds - 0.5)
+        step = 0.5 * NOISE[name]
+        values[name] = step * np.round((X[:, column] + NOISE[name] * error) / step)
+    return Recording.from_arrays("real sensors", time, {"u1": u[:, 0], "u2": u[:, 1], **values})
+
+
+@pytest.fixture(scope="module")
+def crane():
+    given = Crane.load("patu655")
+    return replace(given, uncertainty={n: given.uncertainty[n] for n in KNOWN}, sensors=NOISE)
+
+
+def test_independent_samples_of_white_correlated_and_drifting_errors():
+    rng = np.random.default_rng(2)
+    n = 20000
+    assert independent(rng.standard_normal(n)) == pytest.approx(n, rel=0.1)
+    rho = 0.9
+    assert independent(coloured(rng, n, rho)) == pytest.approx(n * (1 - rho) / (1 + rho), rel=0.25)
+    assert independent(np.linspace(-1.0, 1.0, n)) < 5.0
+
+
+def test_an_error_below_the_sensors_noise_counts_no_further():
+    noise, ranges = {"z1": 1.0, "p1": 1.0}, {"z1": 100.0, "p1": 100.0}
+    before = {"z1": 0.1, "p1": 0.02}
+    assert falls(before, {"z1": 0.05, "p1": 0.02}, noise, ranges) == pytest.approx(0.5 * math.log(2.0))
+    assert falls({"z1": 0.01, "p1": 0.02}, {"z1": 0.001, "p1": 0.02}, noise, ranges) == 0.0
+
+
+def test_priors_hold_an_effect_near_what_the_file_says_or_near_what_is_met_in_practice():
+    band = Parameter("upper", "", 0.0, 0.0, 0.8, 0.05, "width")
+    stated, free = Stated("dead_band@lift", band, 0.2), Plausible("dead_band@lift", band, 0.0)
+    assert (stated.to_u(0.2), stated.to_value(1.0), stated.prior) == (0.0, pytest.approx(0.2 * 4 / 3), 1.0)
+    assert (free.to_u(0.05), free.prior) == (1.0, PLAUSIBLE)
+    assert free.to_value(free.to_u(0.3)) == pytest.approx(EffectParameter("dead_band@lift", band, 0.0).to_value(6.0))
+
+
+def test_real_sensors_alone_ask_for_no_effect(crane):
+    assert grow(crane, recorded(crane), most=1) is None
+
+
+def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monkeypatch):
+    monkeypatch.setattr("validation.stepwise.TRIED", 4)  # half of the time
+    truth = crane.with_effect("pressure_compensation@lift", {"dpc": 7e5}).with_effect(
+        "seal_friction@lift", {"dFc": 5000.0, "dFs": 5000.0, "vs": 5e-3}
+    )
+    found = grow(crane, recorded(truth), most=2)
+    assert found is not None
+    assert "pressure_compensation@lift" in found.needed
+    assert any("friction" in key for key in found.needed)
+    assert min(found.needed.values()) > 5.0
+    assert found.after["p1"] < 0.3 * found.before["p1"]
+    assert found.predicted["p1"] < found.nominal["p1"]
+    texts = explained(found)
+    assert sum(t.startswith("Demanded: ") for t in texts) == len(found.needed)
+    assert any(t.startswith("Left, in %") for t in texts)
