@@ -128,7 +128,7 @@ def _rates(series: Mapping[str, Series]) -> dict[str, float]:
         early = time <= time[:1] + _GLANCE
         if early.sum() < _FIRST or f"d{angle}" in series:
             continue
-        (slope, at), covariance = np.polyfit(time[early] - time[0], values[early], 1, cov=True)
+        (slope, _), covariance = np.polyfit(time[early] - time[0], values[early], 1, cov=True)
         if abs(slope) > 6.0 * np.sqrt(covariance[0, 0]):
             rates[f"d{angle}"] = float(slope)
     return rates
