@@ -247,7 +247,7 @@ def diagnose(
         progress("trying pairs", 0.7)
         finished = _with_pairs(search, loose, finished, parameters)
     elif finished and finished[0].evidence > parameters.evidence + PROOF:
-        finished = _with_seconds(search, finished)
+        finished = _with_seconds(search, finished, recording if check is None else check)
     progress("weighing", 0.9)
     result = _conclude(search, as_given, parameters, finished, notes)
     if result.verdict == "unknown":
@@ -337,10 +337,11 @@ def _with_pairs(
     return sorted([*finished, *proven], key=lambda w: -w.evidence)
 
 
-def _with_seconds(search: _Search, finished: Sequence[Weighed]) -> list[Weighed]:
+def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording) -> list[Weighed]:
     """Return the finished fits with second effects added that the screen finds beside one that leaves hardly more than noise.
 
     Moved parameters can make up for a second effect, but not for nothing: their prior charges for it, and the screen knows that.
+    They then predict worse, so the second effect must show in the open-loop error on `judge` as well.
     """
     best = finished[0]
     scores = screen(best.fit, starts(best.fit.crane, search.data), STIFF.stiffness)
@@ -352,6 +353,10 @@ def _with_seconds(search: _Search, finished: Sequence[Weighed]) -> list[Weighed]
     ]
     done = search.run(hypotheses, (STIFF,)) if hypotheses else []
     proven = [w for w in done if w.evidence > best.evidence + PROOF]
+    if proven:
+        errors = in_parallel(search.jobs, [(_error, w.fit.crane, judge, None) for w in (best, *proven)])
+        excess = [max(e**2 - 1.0, 0.0) for e in errors]
+        proven = [w for w, e in zip(proven, excess[1:], strict=True) if e < LEFT_BY_SECOND * excess[0]]
     return sorted([*finished, *proven], key=lambda w: -w.evidence)
 
 
