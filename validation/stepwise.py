@@ -17,11 +17,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.effects.registry import split_key
 from crane_exudyn.recording import Recording
 
 from .diagnosis import in_parallel
@@ -29,7 +31,7 @@ from .fit.data import FitData, grid_step
 from .fit.evidence import log_evidence
 from .fit.linear import cut
 from .fit.solve import Fit, fit, reknot
-from .fit.staged import LONG, SHORT, Stage, all_parameters, informed_directions, residuals, timing_of
+from .fit.staged import LONG, SHORT, Stage, all_parameters, first_knots, informed_directions, residuals, timing_of
 from .fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
 from .search.candidates import scaled, starts
 from .search.screen import Score, screen
@@ -49,7 +51,7 @@ TOLERATED = 0.1
 #: how many starts are fitted in a step, and how many effects are taken in at most
 TRIED, MOST = 9, 10
 #: sizes beyond this many typical ones are implausible: standard deviation of an effect's parameter before the data
-PLAUSIBLE = 5.0
+PLAUSIBLE = 3.0
 Errors = Mapping[str, float]
 
 
@@ -197,7 +199,11 @@ def shares(crane: Crane, data: FitData, x0: np.ndarray, late: float, start: floa
 
 @dataclass
 class _Growth:
-    """The state of one growth: where the fit stands, and what the next fits share."""
+    """The state of one growth: where the fit stands, and what the next fits share.
+
+    `tried`: effects that the data demanded in a step before and that were not taken, with the values that were fitted. They come again: a
+    linear look from a model without them may not show them a second time.
+    """
 
     crane: Crane
     data: FitData
@@ -207,6 +213,7 @@ class _Growth:
     keys: list[str]
     jobs: int
     levels: Mapping[str, float]
+    tried: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def _parameters(crane: Crane, key: str) -> Mapping[str, float]:
@@ -302,22 +309,53 @@ def likely(scores: Sequence[Score], most: int) -> list[Score]:
     return list(chosen.values())
 
 
+def measured(key: str, data: FitData) -> bool:
+    """Whether an effect acts on a supply pressure that the recording tells: what the pump or the tank line does is in it already."""
+    hooks = set(split_key(key)[0].hooks())
+    known = [not np.isnan(column).any() for column in data.supply.T]
+    return any(k and hooks <= {name} for name, k in zip(("supply_pressure", "tank_pressure"), known, strict=True))
+
+
+def promising(growth: _Growth) -> list[Score]:
+    """Return what to try: the best of a screen in long windows, and the best of one in short windows that follow the machine.
+
+    The long ones show what adds up; in the short ones a chamber that the model takes for stiff still stands where the machine's stands, so
+    that an effect that changes all from there on (air) is seen at all.
+    """
+    now = growth.current
+    short = _following(growth)
+    offered = [s for s in starts(now.crane, now.data) if not measured(s.key, now.data)]
+    found = [likely(screen(f, offered, stiffness), TRIED) for f, stiffness in ((now, JOINED), (short, 1.0))]
+    chosen: dict[str, Score] = {}
+    for pair in zip_longest(*found):
+        for score in (s for s in pair if s is not None):
+            if len(chosen) < TRIED:
+                chosen.setdefault(score.start.key, score)
+    return list(chosen.values())
+
+
+def _following(growth: _Growth) -> Fit:
+    """Return the current model in short, loosely joined windows, with the error levels that it has there."""
+    now = growth.current
+    data = with_noise(growth.data, growth.noise)
+    for _ in range(2):
+        windows = cut(data, SHORT)
+        knots = first_knots(now.crane, data, SHORT)
+        found = fit(growth.crane, data, windows, knots, now.variables, now.u, stiffness=1.0, iterations=2)
+        levels, factor = levels_of(found, growth.noise, {c: math.inf for c in growth.noise})
+        data = with_noise(growth.data, {c: factor * level for c, level in levels.items()})
+    return replace(found, data=data, windows=tuple(cut(data, SHORT)))
+
+
 def candidates(growth: _Growth) -> list[tuple[str, float, Fit]]:
     """Return effects fitted beside those taken in: key, gain in log evidence, fit; best first."""
     now, data = growth.current, growth.current.data
-    scores = likely(screen(now, starts(now.crane, data), JOINED), TRIED)
+    begins = {s.start.key: scaled(s.start, s.amplitude) for s in promising(growth)} | dict(growth.tried)
     old = [v for v in now.variables if isinstance(v, EffectParameter) and v.key in growth.keys]
-    tasks = []
-    for score in scores:
-        new = plausible(score.start.key, scaled(score.start, score.amplitude))
-        tasks.append((_tried, growth.crane, data, growth.shared, old, new, now))
+    tasks = [(_tried, growth.crane, data, growth.shared, old, plausible(k, v), now) for k, v in begins.items()]
     bare = log_evidence(now)
     fits = in_parallel(growth.jobs, tasks)
-    gains = [
-        (s.start.key, log_evidence(f) - bare, f)
-        for s, f in zip(scores, fits, strict=True)
-        if not at_end(f, s.start.key)
-    ]
+    gains = [(k, log_evidence(f) - bare, f) for k, f in zip(begins, fits, strict=True) if not at_end(f, k)]
     return sorted((g for g in gains if math.isfinite(g[1])), key=lambda g: -g[1])
 
 
@@ -341,8 +379,6 @@ def run_of(found: Fit, data: FitData, iterations: int = 5) -> Fit:
 
 def started_run(crane: Crane, data: FitData, late: float) -> Fit:
     """Return the open-loop run of a crane over data that no fit has seen yet, its first state fitted."""
-    from .fit.staged import first_knots
-
     data = data.shifted(late)
     short = fit(crane, data, cut(data, SHORT), first_knots(crane, data), stiffness=1.0, iterations=3)
     windows = cut(data, WINDOW)
@@ -461,7 +497,8 @@ def _steps(
         gains = {k: float(g) for k, g, _ in offered}
         steps.append(Found(key, gains.pop(key), gains, *errors))
         told(steps[-1])
-        growth = relevelled(replace(growth, current=found, keys=[*growth.keys, key]))
+        again = {k: _parameters(f.crane, k) for k, g, f in offered if g > DEMANDED and k != key}
+        growth = relevelled(replace(growth, current=found, keys=[*growth.keys, key], tried=again))
         last = errors
     return (growth, tuple(steps)) if steps else None
 
@@ -527,8 +564,6 @@ def _whole_run(growth: _Growth, whole: FitData) -> Fit:
 
 def _extended(growth: _Growth, data: FitData) -> Fit:
     """Return the current crane in windows over the whole recording, of which the fit may have seen only the first part."""
-    from .fit.staged import first_knots
-
     found = growth.current
     windows = cut(data, WINDOW)
     guess = first_knots(found.crane, data, WINDOW)
