@@ -122,7 +122,7 @@ def improve(
         crane: the crane file as given.
         recording, check: learned from, and only predicted.
         jobs: processes to use.
-        most: at most so many steps.
+        most: at most so many steps; where effects are taken in one by one, at most so many of them.
         told: called with each step as soon as it is known.
         progress: called with a text and the share that is done of the current step.
     """
@@ -136,7 +136,7 @@ def improve(
             steps.append(_step(None, crane, d, recording, check, d.verdict))
             told(steps[-1])
         if d.verdict == "unknown":
-            grown = grow(current, recording, check, jobs=jobs, progress=progress)
+            grown = grow(current, recording, check, jobs=jobs, most=most, progress=progress)
             if grown is not None and _predicts_better(grown):
                 return _grown(grown, best, recording, check, steps, diagnoses, told)
         chosen = _worth_adding(d, steps[-1])

@@ -48,6 +48,8 @@ DEMANDED, NEAR = 5.0, 5.0
 SERIOUS = 0.5
 #: log of the error by which what was not fitted may be predicted worse, on the average of the channels, for one step
 TOLERATED = 0.1
+#: an effect stays, for all its evidence, if the error of a channel is so many times as large without it
+MENDED = 1.5
 #: how many starts are fitted in a step, and how many effects are taken in at most
 TRIED, MOST = 9, 10
 #: sizes beyond this many typical ones are implausible: standard deviation of an effect's parameter before the data
@@ -111,7 +113,7 @@ class Grown:
     Attributes:
         found: the steps in the order in which they were taken.
         before: open-loop errors of the crane as given, its start fitted; after: of the crane at the end; both as shares of the range.
-        needed: effect -> log evidence lost when it is left out and all else is fitted again.
+        needed: effect -> log evidence lost when it is left out and all else is fitted again, as far as that fit went in a few steps.
         without: effect -> open-loop errors when it is left out.
         nominal, predicted: errors on what was held out, by the model that was fitted to the rest only: parameters alone, and with effects.
         deviations: parameter -> standard deviation (SI), with as many independent samples as the errors leave.
@@ -153,12 +155,15 @@ def independent(r: np.ndarray) -> float:
     return n / (1.0 + 2.0 * float(rho[1 : int(ends[0]) if len(ends) else n].sum()))
 
 
-def levels_of(found: Fit, noise: Mapping[str, float], most: Mapping[str, float]) -> tuple[dict[str, float], float]:
+def levels_of(
+    found: Fit, noise: Mapping[str, float], most: Mapping[str, float], apart: float = APART
+) -> tuple[dict[str, float], float]:
     """Return the error level of each channel (SI), and the factor on it at which samples weigh what the independent ones are worth.
 
     The level is the channel's RMS error, at least its sensor's noise and at most `most`: a channel that a better model fits worse than
     the one before must not be given up. The factor is the root of how many samples make an independent one, on the average of
-    the channels: one for each would weigh down just those channels that show best what is missing.
+    the channels: one for each would weigh down just those channels that show best what is missing. Samples `apart` seconds from one
+    another are independent.
     """
     errors = window_errors(found)
     worth = []
@@ -166,7 +171,7 @@ def levels_of(found: Fit, noise: Mapping[str, float], most: Mapping[str, float])
     for c, r in errors.items():
         rms = float(np.sqrt(np.mean(r**2)))
         levels[c] = min(max(noise[c], rms), max(noise[c], most[c]))
-        worth.append(len(r) / max(independent(r), len(r) * found.data.interval / APART))
+        worth.append(len(r) / max(independent(r), len(r) * found.data.interval / apart))
     factor = math.sqrt(float(np.mean(worth)))
     return levels, factor
 
@@ -537,9 +542,10 @@ def _together(
         progress("leaving out each effect once", 0.8)
         left = _left_out(growth, keys, final)
         needed = {k: log_evidence(final) - log_evidence(f) for k, f in left.items()}
-        weakest = min(needed, key=lambda k: needed[k])
-        if needed[weakest] >= DEMANDED or len(keys) == 1:
+        idle = [k for k in keys if needed[k] < DEMANDED and not mends(left[k], final, whole)]
+        if not idle or len(keys) == 1:
             break
+        weakest = min(idle, key=lambda k: needed[k])
         keys.remove(weakest)
         final = left[weakest]
     x0 = final.knots[0]
@@ -551,13 +557,20 @@ def _together(
     )  # fmt: skip
 
 
+def mends(without: Fit, final: Fit, whole: FitData) -> bool:
+    """Whether a channel's error is half as large again without an effect, and more than its sensor's noise."""
+    before, after = (shares(f.crane, whole, f.knots[0], f.late) for f in (without, final))
+    floor = {s.channel: s.noise / max(float(np.ptp(s.values)), s.noise) for s in whole.samples}
+    return any(before[c] > MENDED * max(after[c], floor[c]) for c in after)
+
+
 def _whole_run(growth: _Growth, whole: FitData) -> Fit:
     """Return the open-loop fit to the whole recording; twice, the second time with the levels that the first leaves."""
     data = with_noise(whole, {s.channel: s.noise for s in growth.current.data.samples})
     before = _extended(growth, data)
     for _ in range(2):
         before = _open_loop(before.crane, growth.crane, growth.keys, data, before, 6)
-        levels, factor = levels_of(before, growth.noise, {c: math.inf for c in growth.noise})
+        levels, factor = levels_of(before, growth.noise, {c: math.inf for c in growth.noise}, WINDOW)
         data = with_noise(whole, {c: factor * level for c, level in levels.items()})
     return _open_loop(before.crane, growth.crane, growth.keys, data, before, 6)
 
@@ -583,8 +596,16 @@ def _left_out(growth: _Growth, keys: Sequence[str], final: Fit) -> dict[str, Fit
     for key in keys:
         rest = [k for k in keys if k != key]
         crane = final.crane.without_effect(key)
-        tasks.append((_open_loop, crane, growth.crane, rest, final.data, final, 4))
+        tasks.append((_best_run, crane, growth.crane, rest, final))
     return dict(zip(keys, in_parallel(growth.jobs, tasks), strict=True))
+
+
+def _best_run(crane: Crane, given: Crane, keys: Sequence[str], final: Fit) -> Fit:
+    """Return the better of two fits of one open-loop run: straight from where the final one stands, and by way of long windows."""
+    variables, values = _everything(crane, given, keys, final.data)
+    values["timing"] = final.late / timing_of(final.data).scale
+    straight = fitted(given, final.data, variables, final, Stage(LONG, 1.0, 8, STEP), values)
+    return max(straight, _open_loop(crane, given, keys, final.data, final, 4), key=log_evidence)
 
 
 def _deviations(final: Fit) -> dict[str, float]:
