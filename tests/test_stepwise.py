@@ -10,8 +10,9 @@ from crane_exudyn import Crane, Recording
 from crane_exudyn.effects.base import Parameter
 from crane_exudyn.inputs import SpoolPath
 from validation.fit.variables import EffectParameter
+from validation.improvement import _predicts_better
 from validation.semi_recursive.engine import SemiRecursiveEngine
-from validation.stepwise import PLAUSIBLE, Plausible, Stated, explained, falls, grow, independent
+from validation.stepwise import PLAUSIBLE, Found, Grown, Plausible, Stated, explained, falls, grow, independent
 
 NOISE = {"z1": 1e-3, "z4": 1e-3, "p1": 3e4, "p2": 2e4, "p3": 2e4, "p4": 2e4}
 #: few parameters are uncertain here, so that the fits are short
@@ -92,3 +93,29 @@ def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monke
     texts = explained(found)
     assert sum(t.startswith("Demanded: ") for t in texts) == len(found.needed)
     assert any(t.startswith("Left, in %") for t in texts)
+
+
+def grown(crane: Crane, predicted: float) -> Grown:
+    """Return a growth by one effect that leaves that error where the model before leaves 0.2 of the range."""
+    with_effect = crane.with_effect("dead_band@lift", {"upper": 0.1})
+    errors = {"p1": predicted}
+    return Grown(
+        with_effect, (Found("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}, errors, errors),),
+        {"p1": 0.3}, errors, {"dead_band@lift": 40.0}, {"dead_band@lift": {"p1": 0.25}}, {"p1": 0.2}, errors,
+        {"dead_band@lift:upper": 0.01}, {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},
+    )  # fmt: skip
+
+
+def test_effects_are_kept_only_if_what_was_not_fitted_is_predicted_better_by_a_tenth(crane):
+    assert _predicts_better(grown(crane, 0.17))
+    assert not _predicts_better(grown(crane, 0.19))
+
+
+def test_plain_words_say_what_is_demanded_what_is_not_separated_and_what_is_left(crane):
+    text = "\n".join(explained(grown(crane, 0.05)))
+    assert "Demanded: dead_band@lift" in text
+    assert "upper = 0.1 ± 0.01" in text
+    assert "p1 25 -> 5 %" in text
+    assert "command_delay@lift would have brought half" in text and "sensor_lag@p1" not in text
+    assert "dead_band@lift:upper and valves.lift.time_constant (correlation -0.95)" in text
+    assert "Left, in % of each channel's range, open loop over the whole recording: p1 5" in text
