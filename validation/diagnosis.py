@@ -43,6 +43,8 @@ IMPLAUSIBLE = 1e-9
 LEFT_BY_SECOND = 0.5
 #: a third fit is carried to the end if it lacks no more than this share of what the best gained in loosely joined windows
 NEAR = 0.3
+#: how many more starts the crane as given may add to them, where the fitted parameters are not to be believed
+BESIDE = 3
 #: share of the best start's promise below which a start is not fitted
 HOPELESS = 0.02
 
@@ -180,9 +182,9 @@ class _Search:
     data: FitData
     jobs: int
     progress: Progress
-    base: Fit
+    nominal: Fit  # the crane as it is, in loosely joined windows
+    base: Fit  # the same with all uncertain parameters fitted
     shared: list[Variable]
-    weighed: list[Weighed] = field(default_factory=list)
 
     def run(self, hypotheses: Sequence[tuple[Hypothesis, Fit]], stages: Sequence[Any]) -> list[Weighed]:
         """Return the hypotheses fitted, on as many processes as the search may use, best first."""
@@ -193,6 +195,14 @@ class _Search:
     def scores(self, fit: Fit) -> list[Score]:
         """Return the screen at a fit; effects that its crane has already do not take part."""
         return screen(fit, starts(fit.crane, self.data), LOOSE.stiffness)
+
+    def scores_at_nominal(self) -> list[Score]:
+        """Return the screen at the crane as it is, all its uncertain parameters free to move."""
+        known = {v.name: u for v, u in zip(self.nominal.variables, self.nominal.u, strict=True)}
+        u = np.array([known.get(v.name, 0.0) for v in self.base.variables])
+        return self.scores(
+            replace(self.nominal, crane=self.crane, origin=self.crane, variables=self.base.variables, u=u)
+        )
 
 
 def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -237,7 +247,8 @@ def diagnose(
     data = FitData.of(recording, crane)
     progress("fitting the nominal parameters", 0.05)
     search = _prepare(crane, data, jobs, progress)
-    nothing, as_given = Hypothesis(), _as_given(crane, data)
+    nothing = Hypothesis()
+    as_given = weigh(crane, data, [timing_of(data)], search.nominal, nothing, (TIGHT, STIFF))
     parameters = weigh(crane, data, search.shared, search.base, nothing, (TIGHT, STIFF))
     progress("screening all effects", 0.2)
     loose = _singles(search, PROOF if _good(parameters) else 1.0)
@@ -264,21 +275,22 @@ def _where(crane: Crane, recording: Recording) -> tuple[Mapping[str, Any], ...]:
 
 def _prepare(crane: Crane, data: FitData, jobs: int, progress: Progress) -> _Search:
     """Fit all nominal parameters in short windows and keep the directions that the data speak about."""
-    base = all_parameters(crane, data)
+    nominal, base = all_parameters(replace(crane, uncertainty={}), data), all_parameters(crane, data)
     own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
-    return _Search(crane, data, jobs, progress, base, [*informed_directions(base), *own])
-
-
-def _as_given(crane: Crane, data: FitData) -> Weighed:
-    """Return the crane as it is, its start and the commands' lateness alone fitted."""
-    loose = all_parameters(replace(crane, uncertainty={}), data)
-    return weigh(crane, data, [timing_of(data)], loose, Hypothesis(), (TIGHT, STIFF))
+    return _Search(crane, data, jobs, progress, nominal, base, [*informed_directions(base), *own])
 
 
 def _singles(search: _Search, least: float) -> list[Weighed]:
-    """Return single effects fitted in short windows, best first: those of which the screen expects at least that gain."""
-    chosen = [s for s in _likely(search.scores(search.base), FITTED) if s.gain >= least]
-    hypotheses = [(Hypothesis({s.start.key: scaled(s.start, s.amplitude)}), search.base) for s in chosen]
+    """Return single effects fitted in short windows, best first: those of which the screen expects at least that gain.
+
+    Parameters that have moved further than their uncertainty allows hide what is missing; then the crane as given is screened too.
+    """
+    found = [(s, search.base) for s in _likely(search.scores(search.base), FITTED) if s.gain >= least]
+    if not _plausible(search.base):
+        keys = {s.start.key for s, _ in found}
+        others = _likely(search.scores_at_nominal(), FITTED)
+        found += [(s, search.nominal) for s in others if s.gain >= least and s.start.key not in keys][:BESIDE]
+    hypotheses = [(Hypothesis({s.start.key: scaled(s.start, s.amplitude)}), before) for s, before in found]
     return _best_of_each(search.run(hypotheses, (LOOSE,)))
 
 
@@ -314,27 +326,53 @@ def _finish(search: _Search, loose: Sequence[Weighed], most: int = FINISHED) -> 
 def _with_pairs(
     search: _Search, loose: Sequence[Weighed], finished: Sequence[Weighed], parameters: Weighed
 ) -> list[Weighed]:
-    """Return the finished fits with pairs added: the leading single effects, each with what the screen finds beside it."""
-    hypotheses: list[tuple[Hypothesis, Fit]] = []
-    for first in loose[:3]:
-        for score in _likely(search.scores(first.fit), 5):
-            both = {k: fitted_values(first, k) for k in first.hypothesis.keys} | {
-                score.start.key: scaled(score.start, score.amplitude)
-            }
-            if len(both) == len(first.hypothesis.keys) + 1:
-                hypotheses.append((Hypothesis(both), first.fit))
-    pairs = _best_of_each(search.run(hypotheses, (LOOSE,))) if hypotheses else []
+    """Return the finished fits with pairs added: the leading single effects, each with what the screen finds beside it.
+
+    What came in as a second effect may be the one that is missing, and the first a makeshift: such singles are weighed alone,
+    and where one of them leads, pairs with it are tried as well.
+    """
+    done = _paired(search, loose[:3])
+    alone = _alone(search, done, finished)
+    finished = sorted([*finished, *alone], key=lambda w: -w.evidence)
     search.progress("finishing pairs", 0.8)
-    done = search.run([(w.hypothesis, w.fit) for w in pairs[:2]], (TIGHT, STIFF)) if pairs else []
+    if alone and finished[0] is alone[0]:
+        if _good(alone[0]):
+            return finished
+        done += _paired(search, alone[:1])
     singles = {w.hypothesis.keys[0]: w.evidence for w in finished}
     bare = max([parameters.evidence, *singles.values()])
     proven = [
         w
-        for w in done
+        for w in _best_of_each(done)
         if w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF
         and (not finished or _repairs(w, finished[0]))
     ]
     return sorted([*finished, *proven], key=lambda w: -w.evidence)
+
+
+def _paired(search: _Search, firsts: Sequence[Weighed]) -> list[Weighed]:
+    """Return the two best pairs of one of these effects with what the screen finds beside it, fitted to the end."""
+    hypotheses: list[tuple[Hypothesis, Fit]] = []
+    for first in firsts:
+        own = {k: fitted_values(first, k) for k in first.hypothesis.keys}
+        hypotheses += [
+            (Hypothesis(own | {s.start.key: scaled(s.start, s.amplitude)}), first.fit)
+            for s in _likely(search.scores(first.fit), 5)
+            if s.start.key not in own
+        ]
+    pairs = _best_of_each(search.run(hypotheses, (LOOSE,))) if hypotheses else []
+    return search.run([(w.hypothesis, w.fit) for w in pairs[:2]], (TIGHT, STIFF)) if pairs else []
+
+
+def _alone(search: _Search, pairs: Sequence[Weighed], finished: Sequence[Weighed]) -> list[Weighed]:
+    """Return the effects of pairs that have not been weighed to the end by themselves, weighed alone, best first."""
+    known = {w.hypothesis.keys[0] for w in finished}
+    own: dict[str, tuple[Hypothesis, Fit]] = {}
+    for pair in pairs:
+        for key in pair.hypothesis.keys:
+            if key not in known:
+                own.setdefault(key, (Hypothesis({key: fitted_values(pair, key)}), pair.fit))
+    return search.run(list(own.values()), (TIGHT, STIFF)) if own else []
 
 
 def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording) -> list[Weighed]:
@@ -351,7 +389,7 @@ def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording
         for s in _likely(scores, 2)
         if s.gain > PROOF and s.start.key not in own
     ]
-    done = search.run(hypotheses, (STIFF,)) if hypotheses else []
+    done = _best_of_each(search.run(hypotheses, (STIFF,))) if hypotheses else []
     proven = [w for w in done if w.evidence > best.evidence + PROOF]
     if proven:
         errors = in_parallel(search.jobs, [(_error, w.fit.crane, judge, None) for w in (best, *proven)])
@@ -362,15 +400,15 @@ def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording
 
 def _good(w: Weighed) -> bool:
     """Whether a model leaves hardly more than noise, its parameters within their uncertainty."""
-    return w.level < LEVEL and float(w.bad.mean()) <= SHARE and _plausible(w)
+    return w.level < LEVEL and float(w.bad.mean()) <= SHARE and _plausible(w.fit)
 
 
-def _plausible(w: Weighed) -> bool:
+def _plausible(fit: Fit) -> bool:
     """Whether the moved parameters, taken together, are what their stated uncertainties allow."""
     from scipy.stats import chi2
 
-    known = sum(math.isfinite(v.prior) for v in w.fit.variables)
-    return known == 0 or 2.0 * w.fit.prior_cost < float(chi2.isf(IMPLAUSIBLE, known))
+    known = sum(math.isfinite(v.prior) for v in fit.variables)
+    return known == 0 or 2.0 * fit.prior_cost < float(chi2.isf(IMPLAUSIBLE, known))
 
 
 def _repairs(pair: Weighed, single: Weighed) -> bool:
@@ -402,7 +440,7 @@ def _conclude(
 
 def _explains(best: Weighed, parameters: Weighed) -> bool:
     """Whether an effect explains the recording: hardly more than noise left, or nearly all that was wrong repaired."""
-    if best.evidence < parameters.evidence + PROOF or not _plausible(best):
+    if best.evidence < parameters.evidence + PROOF or not _plausible(best.fit):
         return False
     if _good(best):
         return True
