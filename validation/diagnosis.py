@@ -563,7 +563,7 @@ def _with_errors(
 ) -> Diagnosis:
     """Add open-loop errors on both recordings: of the crane as given, of the candidates that came near, of the choice."""
     best = max((c.evidence for c in d.candidates), default=0.0)
-    near = [c for i, c in enumerate(d.candidates) if i < 2 or c.evidence > best - 3 * TIE or c.effects == d.effects]
+    near = [c for c in d.candidates if c.evidence > best - 3 * TIE or c.effects == d.effects]
     cranes = [(search.crane, as_given.fit), *((c.crane, c.fit or search.base) for c in near)]
     tasks: list[tuple[Any, ...]] = [(_error, crane, recording, fit) for crane, fit in cranes]
     tasks += [(_error, crane, check, None) for crane, _ in cranes] if check is not None else []
