@@ -40,6 +40,8 @@ from .search.screen import Score, screen
 WINDOW, JOINED, STEP = 2.0, 100.0, 5e-3
 #: errors are taken as independent at the latest after so many seconds
 APART = 0.25
+#: the same for errors of a run over the whole recording, which drift
+DRIFT = 1.0
 #: share of a recording that is learned from where there is no check recording
 LEARNED = 0.625
 #: log evidence (of independent samples) that an effect must bring, and within which another would do nearly as well
@@ -538,18 +540,20 @@ def _together(
     """Fit everything to the whole recording, leave out what is not needed, and say how well each effect is determined."""
     final = _whole_run(growth, whole)
     keys = list(growth.keys)
+    full = shares(final.crane, whole, final.knots[0], final.late)
+    floor = {s.channel: s.noise / max(float(np.ptp(s.values)), s.noise) for s in whole.samples}
     while True:
         progress("leaving out each effect once", 0.8)
         left = _left_out(growth, keys, final)
         needed = {k: log_evidence(final) - log_evidence(f) for k, f in left.items()}
-        idle = [k for k in keys if needed[k] < DEMANDED and not mends(left[k], final, whole)]
+        without = {k: shares(f.crane, whole, f.knots[0], f.late) for k, f in left.items()}
+        idle = [k for k in keys if needed[k] < DEMANDED and not mends(without[k], full, floor)]
         if not idle or len(keys) == 1:
             break
         weakest = min(idle, key=lambda k: needed[k])
         keys.remove(weakest)
         final = left[weakest]
     x0 = final.knots[0]
-    without = {k: shares(f.crane, whole, f.knots[0], f.late) for k, f in left.items()}
     before = started_run(growth.crane, whole, 0.0)
     return Grown(
         final.crane, tuple(s for s in steps if s.key in keys), shares(growth.crane, whole, before.knots[0], 0.0),
@@ -557,20 +561,19 @@ def _together(
     )  # fmt: skip
 
 
-def mends(without: Fit, final: Fit, whole: FitData) -> bool:
-    """Whether a channel's error is half as large again without an effect, and more than its sensor's noise."""
-    before, after = (shares(f.crane, whole, f.knots[0], f.late) for f in (without, final))
-    floor = {s.channel: s.noise / max(float(np.ptp(s.values)), s.noise) for s in whole.samples}
-    return any(before[c] > MENDED * max(after[c], floor[c]) for c in after)
+def mends(without: Errors, full: Errors, floor: Errors) -> bool:
+    """Whether a channel's error is half as large again without an effect as with everything, and more than its sensor's noise."""
+    return any(without[c] > MENDED * max(full[c], floor[c]) for c in full)
 
 
 def _whole_run(growth: _Growth, whole: FitData) -> Fit:
     """Return the open-loop fit to the whole recording; twice, the second time with the levels that the first leaves."""
     data = with_noise(whole, {s.channel: s.noise for s in growth.current.data.samples})
     before = _extended(growth, data)
+    levels = {c: math.inf for c in growth.noise}
     for _ in range(2):
         before = _open_loop(before.crane, growth.crane, growth.keys, data, before, 6)
-        levels, factor = levels_of(before, growth.noise, {c: math.inf for c in growth.noise}, WINDOW)
+        levels, factor = levels_of(before, growth.noise, levels, DRIFT)
         data = with_noise(whole, {c: factor * level for c, level in levels.items()})
     return _open_loop(before.crane, growth.crane, growth.keys, data, before, 6)
 
