@@ -205,6 +205,7 @@ def _answer(kind: str, effects: list[str], verdict: str) -> dict[str, Any]:
     return {
         "kind": kind, "verdict": verdict, "effects": effects,
         "parameters": {e: {"k": 2e-12} for e in effects}, "visibility": dict.fromkeys(effects, 7.0),
+        "noise": dict.fromkeys(("z1", "z4", "p1", "p4"), 0.3e5),
     }  # fmt: skip
 
 
@@ -280,6 +281,7 @@ def test_tables_count_what_the_lines_say() -> None:
     assert "| nothing hidden: false alarms | 1 of 1 (100 %) |" in text
     assert "| right ones: all parameters within 10 % | 1 of 1 (100 %) |" in text
     assert "| failed with an error | 1 |" in text
+    assert "| z1 z4 p1 p4 | 0.05° and 0.3 bar | 1 of 2 (50 %) | 0 of 1 (0 %) |" in text
     assert f"| internal_leakage | 1 of 2 (50 %) | 1 of 2 (50 %) | {OTHER} |" in text
 
 

@@ -180,7 +180,14 @@ def tables(lines: Sequence[Mapping[str, Any]]) -> str:
     """Return the tables of a study as Markdown."""
     lines = [line for line in lines if "undrawn" not in line]
     good = [line for line in lines if "judged" in line]
-    parts = [_summary(lines, good), _by_severity(good), _by_effect(good), _confusion(good), _errors(good)]
+    parts = [
+        _summary(lines, good),
+        _by_severity(good),
+        _by_sensors(good),
+        _by_effect(good),
+        _confusion(good),
+        _errors(good),
+    ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -237,6 +244,20 @@ def _by_severity(good: Sequence[Mapping[str, Any]]) -> str:
         ))  # fmt: skip
     head = ("visibility", "right", "first", "check error before", "after (right ones)", "parameter error, %")
     return _table(head, rows)
+
+
+def _by_sensors(good: Sequence[Mapping[str, Any]]) -> str:
+    """Rows are sets of sensors and their noise."""
+    rows = []
+    for sensors in (6, 4):
+        for pressure_noise, name in ((0.3e5, "0.05° and 0.3 bar"), (1.5e5, "1° and 1.5 bar")):
+            own = [g for g in good if len(noise := g["answer"]["noise"]) == sensors and noise["p1"] == pressure_noise]
+            hiding = [g for g in own if g["answer"]["effects"]]
+            rows.append((
+                "z1 z4 p1 p2 p3 p4" if sensors == 6 else "z1 z4 p1 p4", name, _share(g["judged"]["right"] for g in hiding),
+                _share(g["judged"]["right"] for g in own if not g["answer"]["effects"]),
+            ))  # fmt: skip
+    return _table(("sensors", "noise", "effects right", "right without an effect"), rows)
 
 
 def _by_effect(good: Sequence[Mapping[str, Any]]) -> str:
