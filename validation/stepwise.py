@@ -567,15 +567,16 @@ def mends(without: Errors, full: Errors, floor: Errors) -> bool:
 
 
 def _whole_run(growth: _Growth, whole: FitData) -> Fit:
-    """Return the open-loop fit to the whole recording; twice, the second time with the levels that the first leaves."""
+    """Return the open-loop fit to the whole recording, by way of long windows, then twice from where it stands with the levels it leaves."""
     data = with_noise(whole, {s.channel: s.noise for s in growth.current.data.samples})
-    before = _extended(growth, data)
+    found = _extended(growth, data)
+    found = _open_loop(found.crane, growth.crane, growth.keys, data, found, 6)
     levels = {c: math.inf for c in growth.noise}
     for _ in range(2):
-        before = _open_loop(before.crane, growth.crane, growth.keys, data, before, 6)
-        levels, factor = levels_of(before, growth.noise, levels, DRIFT)
+        levels, factor = levels_of(found, growth.noise, levels, DRIFT)
         data = with_noise(whole, {c: factor * level for c, level in levels.items()})
-    return _open_loop(before.crane, growth.crane, growth.keys, data, before, 6)
+        found = fitted(growth.crane, data, found.variables, found, Stage(LONG, 1.0, 15, STEP), values_of(found))
+    return found
 
 
 def _extended(growth: _Growth, data: FitData) -> Fit:
