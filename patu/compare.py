@@ -92,6 +92,8 @@ def filter_words(result: Comparison) -> str:
 
 def balance_table(result: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not zero."""
+    from math import isfinite
+
     from validation.balances import EQUATIONS
     from validation.findings import VIOLATED, people_unit, rounded
 
@@ -100,7 +102,7 @@ def balance_table(result: Comparison) -> tuple[tuple[str, ...], list[tuple[str, 
     rows = []
     for kind, mean, std in result.scores.by_kind():
         cells = [
-            rounded(m / factor, 1.96 * s / factor) + ("*" if abs(m) > VIOLATED * s else " ")
+            (rounded(m / factor, 1.96 * s / factor) + ("*" if abs(m) > VIOLATED * s else " ")) if isfinite(s) else "unknown "
             for m, s, (_, factor) in zip(mean, std, units, strict=True)
         ]
         rows.append((kind, *cells))

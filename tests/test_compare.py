@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from patu import main
 from validation import balances, phases
 from validation.balances import EQUATIONS, Balances, Steps
 from validation.compare import Comparison, compare
-from validation.findings import rounded, violation
+from validation.findings import rounded, scores_of, violation
 from validation.fitness import check_recording, usable
 from validation.phases import phases_of
 from validation.semi_recursive import SemiRecursiveEngine
@@ -63,6 +64,16 @@ def test_balances_that_have_not_settled_are_said(clean, monkeypatch):
     comparison = compare(CRANE, measured(driven(leaking, TIME[:600]), seed=12))
     assert comparison.balances.unsettled
     assert "still moving" in comparison.notes[-1]
+
+
+def test_a_chamber_at_the_pressure_floor_takes_any_flow(clean):
+    states = clean.balances.states.copy()
+    states[100:120, 5] = clean.balances.floor  # the lift's rod side boils for a tenth of a second
+    boiling = replace(clean.balances, states=states)
+    phase = next(i for i, p in enumerate(clean.phases) if p.first <= 100 < p.last)
+    scores = scores_of(clean.estimate, boiling, clean.phases)
+    assert np.isinf(scores.stds[phase, EQUATIONS.index("flow.p2")]) and np.isfinite(scores.stds[phase, 0])
+    assert all(np.isfinite(std[0]) for _, _, std in scores.by_kind())
 
 
 LEAK = 4e-12

@@ -24,6 +24,7 @@ from .fit.model import SENSOR_PLACE, Model, affine, model_of, output_rows, shown
 from .fit.start import knots_of
 from .semi_recursive import sensitivity
 from .semi_recursive.engine import DISTURBANCES
+from .semi_recursive.equations import FLOOR
 
 #: the unknown inputs, by the equation in which they stand
 EQUATIONS = ("torque.O", "torque.A", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
@@ -37,6 +38,8 @@ _SETTLED_STATE, _SETTLED_INPUT, _ROUNDS = 0.5, 0.03, 6
 _CHUNK = 60.0
 #: time between the knots of the first trajectory, s
 _KNOTS = 0.1
+#: Pa above the floor up to which a smoothed pressure counts as standing on it
+_AT_FLOOR = 0.5e5
 #: spread of the first state around its guess, and growth of what the model does not say a step, in units of JUMP
 _FIRST, _GROWTH = 30.0, 1e-4
 
@@ -51,6 +54,7 @@ class Balances:
         values, std: (K, 6) residual of each equation of `EQUATIONS` and its standard deviation, N m and m³/s.
         log_likelihood: of all samples under this model with unknown inputs.
         unsettled: stretches (from, to) in s in which the smoother still moved after its last round.
+        floor: pressure in Pa below which the model's oil does not go.
     """
 
     time: np.ndarray
@@ -61,6 +65,12 @@ class Balances:
     _covariance: np.ndarray = field(repr=False)
     _gains: np.ndarray = field(repr=False)
     unsettled: tuple[tuple[float, float], ...] = ()
+    floor: float = 0.0
+
+    @property
+    def at_floor(self) -> np.ndarray:
+        """Return (K, 4) whether a chamber stands at the pressure floor, where the model takes any flow out of it."""
+        return self.states[:, 4:8] <= self.floor + _AT_FLOOR
 
     def mean(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean residuals (6,) over instants first … last - 1, and their standard deviations (6,).
@@ -128,8 +138,9 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
     unsettled = () if settled else ((float(at[0]), float(at[-1])),)
     std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
     return Balances(
-        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains, unsettled
-    )
+        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains, unsettled,
+        float(model.P[FLOOR]),
+    )  # fmt: skip
 
 
 def _joined(parts: list[Balances]) -> Balances:
@@ -151,6 +162,7 @@ def _joined(parts: list[Balances]) -> Balances:
         column("_covariance"),
         column("_gains"),
         tuple(stretch for part in parts for stretch in part.unsettled),
+        parts[0].floor,
     )
 
 

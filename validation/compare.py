@@ -31,7 +31,7 @@ from .findings import Finding, Scores, people_unit, scores_of
 from .fit.data import FitData
 from .fit.model import model_of, output_rows, shown, spool_path
 from .fit.solve import Fit
-from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged, timing_of
+from .fit.staged import FINE, LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged, timing_of
 from .fitness import check_recording, usable
 from .metrics import pn_rmse, r2, rmse
 from .phases import Phase, phases_of
@@ -214,8 +214,8 @@ def compare(
     data = FitData.of(kept, crane)
     start = started(crane, data)
     done(0.3)
-    whole = FitData.of(kept, crane, rate=np.inf).shifted(start.late)
-    data = data.shifted(start.late)
+    whole = FitData.of(kept, crane, rate=np.inf, step=FINE).shifted(start.late)
+    data = data.with_step(FINE).shifted(start.late)
     measured, simulated = open_loop(crane, whole, start.knots[0], engine)
     done(0.4)
     estimate = filtered(crane, data, engine, lambda f: done(0.4 + 0.3 * f))

@@ -59,7 +59,7 @@ class Scores:
     Attributes:
         channels (F, k): RMS innovation over what the filter expects, NaN with fewer than five samples; errors (F, k): in SI.
         samples (F, k): number of samples.
-        means, stds (F, 6): mean residual of each balance and its standard deviation, SI.
+        means, stds (F, 6): mean residual of each balance and its standard deviation, SI; infinite where it cannot be known.
         turning (F, 2): mean rates of the joints O and A, rad/s.
     """
 
@@ -104,15 +104,19 @@ class Scores:
         return found
 
     def by_kind(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
-        """Return (kind of work, mean residuals (6,), standard deviations (6,)) over all phases of each kind, in KINDS' order."""
+        """Return (kind of work, mean residuals (6,), standard deviations (6,)) over all phases of each kind, in KINDS' order.
+
+        NaN where no phase of a kind tells anything about a balance.
+        """
         found = []
         for kind in KINDS:
             chosen = [i for i, phase in enumerate(self.phases) if phase.kind == kind]
             if chosen:
-                weight = np.array([[self.phases[i].end - self.phases[i].start] for i in chosen])
-                weight = weight / weight.sum()
-                std = np.sqrt(((weight * self.stds[chosen]) ** 2).sum(axis=0))
-                found.append((kind, (weight * self.means[chosen]).sum(axis=0), std))
+                known = np.isfinite(self.stds[chosen])
+                weight = known * np.array([[self.phases[i].end - self.phases[i].start] for i in chosen])
+                total = np.where(known.any(axis=0), weight.sum(axis=0), np.nan)
+                std = np.sqrt(((weight * np.where(known, self.stds[chosen], 0.0)) ** 2).sum(axis=0))
+                found.append((kind, (weight * self.means[chosen]).sum(axis=0) / total, std / total))
         return found
 
 
@@ -132,6 +136,8 @@ def scores_of(estimate: Estimate, balances: Balances, phases: Sequence[Phase]) -
     pairs = [balances.mean(p.first, p.last) for p in phases]
     turning = np.array([balances.states[p.first : p.last, 2:4].mean(axis=0) for p in phases])
     means, stds = np.array([m for m, _ in pairs]), np.array([s for _, s in pairs])
+    for i, p in enumerate(phases):  # at the pressure floor a balance says nothing about the flow into the chamber
+        stds[i, 2:][balances.at_floor[p.first : p.last].any(axis=0)] = math.inf
     return Scores(phases, estimate.channel_names, channels, errors, samples, means, stds, turning)
 
 
