@@ -127,6 +127,16 @@ def timing_of(data: FitData) -> Timing:
 
 
 def all_parameters(crane: Crane, data: FitData, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
-    """Return the fit of all uncertain nominal parameters in windows."""
+    """Return the fit of all uncertain nominal parameters in windows: first what is unknown, then what is uncertain as well.
+
+    A payload of which only a range is known may be far from the file's value; fitted at once with everything else, many other parameters
+    would move a little to do its work, from where the fit comes back slowly.
+    """
     variables: list[Variable] = [*uncertain_parameters(crane), timing_of(data)]
-    return staged(crane, data, variables, np.zeros(len(variables)), first_knots(crane, data), stages)
+    unknown = [v for v in variables if isinstance(v, Timing) or not math.isfinite(v.prior)]
+    knots = first_knots(crane, data)
+    if len(unknown) in (1, len(variables)):
+        return staged(crane, data, variables, np.zeros(len(variables)), knots, stages)
+    first = staged(crane, data, unknown, np.zeros(len(unknown)), knots, stages)
+    known = {v.name: float(x) for v, x in zip(unknown, first.u, strict=True)}
+    return staged(crane, data, variables, np.array([known.get(v.name, 0.0) for v in variables]), first, stages)
