@@ -102,7 +102,9 @@ def balance_table(result: Comparison) -> tuple[tuple[str, ...], list[tuple[str, 
     rows = []
     for kind, mean, std in result.scores.by_kind():
         cells = [
-            (rounded(m / factor, 1.96 * s / factor) + ("*" if abs(m) > VIOLATED * s else " ")) if isfinite(s) else "unknown "
+            (rounded(m / factor, 1.96 * s / factor) + ("*" if abs(m) > VIOLATED * s else " "))
+            if isfinite(s)
+            else "unknown "
             for m, s, (_, factor) in zip(mean, std, units, strict=True)
         ]
         rows.append((kind, *cells))
