@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -92,8 +93,6 @@ def filter_words(result: Comparison) -> str:
 
 def balance_table(result: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not zero."""
-    from math import isfinite
-
     from validation.balances import EQUATIONS
     from validation.findings import VIOLATED, people_unit, rounded
 

@@ -12,7 +12,7 @@ predicts the next. Balances: the smoother is given an unknown flow into each cha
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,6 +21,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from ukf.consistency import guessed_noise
 from ukf.estimate import Estimate
 from ukf.estimator import Estimator
 from ukf.noise import ProcessNoise
@@ -293,16 +294,9 @@ def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[fl
 
 
 def nis_bounds(estimate: Estimate, recording: Recording, crane: Crane) -> tuple[float, float]:
-    """Return the 99 % interval of the mean NIS of a right model; noise that was estimated from the data widens it.
-
-    An estimated standard deviation is known to 1.3/√n (n samples, `signals.noise_std`), and the NIS is the sum of squares of
-    what is divided by it.
-    """
-    low, high = estimate.nis_bounds
-    guessed = [len(recording[c]) for c in estimate.channel_names if c not in crane.sensors]
-    spread = 2.0 * 1.3 * np.sqrt(sum(1.0 / n for n in guessed))
-    middle, half = 0.5 * (low + high), np.hypot(0.5 * (high - low), 2.576 * spread)
-    return float(middle - half), float(middle + half)
+    """Return the 99 % interval of the mean NIS of a right model; noise that was estimated from the data widens it."""
+    slack = guessed_noise(len(recording[c]) for c in estimate.channel_names if c not in crane.sensors)
+    return replace(estimate, noise_slack=slack).nis_bounds
 
 
 def _phases(crane: Crane, data: FitData, balances: Balances) -> list[Phase]:

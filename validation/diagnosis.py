@@ -352,16 +352,19 @@ def _with_pairs(
 
 def _paired(search: _Search, firsts: Sequence[Weighed]) -> list[Weighed]:
     """Return the two best pairs of one of these effects with what the screen finds beside it, fitted to the end."""
-    hypotheses: list[tuple[Hypothesis, Fit]] = []
-    for first in firsts:
-        own = {k: fitted_values(first, k) for k in first.hypothesis.keys}
-        hypotheses += [
-            (Hypothesis(own | {s.start.key: scaled(s.start, s.amplitude)}), first.fit)
-            for s in _likely(search.scores(first.fit), 5)
-            if s.start.key not in own
-        ]
+    hypotheses = [h for first in firsts for h in _beside(first, _likely(search.scores(first.fit), 5))]
     pairs = _best_of_each(search.run(hypotheses, (LOOSE,))) if hypotheses else []
     return search.run([(w.hypothesis, w.fit) for w in pairs[:2]], (TIGHT, STIFF)) if pairs else []
+
+
+def _beside(first: Weighed, scores: Sequence[Score]) -> list[tuple[Hypothesis, Fit]]:
+    """Return pairs to be fitted: the effects of a fit with each other effect that a screen beside it found."""
+    own = {k: fitted_values(first, k) for k in first.hypothesis.keys}
+    return [
+        (Hypothesis(own | {s.start.key: scaled(s.start, s.amplitude)}), first.fit)
+        for s in scores
+        if s.start.key not in own
+    ]
 
 
 def _alone(search: _Search, pairs: Sequence[Weighed], finished: Sequence[Weighed]) -> list[Weighed]:
@@ -383,12 +386,7 @@ def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording
     """
     best = finished[0]
     scores = screen(best.fit, starts(best.fit.crane, search.data), STIFF.stiffness)
-    own = {k: fitted_values(best, k) for k in best.hypothesis.keys}
-    hypotheses = [
-        (Hypothesis(own | {s.start.key: scaled(s.start, s.amplitude)}), best.fit)
-        for s in _likely(scores, 2)
-        if s.gain > PROOF and s.start.key not in own
-    ]
+    hypotheses = _beside(best, [s for s in _likely(scores, 2) if s.gain > PROOF])
     done = _best_of_each(search.run(hypotheses, (STIFF,))) if hypotheses else []
     proven = [w for w in done if w.evidence > best.evidence + PROOF]
     if proven:
