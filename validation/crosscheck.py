@@ -141,13 +141,18 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Run:
-    """A trajectory of both engines: states (n, nx) at time (n,) with one inner step."""
+    """A trajectory of both engines: states (n, nx) at time (n,) with one inner step.
+
+    `boils` is the index of the first sample with a chamber at vapour pressure, n where there is none. There the rate of a
+    pressure jumps; no rule keeps its order over such a moment.
+    """
 
     name: str
     step: float
     time: np.ndarray
     first: np.ndarray
     second: np.ndarray
+    boils: int
 
 
 @dataclass
@@ -289,24 +294,22 @@ def compare_runs(
     x0 = second.static_start(crane.initial.z1, crane.initial.z4, crane.initial.less_loaded_pressure)
 
     def run(t: np.ndarray, inputs: np.ndarray, h: float) -> Run:
-        return Run(name, h, t, first.simulate(x0, t, inputs, step=h), second.simulate(x0, t, inputs, step=h))
+        states = first.simulate(x0, t, inputs, step=h), second.simulate(x0, t, inputs, step=h)
+        boiling = np.flatnonzero((states[1][:, 4:8] <= crane["fluid.vapour_pressure"]).any(axis=1))
+        return Run(name, h, t, *states, int(boiling[0]) if boiling.size else len(t))
 
     coarse = round(ORDER_STEPS[0] / (time[1] - time[0]))
     runs = [run(time[::coarse], w[::coarse], h) for h in ORDER_STEPS]
     progress(0.15)
     fine = run(time, w, step)
     progress(1.0)
-    orders = _orders(runs, crane["fluid.vapour_pressure"])
+    orders = _orders(runs)
     return [*orders, *_final_differences(fine, second.state_names)], [*runs, fine]
 
 
-def _orders(runs: Sequence[Run], vapour: float) -> list[Quantity]:
-    """Return how far the order in the step is from 2, for angles and pressures, until a chamber first boils.
-
-    At vapour pressure the rate of a pressure jumps; no rule keeps its order over such a moment.
-    """
-    boiling = np.flatnonzero((runs[0].second[:, 4:8] <= vapour).any(axis=1))
-    end = int(boiling[0]) if boiling.size else len(runs[0].time)
+def _orders(runs: Sequence[Run]) -> list[Quantity]:
+    """Return how far the order in the step is from 2, for angles and pressures, until a chamber first boils."""
+    end = runs[0].boils
     until = f"until t = {runs[0].time[end - 1]:.2f} s"
     out = []
     for text, columns in (("angles", slice(0, 2)), ("pressures", slice(4, 8))):
@@ -471,6 +474,10 @@ def figure_of(runs: Sequence[Run]) -> Figure:
             t, y = plots.thin(run.time, np.abs(run.first - run.second)[:, i] * what.factor)
             below.semilogy(t, np.maximum(y, 1e-16), label=f"difference, {1e3 * run.step:g} ms", **plots.look("", k))
         plots.name_axes(below, what._replace(words=f"{what.words}: difference", symbol=f"|Δ{what.symbol}|"))
+    if last.boils < len(last.time):
+        for axes in made.axes:
+            label = "vapour reached" if axes is made.axes[1] else ""
+            axes.axvline(last.time[last.boils], color="0.6", linewidth=1.0, label=label)
     made.axes[-1].set_xlabel("time / s")
     made.align_ylabels()
     plots.legend_above(made)
