@@ -20,7 +20,7 @@ from crane_exudyn.recording import Recording
 from .fit.data import FitData
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
-from .fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions, timing_of
+from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, all_parameters, informed_directions, timing_of
 from .fit.variables import Variable, effect_variables
 from .search.candidates import scaled, starts
 from .search.lean import leaner
@@ -39,6 +39,8 @@ PROOF, TIE = 12.0, 6.0
 FITTED, FINISHED = 7, 3
 #: probability of parameters' moves below which they are no longer taken as within their uncertainty
 IMPLAUSIBLE = 1e-9
+#: how many of the finished fits are done anew if their parameters are not to be believed
+ANEW = 2
 #: share of the first effect's excess error that a second one may leave
 LEFT_BY_SECOND = 0.5
 #: a third fit is carried to the end if it lacks no more than this share of what the best gained in loosely joined windows
@@ -253,7 +255,7 @@ def diagnose(
     progress("screening all effects", 0.2)
     loose = _singles(search, PROOF if _good(parameters) else 1.0)
     progress("fitting the likely effects", 0.5)
-    finished = _finish(search, loose)
+    finished = _again(search, _finish(search, loose), parameters)
     if not (_good(parameters) or (finished and _good(finished[0]))):
         progress("trying pairs", 0.7)
         finished = _with_pairs(search, loose, finished, parameters)
@@ -321,6 +323,27 @@ def _finish(search: _Search, loose: Sequence[Weighed], most: int = FINISHED) -> 
     near = max(100.0, NEAR * (best - log_evidence(search.base)))
     leading = [w for i, w in enumerate(loose[:most]) if i < 2 or w.evidence > best - near]
     return search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))
+
+
+def _again(search: _Search, finished: Sequence[Weighed], parameters: Weighed) -> list[Weighed]:
+    """Return the finished fits, the leading ones fitted anew where parameters have moved further than they may to do an effect's work.
+
+    From the crane as given with the effect as it was found, and as one long run: what is slow does not show in short windows.
+    """
+    strained = [w for w in finished[:ANEW] if not _plausible(w.fit) and w.evidence > parameters.evidence + PROOF]
+    tasks = [(_anew, search.crane, search.data, search.shared, w.hypothesis.keys, w) for w in strained]
+    anew = [w for w in in_parallel(search.jobs, tasks) if math.isfinite(w.evidence)] if tasks else []
+    return _best_of_each([*finished, *anew])
+
+
+def _anew(crane: Crane, data: FitData, shared: Sequence[Variable], keys: Sequence[str], found: Weighed) -> Weighed:
+    values = {key: fitted_values(found, key) for key in keys}
+    for key in keys:
+        crane = crane.with_effect(key, values[key])
+    near = all_parameters(replace(crane, uncertainty={}), data)
+    for key in keys:
+        crane = crane.without_effect(key)
+    return weigh(crane, data, shared, near, Hypothesis(values), (WHOLE, STIFF))
 
 
 def _with_pairs(

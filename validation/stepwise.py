@@ -35,6 +35,7 @@ from .fit.staged import LONG, SHORT, Stage, all_parameters, first_knots, informe
 from .fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
 from .search.candidates import scaled, starts
 from .search.screen import Score, screen
+from .search.weigh import UNDETERMINED
 
 #: windows in s, how many times smaller than usual their jumps are, and the longest simulation step
 WINDOW, JOINED, STEP = 2.0, 100.0, 5e-3
@@ -254,24 +255,65 @@ def values_of(found: Fit) -> dict[str, float]:
     return {v.name: float(x) for v, x in zip(found.variables, found.u, strict=True)}
 
 
+def carried(
+    crane: Crane,
+    data: FitData,
+    shared: Sequence[Variable],
+    effects: Sequence[EffectParameter],
+    before: Fit,
+    stages: Sequence[Stage],
+    values: Mapping[str, float],
+    kept: Sequence[str],
+) -> Fit:
+    """Return a fit through stages; of the effects those in `kept` that would fall asleep are held as they were before.
+
+    Where everything moves at once, parameters may slide into a valley in which an effect that was found before does nothing. Another
+    effect is to come in addition to it.
+    """
+    found = before
+    for stage in stages:
+        found = fitted(crane, data, [*shared, *effects], found, stage, values)
+        values = values_of(found)
+    asleep = [k for k in kept if any(v.key == k for v in effects) and neutral(found, k)]
+    if not asleep:
+        return found
+    for key in asleep:
+        crane = crane.with_effect(key, _parameters(before.crane, key))
+    awake = [v for v in effects if v.key not in asleep]
+    return carried(crane, data, shared, awake, before, stages, values_of(before), kept)
+
+
+def neutral(found: Fit, key: str) -> bool:
+    """Whether an effect that a fit moves has gone where it does nothing."""
+    return all(
+        abs(u - v.neutral) < 1e-3
+        for v, u in zip(found.variables, found.u, strict=True)
+        if isinstance(v, EffectParameter) and v.key == key and not v.parameter.shape
+    )
+
+
 def _tried(
     crane: Crane,
     data: FitData,
     shared: Sequence[Variable],
-    old: Sequence[Variable],
-    new: Sequence[Variable],
+    keys: Sequence[str],
+    new: Sequence[EffectParameter],
     before: Fit,
 ) -> Fit:
     """Return the fit with a new effect: first everything else finds its place beside it, then it is free as well.
 
     Where an effect starts with its full size, a step in all variables at once is far from linear and stalls.
     """
-    start = {v.name: v.start for v in new if isinstance(v, EffectParameter)}
-    key = new[0].key if isinstance(new[0], EffectParameter) else ""
-    values = {n.split(":", 1)[1]: x for n, x in start.items()}
-    beside = crane.with_effect(key, values)
-    first = fitted(beside, data, [*shared, *old], before, Stage(WINDOW, JOINED, 3, STEP), values_of(before))
-    return fitted(crane, data, [*shared, *old, *new], first, Stage(WINDOW, JOINED, 6, STEP), values_of(first))
+    old = acting(before.crane, keys)
+    beside = crane.with_effect(new[0].key, {v.parameter.name: v.start for v in new})
+    near = [Stage(WINDOW, JOINED, 3, STEP)]
+    first = carried(beside, data, shared, old, before, near, values_of(before), keys)
+    return carried(crane, data, shared, [*old, *new], first, [Stage(WINDOW, JOINED, 6, STEP)], values_of(first), keys)
+
+
+def acting(crane: Crane, keys: Sequence[str]) -> list[EffectParameter]:
+    """Return the variables of effects that a crane has, as they are."""
+    return [v for k in keys for v in plausible(k, _parameters(crane, k))]
 
 
 def begun(crane: Crane, data: FitData, jobs: int = 1) -> _Growth:
@@ -301,8 +343,19 @@ def relevelled(growth: _Growth) -> _Growth:
     now = growth.current
     levels, factor = levels_of(now, growth.noise, growth.levels)
     data = with_noise(growth.data, {c: factor * level for c, level in levels.items()})
-    run = fitted(growth.crane, data, now.variables, now, Stage(LONG, 1.0, 6, STEP), values_of(now))
-    again = fitted(growth.crane, data, now.variables, now, Stage(WINDOW, JOINED, 6, STEP), values_of(run))
+    keys, effects = growth.keys, acting(now.crane, growth.keys)
+    run = carried(growth.crane, data, growth.shared, effects, now, [Stage(LONG, 1.0, 6, STEP)], values_of(now), keys)
+    near = [Stage(WINDOW, JOINED, 6, STEP)]
+    again = carried(
+        growth.crane,
+        data,
+        growth.shared,
+        acting(run.crane, keys),
+        replace(run, knots=now.knots, windows=now.windows),
+        near,
+        values_of(run),
+        keys,
+    )
     return replace(growth, current=again, levels=levels)
 
 
@@ -358,8 +411,7 @@ def candidates(growth: _Growth) -> list[tuple[str, float, Fit]]:
     """Return effects fitted beside those taken in: key, gain in log evidence, fit; best first."""
     now, data = growth.current, growth.current.data
     begins = {s.start.key: scaled(s.start, s.amplitude) for s in promising(growth)} | dict(growth.tried)
-    old = [v for v in now.variables if isinstance(v, EffectParameter) and v.key in growth.keys]
-    tasks = [(_tried, growth.crane, data, growth.shared, old, plausible(k, v), now) for k, v in begins.items()]
+    tasks = [(_tried, growth.crane, data, growth.shared, growth.keys, plausible(k, v), now) for k, v in begins.items()]
     bare = log_evidence(now)
     fits = in_parallel(growth.jobs, tasks)
     gains = [(k, log_evidence(f) - bare, f) for k, f in zip(begins, fits, strict=True) if not at_end(f, k)]
@@ -515,11 +567,11 @@ def _everything(
 ) -> tuple[list[Variable], dict[str, float]]:
     """Return timing, all uncertain parameters and all effects as variables, and their values in a crane."""
     nominal = uncertain_parameters(given)
-    acting = [v for k in keys for v in plausible(k, _parameters(crane, k))]
+    found = acting(crane, keys)
     own = [(v, _parameters(crane, e.key)[v.parameter.name]) for e in given.effects for v in stated(e.key, e.parameters)]
     values = {v.name: (crane[v.name] - given[v.name]) / v.weights[v.name] for v in nominal}
-    values |= {v.name: v.to_u(v.start) for v in acting} | {v.name: v.to_u(x) for v, x in own}
-    return [timing_of(data), *nominal, *(v for v, _ in own), *acting], values
+    values |= {v.name: v.to_u(v.start) for v in found} | {v.name: v.to_u(x) for v, x in own}
+    return [timing_of(data), *nominal, *(v for v, _ in own), *found], values
 
 
 def _open_loop(crane: Crane, given: Crane, keys: Sequence[str], data: FitData, before: Fit, iterations: int) -> Fit:
@@ -622,7 +674,7 @@ def _deviations(final: Fit) -> dict[str, float]:
         elif isinstance(v, EffectParameter):
             u = float(final.u[i])
             inverse = v.parameter.typical / u**2 * spread if u > 2.0 * spread else math.inf
-            found[v.name] = inverse if v.inverse else spread * v.scale
+            found[v.name] = inverse if v.inverse else spread * v.scale if spread < UNDETERMINED else math.inf
     return found
 
 

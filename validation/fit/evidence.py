@@ -34,4 +34,4 @@ def log_evidence(fit: Fit) -> float:
     """Return the log marginal likelihood of a fit up to a constant of the recording (Laplace's approximation)."""
     if fit.linear.failed:
         return -math.inf
-    return -0.5 * fit.linear.cost - fit.prior_cost + occam(fit)
+    return -0.5 * (fit.linear.cost + fit.linear.volume) - fit.prior_cost + occam(fit)

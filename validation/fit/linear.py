@@ -7,6 +7,7 @@ window is an open-loop run.
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +27,8 @@ from .variables import Variable, lateness, with_variables
 #: size of a jump between two windows that is taken as one standard deviation: angles, rates, pressures, pendulum
 JUMP = np.array([3e-3, 3e-3, 2e-2, 2e-2, 1e5, 1e5, 1e5, 1e5, 3e-2, 3e-2])
 THREADS = 2
+#: what a sensor that lags shows at the start of a window is known to its lag times these rates: angles in rad/s, pressures in Pa/s
+ANGLE_RATE, PRESSURE_RATE = 0.3, 5e7
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ class Linear:
 
     Hxx (K, nx, nx), Hxo (K-1, nx, nx) between knot k and k+1, Hxu (K, nx, m), Huu (m, m); gx, gu are the gradients.
     squares, counts: sum of squared residuals in noise units and number of samples, by channel. window_error (K,): RMS residual of
-    each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`.
+    each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`. volume: what lagging sensors' unknown first
+    values add to minus twice the log evidence, see `forgotten`.
     """
 
     Hxx: np.ndarray
@@ -56,6 +60,7 @@ class Linear:
     window_error: np.ndarray
     window_cost: np.ndarray
     jump_cost: np.ndarray
+    volume: float = 0.0
     failed: bool = False
 
     @property
@@ -164,6 +169,7 @@ class Swept:
     Jr: np.ndarray
     end: np.ndarray
     end_jacobian: np.ndarray
+    volume: float
     failed: bool
 
 
@@ -184,17 +190,41 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     Y, C = output_rows(channels, X, base.P)
     G = np.einsum("ijk,ikl->ijl", C, full)
     _add_pins(G, channels, X, Y, base, columns)
-    residuals, jacobians = [], []
+    residuals, jacobians, volume = [], [], 0.0
     for j, sample in enumerate(data.samples):
         z, dz = _shown(channels[j], Y[:, j], G[:, j], base.E, columns, data.step, nx)
-        residuals.append((sample.values - _at(z, sample)) / sample.noise)
-        jacobians.append(_at(dz, sample) / sample.noise)
+        both = np.column_stack([sample.values - _at(z, sample), _at(dz, sample)]) / sample.noise
+        if window.start > 0:
+            both, own = forgotten(both, sample, data.step, base.E)
+            volume += own
+        residuals.append(both[:, 0])
+        jacobians.append(both[:, 1:])
     r, J = np.concatenate(residuals), np.concatenate(jacobians)
     J[:, :nx] *= JUMP[:nx]
     return Swept(
         [float(part @ part) for part in residuals], [len(part) for part in residuals], J.T @ J, J.T @ r,
-        X[-1], full[-1], status != 0 or not np.isfinite(X[-1]).all(),
+        X[-1], full[-1], volume, status != 0 or not np.isfinite(X[-1]).all(),
     )  # fmt: skip
+
+
+def forgotten(columns: np.ndarray, sample: Samples, step: float, E: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return columns (n, m) of a sensor, in noise units, without what its unknown first value in a window may have done, and the cost of that.
+
+    A sensor that lags remembers what was before the window. Its first value is one more unknown, of which only a size is known, and dies
+    out as exp(-t / tau); it is integrated out. The cost is minus twice the log of the share that is left of its prior volume.
+    """
+    from crane_exudyn.effects import hooks
+
+    place = SENSOR_PLACE.get(sample.channel)
+    tau = hooks.lag(E, place) if place is not None else 0.0
+    if tau <= 0.0:
+        return columns, 0.0
+    rate = PRESSURE_RATE if sample.channel.startswith("p") else ANGLE_RATE
+    shape = np.exp(-step * (sample.index + sample.fraction) / tau) * (tau * rate / sample.noise)
+    size = 1.0 + float(shape @ shape)
+    # the root of the inverse of 1 + shape shape' takes this share of the shape out
+    share = (1.0 - 1.0 / math.sqrt(size)) / max(size - 1.0, 1e-300)
+    return columns - np.outer(shape, share * (shape @ columns)), math.log(size)
 
 
 def _add_pins(
@@ -258,6 +288,7 @@ def normal_equations(
         linear.failed |= part.failed
         if linear.failed:
             return linear
+        linear.volume += part.volume
         _add_data(linear, k, part, channels, scale)
         if k + 1 < K:
             _add_jump(linear, k, part, knots[k + 1], scale, stiffness)

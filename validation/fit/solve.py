@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from crane_exudyn.crane import Crane
 
+from ..semi_recursive import kernel
 from .data import FitData
 from .linear import JUMP, Columns, Linear, Window, columns_of, model_at, normal_equations
 from .model import Model
@@ -161,7 +162,9 @@ def fit(
         if point.linear.failed:
             break
         guess = _widened(guess, point.knots)
-        reduced = reduce(point.linear, guess, point.knots)
+        reduced = _reduced(point, guess)
+        if reduced is None:
+            break
         H, g = with_prior(reduced, variables, point.u)
         moved = _step(crane, data, windows, variables, point, reduced, H, g, (lower, upper), stiffness, guess)
         if moved is None:
@@ -188,6 +191,15 @@ def _evaluate(
     columns: Columns = columns_of(crane, variables, u, base, data)
     linear = normal_equations(windows, fitting_knots(knots, base), base, columns, stiffness)
     return _Point(u, fitting_knots(knots, base), linear)
+
+
+def _reduced(point: _Point, guess: np.ndarray) -> Reduced | None:
+    """Return the variables' normal equations; a model that runs away (a negative payload, say) has none: beyond all digits."""
+    try:
+        return reduce(point.linear, guess, point.knots)
+    except LinAlgError:
+        point.linear.failed = True
+        return None
 
 
 def fitting_knots(knots: np.ndarray, base: Model) -> np.ndarray:
@@ -248,10 +260,10 @@ def _finish(
 ) -> Fit:
     linear, m = point.linear, len(point.u)
     cov = np.full((m, m), math.nan)
-    if m and not linear.failed:
-        reduced = reduce(linear, _widened(guess, point.knots), point.knots)
+    reduced = None if linear.failed else _reduced(point, _widened(guess, point.knots))
+    if m and reduced is not None:
         H, _ = with_prior(reduced, variables, point.u)
-        cov = np.linalg.pinv(H + 1e-12 * np.eye(m), hermitian=True)
+        cov = covariance(H)
     errors = {c: math.sqrt(linear.squares[c] / max(1, linear.counts[c])) for c in linear.squares}
     prior = 0.5 * sum((x / v.prior) ** 2 for x, v in zip(point.u, variables, strict=True) if math.isfinite(v.prior))
     return Fit(
@@ -260,7 +272,36 @@ def _finish(
     )  # fmt: skip
 
 
+def covariance(H: np.ndarray) -> np.ndarray:
+    """Return the inverse of a Hessian (m, m); what the data do not determine gets a huge variance, where a pseudo-inverse gives none."""
+    size = np.sqrt(np.maximum(np.diag(H), 1e-12))
+    values, vectors = np.linalg.eigh(H / np.outer(size, size))
+    return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(size, size)
+
+
 def reknot(fit: Fit, windows: Sequence[Window]) -> np.ndarray:
-    """Return first states of other windows that begin where windows of the fit begin."""
-    starts = np.array([w.data.time[0] for w in fit.windows])
-    return np.array([fit.knots[int(np.argmin(np.abs(starts - w.data.time[0])))] for w in windows])
+    """Return first states (K, nx) of other windows: those of the fit's own, and where they begin within one of these its run's."""
+    begins = np.array([w.data.time[0] for w in fit.windows])
+    wanted = np.array([w.data.time[0] for w in windows])
+    knots = fit.knots[[int(np.argmin(np.abs(begins - t))) for t in wanted]]
+    within = np.searchsorted(begins, wanted + 0.5 * fit.data.step, side="right") - 1
+    away = np.abs(begins[:, None] - wanted).min(axis=0) > 0.5 * fit.data.step
+    model = model_at(fit.origin, fit.variables, fit.u, fit.data) if away.any() else None
+    for k in sorted(set(within[away])):
+        if k >= 0 and model is not None:
+            rows = away & (within == k)
+            states = _states(fit.windows[k], fit.knots[k], model, wanted[rows])
+            knots[rows] = np.where(np.isnan(states), knots[rows], states)
+    return knots
+
+
+def _states(window: Window, x0: np.ndarray, model: Model, times: np.ndarray) -> np.ndarray:
+    """Return states (n, nx) at times in a window that begins with x0; NaN where the run does not reach."""
+    data = window.data
+    W = model.W[window.start : window.start + len(data.time)]
+    X, _, _ = kernel.simulate(x0, W, data.step, float(data.time[0]), model.P, model.E)
+    index = np.round((times - data.time[0]) / data.step).astype(int)
+    inside = index < len(X)
+    found = np.full((len(times), len(x0)), math.nan)
+    found[inside] = X[index[inside]]
+    return found

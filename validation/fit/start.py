@@ -35,7 +35,7 @@ def _state(
     if "z4" not in samples and "z4_abs" in samples:
         absolute, rate = _line(data, samples["z4_abs"], t)
         z4, dz4 = absolute - z1, rate - dz1
-    rest = engine.static_start(z1, z4)[:8]
+    rest = engine.at_rest(z1, z4)[:8]
     pressures = [_mean(data, samples.get(f"p{i}"), t) for i in (1, 2, 3, 4)]
     for c in range(2):
         _complete(crane, ("lift", "tilt")[c], pressures, rest, c)

@@ -18,6 +18,8 @@ from crane_exudyn.effects.base import Parameter
 
 #: scale of a parameter of which only a range is known: this share of the range
 _RANGE_SHARE = 0.15
+#: by how many seconds a moment is shifted to see what that does: something that happens within a simulation step has no derivative
+_MOMENT = 0.01
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,15 @@ def sensor_scale(key: str) -> float:
 def effect_variables(key: str, start: Mapping[str, float]) -> list[EffectParameter]:
     """Return the variables of the effect "name@place" with starting values (SI); others start neutral."""
     effect, _ = registry.split_key(key)
-    return [EffectParameter(key, p, float(start.get(p.name, p.neutral))) for p in effect.parameters]
+    return [
+        EffectParameter(key, p, float(start.get(p.name, p.neutral)), _MOMENT / abs(p.typical) if is_moment(p) else 1e-4)
+        for p in effect.parameters
+    ]
+
+
+def is_moment(parameter: Parameter) -> bool:
+    """Whether a parameter is the time of an event, counted from the start of the recording."""
+    return parameter.shape and parameter.unit == "s"
 
 
 def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray) -> Crane:

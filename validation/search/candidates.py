@@ -13,7 +13,7 @@ from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import SENSORS, Effect
 
 from ..fit.data import FitData
-from ..fit.variables import sensor_scale
+from ..fit.variables import is_moment, sensor_scale
 
 #: seconds between the moments at which an effect with a time of its own is tried
 _MOMENTS = 0.5
@@ -56,7 +56,7 @@ def _values(effect: type[Effect], key: str, data: FitData, moments: float) -> li
         return [dict(p) for p in effect.probes]
     first = effect.parameters[0]
     size = sensor_scale(key) * 0.5 if first.unit == "channel" else first.typical
-    timed = next((p.name for p in effect.parameters if p.shape and p.unit == "s"), None)
+    timed = next((p.name for p in effect.parameters if is_moment(p)), None)
     if timed is None:
         return [{first.name: size}]
     begin, end = float(data.time[0]), float(data.time[-1])

@@ -20,6 +20,8 @@ from ..fit.variables import EffectParameter, NominalDirection, Variable, effect_
 
 #: a window counts as explained up to this error, in noise units
 EXPLAINED = 1.3
+#: a standard deviation of that many typical sizes means that the data say nothing
+UNDETERMINED = 1e3
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ def deviations(weighed: Weighed, key: str) -> dict[str, float]:
             if v.inverse:
                 found[v.parameter.name] = v.parameter.typical / u**2 * spread if u > 2 * spread else math.inf
             else:
-                found[v.parameter.name] = v.scale * spread if spread < 1e3 else math.inf
+                found[v.parameter.name] = v.scale * spread if spread < UNDETERMINED else math.inf
     return found
 
 

@@ -78,6 +78,12 @@ class SemiRecursiveEngine:
         Raises:
             CraneError: the loop cannot be closed at z1, z4 (rad), or a cylinder would be beyond its stroke.
         """
+        x = self.at_rest(z1, z4, less_loaded)
+        self._refuse_stroke_end(x[None], np.zeros(1))
+        return x
+
+    def at_rest(self, z1: float, z4: float, less_loaded: float | Sequence[float] = 20e5) -> np.ndarray:
+        """Return the same state wherever the loop can be closed: a measured pose may lie a little beyond the file's stroke."""
         x = np.zeros(len(self.state_names))
         x[:2] = z1, z4
         angle = _held(
@@ -87,7 +93,6 @@ class SemiRecursiveEngine:
             x[8] = angle
         if not np.all(np.isfinite(x)):
             raise CraneError(f"{self._unreachable(x)} There is no static start.")
-        self._refuse_stroke_end(x[None], np.zeros(1))
         return x
 
     def propagate(
