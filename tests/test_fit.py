@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, Recording
-from validation.fit.data import FitData
-from validation.fit.linear import columns_of, cut, model_at, normal_equations, robust
+from validation.fit.data import FitData, Samples
+from validation.fit.linear import PRESSURE_RATE, columns_of, cut, forgotten, model_at, normal_equations, robust
 from validation.fit.model import lagged, shown
-from validation.fit.solve import bounded_step, fit, prior_start, reduce
+from validation.fit.solve import bounded_step, covariance, fit, prior_start, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters
+from validation.search.weigh import UNDETERMINED
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 NOISE = {"z1": math.radians(0.05), "z4": math.radians(0.05), "p1": 3e4, "p2": 3e4, "p3": 3e4, "p4": 3e4}
@@ -149,3 +150,52 @@ def test_a_fit_says_whether_it_converged(nominal):
     crane, data = nominal
     windows = cut(data, 1.0)
     assert fit(crane, data, windows, first_knots(crane, data, 1.0), iterations=8).converged
+
+
+def test_a_lagging_sensors_unknown_first_value_is_integrated_out():
+    crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.05})
+    index = np.arange(0, 120, 4)
+    sample = Samples("p1", index, np.full(len(index), 0.5), np.zeros(len(index)), 3e4)
+    rng = np.random.default_rng(5)
+    r = rng.standard_normal((len(index), 2))
+    found, cost = forgotten(r, sample, 2.5e-3, crane.effect_vector())
+    shape = np.exp(-2.5e-3 * (index + 0.5) / 0.05) * 0.05 * PRESSURE_RATE / 3e4
+    C = np.eye(len(index)) + np.outer(shape, shape)
+    assert found.T @ found == pytest.approx(r.T @ np.linalg.solve(C, r), rel=1e-9)
+    assert cost == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-9)
+    same, nothing = forgotten(r, sample, 2.5e-3, crane.nominal().effect_vector())
+    assert same is r and nothing == 0.0
+
+
+def test_what_the_data_do_not_determine_has_a_huge_variance():
+    a = np.array([1.0, 2.0, 0.0])
+    cov = covariance(np.outer(a, a) + np.diag([0.0, 0.0, 4.0]))
+    assert math.sqrt(cov[2, 2]) == pytest.approx(0.5)
+    assert min(cov[0, 0], cov[1, 1]) > UNDETERMINED**2
+    assert a[:2] @ cov[:2, :2] @ a[:2] == pytest.approx(1.0, rel=1e-2)  # their sum is known all the same
+    assert math.sqrt(covariance(np.diag([0.0, 1.0]))[0, 0]) > UNDETERMINED
+
+
+def test_windows_that_begin_within_a_run_begin_on_it(nominal):
+    crane, data = nominal
+    whole = fit(crane, data, cut(data, 10.0), first_knots(crane, data, 10.0), iterations=0)
+    windows = cut(data, 0.5)
+    knots = reknot(whole, windows)
+    W = model_at(crane, (), np.zeros(0), data).W
+    X = SemiRecursiveEngine(crane).simulate(whole.knots[0], data.time, W, step=data.step)
+    assert knots == pytest.approx(X[[w.start for w in windows]], rel=1e-6, abs=1e-6)
+    assert np.ptp(knots[:, 0]) > 1e-3
+
+
+def test_the_moment_of_an_event_is_found_between_the_moments_that_are_tried():
+    true = {"F": 3000.0, "T": 1.237}
+    crane = Crane.load("patu655")
+    recording = recorded(crane.with_effect("tip_contact_force", true), seconds=2.5)
+    data = FitData.of(recording, crane)
+    variables = effect_variables("tip_contact_force", {"F": 2000.0, "T": 1.1})
+    u = np.array([v.to_u(v.start) for v in variables])
+    found = staged(crane, data, variables, u, first_knots(crane, data), (LOOSE, STIFF))
+    acting = found.crane.effect("tip_contact_force")
+    assert acting is not None
+    assert acting.parameters["T"] == pytest.approx(true["T"], abs=5e-3)
+    assert acting.parameters["F"] == pytest.approx(true["F"], rel=0.03)

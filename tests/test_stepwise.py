@@ -102,7 +102,8 @@ def grown(crane: Crane, predicted: float) -> Grown:
     return Grown(
         with_effect, (Found("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}, errors, errors),),
         {"p1": 0.3}, errors, {"dead_band@lift": 40.0}, {"dead_band@lift": {"p1": 0.25}}, {"p1": 0.2}, errors,
-        {"dead_band@lift:upper": 0.01}, {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},
+        {"dead_band@lift:upper": 0.01, "fluid.oil_bulk_modulus": 5e6}, {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},
+        {"fluid.oil_bulk_modulus": 3.6, "payload.mass": 0.4},
     )  # fmt: skip
 
 
@@ -118,4 +119,6 @@ def test_plain_words_say_what_is_demanded_what_is_not_separated_and_what_is_left
     assert "p1 25 -> 5 %" in text
     assert "command_delay@lift would have brought half" in text and "sensor_lag@p1" not in text
     assert "dead_band@lift:upper and valves.lift.time_constant (correlation -0.95)" in text
+    assert "fluid.oil_bulk_modulus = 1.65e+09 ± 5e+06 Pa" in text and "payload" not in text
+    assert "Hardly plausible" in text and "fluid.oil_bulk_modulus by 3.6" in text
     assert "Left, in % of each channel's range, open loop over the whole recording: p1 5" in text

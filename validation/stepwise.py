@@ -24,6 +24,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects.registry import split_key
+from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
 from .diagnosis import in_parallel
@@ -53,6 +54,8 @@ SERIOUS = 0.5
 TOLERATED = 0.1
 #: an effect stays, for all its evidence, if the error of a channel is so many times as large without it
 MENDED = 1.5
+#: nominal parameters are told that moved by more than so many standard uncertainties, and doubted from so many on
+TOLD, STRAINED = 1.0, 3.0
 #: how many starts are fitted in a step, and how many effects are taken in at most
 TRIED, MOST = 9, 10
 #: sizes beyond this many typical ones are implausible: standard deviation of an effect's parameter before the data
@@ -121,6 +124,7 @@ class Grown:
         nominal, predicted: errors on what was held out, by the model that was fitted to the rest only: parameters alone, and with effects.
         deviations: parameter -> standard deviation (SI), with as many independent samples as the errors leave.
         spread: names of parameters -> correlation, where two can hardly be told apart.
+        moved: nominal parameter -> how far it moved, in standard uncertainties; where only a range is known, in shares of it.
     """
 
     crane: Crane
@@ -133,6 +137,7 @@ class Grown:
     predicted: Errors
     deviations: Mapping[str, float]
     spread: Mapping[tuple[str, str], float]
+    moved: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -610,6 +615,7 @@ def _together(
     return Grown(
         final.crane, tuple(s for s in steps if s.key in keys), shares(growth.crane, whole, before.knots[0], 0.0),
         shares(final.crane, whole, x0, final.late), needed, without, given[1], steps[-1].held_out, _deviations(final), _alike(final, keys),
+        {v.name: float(u) for v, u in zip(final.variables, final.u, strict=True) if isinstance(v, NominalDirection)},
     )  # fmt: skip
 
 
@@ -627,7 +633,9 @@ def _whole_run(growth: _Growth, whole: FitData) -> Fit:
     for _ in range(2):
         levels, factor = levels_of(found, growth.noise, levels, DRIFT)
         data = with_noise(whole, {c: factor * level for c, level in levels.items()})
-        found = fitted(growth.crane, data, found.variables, found, Stage(LONG, 1.0, 15, STEP), values_of(found))
+        found = _best_run(
+            found.crane, growth.crane, growth.keys, replace(found, data=data, windows=tuple(cut(data, LONG)))
+        )
     return found
 
 
@@ -657,11 +665,16 @@ def _left_out(growth: _Growth, keys: Sequence[str], final: Fit) -> dict[str, Fit
 
 
 def _best_run(crane: Crane, given: Crane, keys: Sequence[str], final: Fit) -> Fit:
-    """Return the better of two fits of one open-loop run: straight from where the final one stands, and by way of long windows."""
-    variables, values = _everything(crane, given, keys, final.data)
-    values["timing"] = final.late / timing_of(final.data).scale
-    straight = fitted(given, final.data, variables, final, Stage(LONG, 1.0, 8, STEP), values)
-    return max(straight, _open_loop(crane, given, keys, final.data, final, 4), key=log_evidence)
+    """Return the best of three fits of one open-loop run: straight from where the final one stands, and by way of long windows that
+    begin on its run, or on the machine's: without an effect the run may be far from both."""
+    data = final.data
+    variables, values = _everything(crane, given, keys, data)
+    values["timing"] = final.late / timing_of(data).scale
+    straight = fitted(given, data, variables, final, Stage(LONG, 1.0, 8, STEP), values)
+    windows = cut(data, WINDOW)
+    measured = replace(final, windows=tuple(windows), knots=first_knots(crane, data, WINDOW))
+    ways = [straight, *(_open_loop(crane, given, keys, data, start, 4) for start in (final, measured))]
+    return max(ways, key=log_evidence)
 
 
 def _deviations(final: Fit) -> dict[str, float]:
@@ -703,8 +716,27 @@ def explained(grown: Grown) -> list[str]:
             )
     for (first, other), r in sorted(grown.spread.items(), key=lambda p: -abs(p[1]))[:5]:
         texts.append(f"Not separated: {first} and {other} (correlation {r:+.2f}); only what they do together is known")
+    texts += _identified(grown)
     texts.append(f"Left, in % of each channel's range, open loop over the whole recording: {percent(grown.after)}")
     texts.append(f"Of what was not fitted when the effects were chosen: {percent(grown.predicted)}")
+    return texts
+
+
+def _identified(grown: Grown) -> list[str]:
+    """Return the sentences on the nominal parameters: the furthest moved with their intervals, and those not to be believed."""
+    furthest = sorted((n for n, u in grown.moved.items() if abs(u) > TOLD), key=lambda n: -abs(grown.moved[n]))
+    values = [
+        f"{n} = {grown.crane[n]:.4g} ± {grown.deviations.get(n, math.inf):.2g} {unit_of(n)}".strip() for n in furthest
+    ]
+    texts = [f"Parameters that moved with them: {', '.join(values)}"] if values else []
+    known = grown.crane.uncertainty
+    strained = [n for n in furthest if abs(grown.moved[n]) > STRAINED and math.isfinite(known[n].std)]
+    if strained:
+        far = ", ".join(f"{n} by {abs(grown.moved[n]):.1f}" for n in strained)
+        texts.append(
+            f"Hardly plausible, as many standard uncertainties from the crane file: {far}. They do the work of something that is "
+            "not in the model, or that this recording does not separate from them"
+        )
     return texts
 
 
