@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, CraneError, Recording
+from validation import hidden
 from validation.diagnosis import diagnose
 
 DATA = Path(__file__).parent / "data"
@@ -44,3 +45,27 @@ def test_a_recording_without_motion_is_refused():
     still = Recording.from_arrays("still", time, {"u1": 0.0 * time, "u2": 0.0 * time, **values})
     with pytest.raises(CraneError, match="still"):
         diagnose(Crane.load("patu655"), still)
+
+
+#: a machine of the next size: by how much each kind of number in the crane file grows
+LARGER = {
+    ("joints", "com", "base", "rod_end", "empty_length", "chamber_range"): 1.25, ("bore", "rod"): 1.2, ("mass",): 2.0, ("inertia",): 3.0,
+}  # fmt: skip
+
+
+def larger(crane: Crane) -> Crane:
+    """Return another machine altogether: a quarter longer, twice as heavy."""
+    values = {}
+    for name, value in crane.values.items():
+        for kinds, factor in LARGER.items():
+            if not name.startswith("payload") and set(kinds) & set(name.split(".")):
+                values[name] = factor * value
+    return crane.with_parameters(values)
+
+
+def test_a_recording_of_another_machine_is_unknown_and_no_name_is_forced_on_it():
+    crane = Crane.load("patu655")
+    case = hidden.make_case(3, kind="none", crane=larger(crane), noise=0, sensors=0, rate=100)
+    found = diagnose(crane, case.learn.window(0.0, 4.0), jobs=2)
+    assert found.verdict == "unknown" and not found.effects
+    assert found.where
