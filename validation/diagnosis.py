@@ -41,6 +41,10 @@ FITTED, FINISHED = 7, 3
 IMPLAUSIBLE = 1e-9
 #: how many of the finished fits are done anew if their parameters are not to be believed
 ANEW = 2
+#: a long run is so many times worse than short windows only if its start went astray
+ASTRAY = 1.3
+#: an effect's parameter is told from its neutral value by so many standard deviations
+TOLD_APART = 3.0
 #: share of the first effect's excess error that a second one may leave
 LEFT_BY_SECOND = 0.5
 #: a third fit is carried to the end if it lacks no more than this share of what the best gained in loosely joined windows
@@ -326,14 +330,21 @@ def _finish(search: _Search, loose: Sequence[Weighed], most: int = FINISHED) -> 
 
 
 def _again(search: _Search, finished: Sequence[Weighed], parameters: Weighed) -> list[Weighed]:
-    """Return the finished fits, the leading ones fitted anew where parameters have moved further than they may to do an effect's work.
+    """Return the finished fits, the leading ones taken further where they are not at their end.
 
-    From the crane as given with the effect as it was found, and as one long run: what is slow does not show in short windows.
+    Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given with the effect as it
+    was found, and as one long run: what is slow does not show in short windows. Where it had not converged, it goes on.
     """
-    strained = [w for w in finished[:ANEW] if not _plausible(w.fit) and w.evidence > parameters.evidence + PROOF]
-    tasks = [(_anew, search.crane, search.data, search.shared, w.hypothesis.keys, w) for w in strained]
-    anew = [w for w in in_parallel(search.jobs, tasks) if math.isfinite(w.evidence)] if tasks else []
-    return _best_of_each([*finished, *anew])
+    tasks: list[tuple[Any, ...]] = []
+    for w in finished[:ANEW]:
+        if _good(w) or w.evidence < parameters.evidence + PROOF:
+            continue
+        if not _plausible(w.fit):
+            tasks.append((_anew, search.crane, search.data, search.shared, w.hypothesis.keys, w))
+        elif not w.fit.converged:
+            tasks.append((weigh, search.crane, search.data, search.shared, w.fit, w.hypothesis, (STIFF, STIFF)))
+    further = [w for w in in_parallel(search.jobs, tasks) if math.isfinite(w.evidence)] if tasks else []
+    return _best_of_each([*finished, *further])
 
 
 def _anew(crane: Crane, data: FitData, shared: Sequence[Variable], keys: Sequence[str], found: Weighed) -> Weighed:
@@ -356,7 +367,7 @@ def _with_pairs(
     """
     done = _paired(search, loose[:3])
     alone = _alone(search, done, finished)
-    finished = sorted([*finished, *alone], key=lambda w: -w.evidence)
+    finished = _best_of_each([*finished, *alone])
     search.progress("finishing pairs", 0.8)
     if alone and finished[0] is alone[0]:
         if _good(alone[0]):
@@ -367,7 +378,8 @@ def _with_pairs(
     proven = [
         w
         for w in _best_of_each(done)
-        if w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF
+        if not any(_idle(w, k) for k in w.hypothesis.keys)
+        and w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF
         and (not finished or _repairs(w, finished[0]))
     ]
     return sorted([*finished, *proven], key=lambda w: -w.evidence)
@@ -391,14 +403,27 @@ def _beside(first: Weighed, scores: Sequence[Score]) -> list[tuple[Hypothesis, F
 
 
 def _alone(search: _Search, pairs: Sequence[Weighed], finished: Sequence[Weighed]) -> list[Weighed]:
-    """Return the effects of pairs that have not been weighed to the end by themselves, weighed alone, best first."""
+    """Return effects of pairs weighed alone, best first: those that have not been, and those beside which the other one does nothing.
+
+    A pair whose second effect has stayed neutral may only have found the better minimum.
+    """
     known = {w.hypothesis.keys[0] for w in finished}
     own: dict[str, tuple[Hypothesis, Fit]] = {}
     for pair in pairs:
+        idle = {key for key in pair.hypothesis.keys if _idle(pair, key)}
         for key in pair.hypothesis.keys:
-            if key not in known:
+            if key not in known or idle - {key}:
                 own.setdefault(key, (Hypothesis({key: fitted_values(pair, key)}), pair.fit))
     return search.run(list(own.values()), (TIGHT, STIFF)) if own else []
+
+
+def _idle(pair: Weighed, key: str) -> bool:
+    """Whether the parameters of an effect cannot be told from their neutral values."""
+    values, spread = fitted_values(pair, key), deviations(pair, key)
+    acting = [p for p in registry.split_key(key)[0].parameters if not p.shape]
+    return all(
+        math.isinf(values[p.name]) or abs(values[p.name] - p.neutral) < TOLD_APART * spread[p.name] for p in acting
+    )
 
 
 def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording) -> list[Weighed]:
@@ -411,7 +436,7 @@ def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording
     scores = screen(best.fit, starts(best.fit.crane, search.data), STIFF.stiffness)
     hypotheses = _beside(best, [s for s in _likely(scores, 2) if s.gain > PROOF])
     done = _best_of_each(search.run(hypotheses, (STIFF,))) if hypotheses else []
-    proven = [w for w in done if w.evidence > best.evidence + PROOF]
+    proven = [w for w in done if w.evidence > best.evidence + PROOF and not any(_idle(w, k) for k in w.hypothesis.keys)]
     if proven:
         errors = in_parallel(search.jobs, [(_error, w.fit.crane, judge, None) for w in (best, *proven)])
         excess = [max(e**2 - 1.0, 0.0) for e in errors]
@@ -609,4 +634,8 @@ def _with_errors(
 
 
 def _error(crane: Crane, recording: Recording, knots: Fit | None) -> float:
-    return open_loop_error(crane, recording, knots)[0]
+    """Return the open-loop error; where a run from the knots of a fit is far worse than the fit, its start is looked for anew as well."""
+    error = open_loop_error(crane, recording, knots)[0]
+    if knots is None or error < ASTRAY * knots.error:
+        return error
+    return min(error, open_loop_error(crane, recording)[0])

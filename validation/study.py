@@ -58,7 +58,8 @@ def folder_case(folder: Path, name: str) -> HiddenCase:
 
     answer = json.loads((folder / "answers.json").read_text(encoding="utf-8"))[name]
     learn, check = (Recording.load(folder / f"{name}_{part}.csv") for part in ("learn", "check"))
-    return HiddenCase(int(name.rpartition("_")[2]) if name[-1].isdigit() else -1, learn, check, answer)
+    seed = name.rpartition("_")[2]
+    return HiddenCase(int(seed) if seed.isdigit() else -1, learn, check, answer)
 
 
 # -- judging one -----------------------------------------------------------------------------------------------------
@@ -72,7 +73,7 @@ def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]
         named; "alarm": something was blamed though nothing was hidden; "visibility": of the least visible effect, None where
         nothing is hidden; "said": the verdict, or the effects named; "relative_errors" of the effects' parameters where right.
     """
-    truth = frozenset(answer["effects"])
+    truth = frozenset(answer.get("effects", ()))
     named = [frozenset(found["effects"]), *(frozenset(t.split(" + ")) for t in found["tied_with"])]
     blames = found["verdict"] in ("effect", "tied")
     first = bool(truth) and blames and named[0] == truth
