@@ -117,6 +117,13 @@ def test_the_same_seed_gives_the_same_case_and_effects_are_as_visible_as_asked()
     assert 5.0 <= shift <= 40.0
 
 
+def test_a_swapped_machine_runs_on_the_other_engine_and_agrees_far_below_the_noise() -> None:
+    a, b = (hidden.make_case(1203, kind="none", rate=100, sensors=0, swapped=swapped) for swapped in (False, True))
+    for name, std in a.answer["noise"].items():
+        apart = np.abs(a.learn[name].values - b.learn[name].values).max()
+        assert 0.0 < apart < 0.5 * std, name
+
+
 def test_conditions_that_cannot_be_met_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hidden, "_MOST_DRAWS", 2)
     with pytest.raises(CraneError, match=r"sensor_bias@z1.*2 draws failed.*noise units"):

@@ -352,6 +352,7 @@ class _Setting:
     visible: tuple[float, float]
     foreign: bool
     picked: bool  # the effects were drawn, not asked for
+    swapped: bool
 
 
 def make_case(
@@ -365,6 +366,7 @@ def make_case(
     sensors: int | None = None,
     errors: bool | None = None,
     foreign: bool = False,
+    swapped: bool = False,
     crane: Crane | None = None,
 ) -> HiddenCase:
     """Return the hidden case of a seed; what is not given is drawn.
@@ -379,6 +381,7 @@ def make_case(
         sensors: 0 for all pressures, 1 for z1 z4 p1 p4.
         errors: whether the machine's parameters are a little off.
         foreign: laws in a dialect of their own, a little different from the library's (hidden_plant.DIALECTS).
+        swapped: the machine runs on the engine that the diagnosis uses too; for effects of the library.
         crane: nominal crane; by default patu655.
 
     Raises:
@@ -394,7 +397,9 @@ def make_case(
     machine = _machine(nominal, rng, kind, off == 1)
     picked = keys is None and kind in ("effect", "two")
     keys = _pick(rng, kind, list(stds)) if picked else keys or []
-    return _until_it_does(seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, foreign, picked))
+    return _until_it_does(
+        seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, foreign, picked, swapped)
+    )
 
 
 def _machine(nominal: Crane, rng: np.random.Generator, kind: str, off: bool) -> Crane:
@@ -436,7 +441,7 @@ def _try_case(seed: int, s: _Setting) -> HiddenCase:
 
 
 def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law] = ()) -> dict[str, np.ndarray]:
-    """Return what the machine's sensors show without noise, by the Exudyn engine; laws act beside its effects."""
+    """Return what the machine's sensors show without noise, by the Exudyn engine unless swapped; laws act beside its effects."""
     from crane_exudyn.engine import ExudynEngine
     from crane_exudyn.statics import static_start
 
@@ -445,6 +450,8 @@ def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law
     plain, dialects = _in_dialect(machine) if s.foreign else (machine, [])
     acting = [*laws, *(law for d in dialects for law in d.laws)]
     if not acting and not dialects:
+        if s.swapped:
+            return _draft(machine, manoeuvre)
         return readings(machine, _run(machine, ExudynEngine(machine), manoeuvre))
     w = inputs(plain, _GRID, *manoeuvre.driven(), dialects)
     states = simulate(plain, static_start(plain, manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded), _GRID, w, acting)

@@ -321,6 +321,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--folder", type=Path, help="take the cases of this folder instead")
     parser.add_argument("--only", action="append", help="name of a case of the folder")
     parser.add_argument("--foreign", action="store_true", help="machines whose laws differ a little from the library's")
+    parser.add_argument("--swapped", action="store_true", help="machines on the engine that the diagnosis uses")
     parser.add_argument("--visible", metavar="LOW-HIGH", help="severities, in noise units")
     parser.add_argument("--sensors", type=int, choices=(0, 1), help="0: all pressures, 1: z1 z4 p1 p4")
     parser.add_argument("--noise", type=int, choices=(0, 1), help="0: 0.05 deg and 0.3 bar, 1: 1 deg and 1.5 bar")
@@ -337,8 +338,7 @@ def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
         return [(name, _folder_line, (given.folder, name)) for name in names]
     first, _, last = given.seeds.partition("-")
     more = {n: getattr(given, n) for n in ("sensors", "noise") if getattr(given, n) is not None}
-    if given.foreign:
-        more["foreign"] = True
+    more |= {name: True for name in ("foreign", "swapped") if getattr(given, name)}
     if given.visible:
         low, _, high = given.visible.partition("-")
         more["visible"] = (float(low), float(high or "inf"))
