@@ -9,6 +9,7 @@ import pytest
 from crane_exudyn import Crane, CraneError, Recording
 from validation import hidden
 from validation.diagnosis import diagnose
+from validation.search.candidates import Start, around
 
 DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
@@ -69,3 +70,12 @@ def test_a_recording_of_another_machine_is_unknown_and_no_name_is_forced_on_it()
     found = diagnose(crane, case.learn.window(0.0, 4.0), jobs=2)
     assert found.verdict == "unknown" and not found.effects
     assert found.where
+
+
+def test_moments_around_the_best_one_are_looked_at_more_closely():
+    start = Start("payload_change", {"dm": 50.0, "T": 0.1}, two_sided=True)
+    moments = [s.values["T"] for s in around(start)]
+    assert min(moments) >= 0.0 and max(moments) == pytest.approx(0.345)
+    assert np.diff(sorted([*moments, 0.1])) == pytest.approx(0.035)  # closer than a ring's period, without gaps
+    assert all(s.values["dm"] == 50.0 and s.two_sided for s in around(start))
+    assert around(Start("internal_leakage@lift", {"k": 1e-12})) == []

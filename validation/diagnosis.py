@@ -22,7 +22,7 @@ from .fit.evidence import log_evidence
 from .fit.solve import Fit
 from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, all_parameters, informed_directions, timing_of
 from .fit.variables import Variable, effect_variables
-from .search.candidates import scaled, starts
+from .search.candidates import around, scaled, starts
 from .search.lean import leaner
 from .search.manoeuvre import best_manoeuvre
 from .search.screen import Score, screen
@@ -200,7 +200,7 @@ class _Search:
 
     def scores(self, fit: Fit) -> list[Score]:
         """Return the screen at a fit; effects that its crane has already do not take part."""
-        return screen(fit, starts(fit.crane, self.data), LOOSE.stiffness)
+        return screened(fit, self.data, LOOSE.stiffness)
 
     def scores_at_nominal(self) -> list[Score]:
         """Return the screen at the crane as it is, all its uncertain parameters free to move."""
@@ -209,6 +209,20 @@ class _Search:
         return self.scores(
             replace(self.nominal, crane=self.crane, origin=self.crane, variables=self.base.variables, u=u)
         )
+
+
+def screened(fit: Fit, data: FitData, stiffness: float) -> list[Score]:
+    """Return the screen at a fit, best first; what happens at a moment is looked at more closely around the best one.
+
+    A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins.
+    """
+    found = screen(fit, starts(fit.crane, data), stiffness)
+    best: dict[str, Score] = {}
+    for score in found:
+        if score.gain >= 1.0:
+            best.setdefault(score.start.key, score)
+    closer = [start for score in best.values() for start in around(score.start)]
+    return sorted([*found, *screen(fit, closer, stiffness)], key=lambda s: -s.gain) if closer else found
 
 
 def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -433,7 +447,7 @@ def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording
     They then predict worse, so the second effect must show in the open-loop error on `judge` as well.
     """
     best = finished[0]
-    scores = screen(best.fit, starts(best.fit.crane, search.data), STIFF.stiffness)
+    scores = screened(best.fit, search.data, STIFF.stiffness)
     hypotheses = _beside(best, [s for s in _likely(scores, 2) if s.gain > PROOF])
     done = _best_of_each(search.run(hypotheses, (STIFF,))) if hypotheses else []
     proven = [w for w in done if w.evidence > best.evidence + PROOF and not any(_idle(w, k) for k in w.hypothesis.keys)]

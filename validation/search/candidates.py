@@ -17,6 +17,8 @@ from ..fit.variables import is_moment, sensor_scale
 
 #: seconds between the moments at which an effect with a time of its own is tried
 _MOMENTS = 0.5
+#: and around the best of them: a quarter of the period of a ring of 7 Hz
+_CLOSER = 0.035
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,16 @@ def _values(effect: type[Effect], key: str, data: FitData, moments: float) -> li
     begin, end = float(data.time[0]), float(data.time[-1])
     times = np.arange(begin + moments, end - moments, max(moments, (end - begin) / 120.0))
     return [{first.name: size, timed: float(t)} for t in (begin, *times)]
+
+
+def around(start: Start) -> list[Start]:
+    """Return starts at moments close to that of a start, to either side; none for an effect without a moment of its own."""
+    timed = next((p for p in registry.split_key(start.key)[0].parameters if is_moment(p)), None)
+    if timed is None or timed.name not in start.values:
+        return []
+    steps = round(_MOMENTS / 2 / _CLOSER)
+    moments = [start.values[timed.name] + k * _CLOSER for k in range(-steps, steps + 1) if k]
+    return [Start(start.key, {**start.values, timed.name: t}, start.two_sided) for t in moments if t >= timed.lower]
 
 
 def scaled(start: Start, amplitude: float) -> dict[str, float]:
