@@ -2,14 +2,17 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from crane_exudyn import Crane, CraneError, Recording
 from validation import hidden
-from validation.diagnosis import diagnose
+from validation.diagnosis import _between_samples, _predicts, diagnose
+from validation.fit.variables import uncertain_parameters
 from validation.search.candidates import Start, around
+from validation.search.weigh import Hypothesis, Weighed
 
 DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
@@ -79,3 +82,33 @@ def test_moments_around_the_best_one_are_looked_at_more_closely():
     assert np.diff(sorted([*moments, 0.1])) == pytest.approx(0.035)  # closer than a ring's period, without gaps
     assert all(s.values["dm"] == 50.0 and s.two_sided for s in around(start))
     assert around(Start("internal_leakage@lift", {"k": 1e-12})) == []
+
+
+def weighed(key: str, values: dict[str, float], evidence: float, prior_cost: float = 0.0) -> Weighed:
+    """Return a weighed hypothesis of which only the crane, the evidence and the cost of moved parameters matter."""
+    crane = Crane.load("patu655").with_effect(key, values)
+    fit = SimpleNamespace(crane=crane, variables=uncertain_parameters(crane)[:5], prior_cost=prior_cost)
+    return Weighed(Hypothesis({key: values}), fit, evidence, 1.2, np.zeros(3, dtype=bool))
+
+
+@pytest.mark.parametrize(
+    ("evidence", "prior_cost", "errors", "named"),
+    [(500.0, 0.0, (6.4, 1.1), True), (500.0, 0.0, (6.4, 1.9), False), (500.0, 0.0, (1.5, 1.2), False),
+     (5.0, 0.0, (6.4, 1.1), False), (500.0, 200.0, (6.4, 1.1), False)],
+)  # fmt: skip
+def test_an_effect_that_leaves_something_is_named_only_if_it_predicts_the_check_recording(
+    monkeypatch, evidence, prior_cost, errors, named
+):
+    best = weighed("internal_leakage@lift", {"k": 5e-12}, evidence, prior_cost)
+    bare = weighed("internal_leakage@lift", {"k": 0.0}, 0.0)
+    found = dict(zip((0, 1), errors, strict=True))
+    monkeypatch.setattr("validation.diagnosis._error", lambda crane, recording, knots: found[len(crane.effects)])
+    search = SimpleNamespace(crane=Crane.load("patu655"), jobs=1)
+    assert _predicts(search, best, bare, None) is named
+
+
+def test_a_delay_within_a_sampling_interval_is_no_effect():
+    search = SimpleNamespace(data=SimpleNamespace(command_time=np.arange(0.0, 1.0, 0.01)))
+    assert _between_samples(search, weighed("command_delay@lift", {"T": 0.006}, 100.0))
+    assert not _between_samples(search, weighed("command_delay@lift", {"T": 0.012}, 100.0))
+    assert not _between_samples(search, weighed("internal_leakage@lift", {"k": 5e-12}, 100.0))
