@@ -183,9 +183,14 @@ def test_an_interrupted_command_leaves_nothing_and_no_traceback(tmp_path: Path, 
         "        temporary.write_text('half'); print('ready', flush=True); time.sleep(60)\n"
         "m.load = lambda name: command\nm.run(['demo'])"
     )
+
+    def heard() -> None:  # a suite that a shell runs in the background hands down that Ctrl-C is ignored
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
     process = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
-    )
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+        preexec_fn=heard,
+    )  # fmt: skip
     assert process.stdout is not None and process.stdout.readline() == "ready\n"
     process.send_signal(number)
     _, err = process.communicate(timeout=30)
