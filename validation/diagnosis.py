@@ -292,9 +292,7 @@ def diagnose(
         notes.append(
             "what is named predicts the check recording, but its law is not quite the machine's: something is left"
         )
-        result = _verdict(
-            search, "tied" if (ties := _ties(finished)) else "effect", finished[0], parameters, finished, notes, ties
-        )
+        result = _named(search, parameters, finished, notes)
     if result.verdict == "unknown":
         result = replace(result, where=_where(crane, recording) or result.where)
     return replace(_with_errors(result, search, recording, check, as_given), seconds=time.perf_counter() - began)
@@ -368,21 +366,19 @@ def _again(search: _Search, finished: Sequence[Weighed], parameters: Weighed) ->
         if _good(w) or w.evidence < parameters.evidence + PROOF:
             continue
         if not _plausible(w.fit):
-            tasks.append((_anew, search.crane, search.data, search.shared, w.hypothesis.keys, w))
+            tasks.append((_anew, search.crane, search.data, search.shared, w))
         elif not w.fit.converged:
             tasks.append((weigh, search.crane, search.data, search.shared, w.fit, w.hypothesis, (STIFF, STIFF)))
     further = [w for w in in_parallel(search.jobs, tasks) if math.isfinite(w.evidence)] if tasks else []
     return _best_of_each([*finished, *further])
 
 
-def _anew(crane: Crane, data: FitData, shared: Sequence[Variable], keys: Sequence[str], found: Weighed) -> Weighed:
-    values = {key: fitted_values(found, key) for key in keys}
-    for key in keys:
-        crane = crane.with_effect(key, values[key])
-    near = all_parameters(replace(crane, uncertainty={}), data)
-    for key in keys:
-        crane = crane.without_effect(key)
-    return weigh(crane, data, shared, near, Hypothesis(values), (WHOLE, STIFF))
+def _anew(crane: Crane, data: FitData, shared: Sequence[Variable], found: Weighed) -> Weighed:
+    values = {key: fitted_values(found, key) for key in found.hypothesis.keys}
+    held = replace(crane, uncertainty={})
+    for key in values:
+        held = held.with_effect(key, values[key])
+    return weigh(crane, data, shared, all_parameters(held, data), Hypothesis(values), (WHOLE, STIFF))
 
 
 def _with_pairs(
@@ -406,7 +402,7 @@ def _with_pairs(
     proven = [
         w
         for w in _best_of_each(done)
-        if not any(_idle(w, k) for k in w.hypothesis.keys)
+        if not _idle(w)
         and w.evidence > max([bare, *(singles.get(k, -math.inf) for k in w.hypothesis.keys)]) + PROOF
         and (not finished or _repairs(w, finished[0]))
     ]
@@ -438,15 +434,19 @@ def _alone(search: _Search, pairs: Sequence[Weighed], finished: Sequence[Weighed
     known = {w.hypothesis.keys[0] for w in finished}
     own: dict[str, tuple[Hypothesis, Fit]] = {}
     for pair in pairs:
-        idle = {key for key in pair.hypothesis.keys if _idle(pair, key)}
+        idle = _idle(pair)
         for key in pair.hypothesis.keys:
             if key not in known or idle - {key}:
                 own.setdefault(key, (Hypothesis({key: fitted_values(pair, key)}), pair.fit))
     return search.run(list(own.values()), (TIGHT, STIFF)) if own else []
 
 
-def _idle(pair: Weighed, key: str) -> bool:
-    """Whether the parameters of an effect cannot be told from their neutral values."""
+def _idle(pair: Weighed) -> set[str]:
+    """Return the effects of a pair whose parameters cannot be told from their neutral values."""
+    return {key for key in pair.hypothesis.keys if _at_neutral(pair, key)}
+
+
+def _at_neutral(pair: Weighed, key: str) -> bool:
     values, spread = fitted_values(pair, key), deviations(pair, key)
     acting = [p for p in registry.split_key(key)[0].parameters if not p.shape]
     return all(
@@ -464,7 +464,7 @@ def _with_seconds(search: _Search, finished: Sequence[Weighed], judge: Recording
     scores = screened(best.fit, search.data, STIFF.stiffness)
     hypotheses = _beside(best, [s for s in _likely(scores, 2) if s.gain > PROOF])
     done = _best_of_each(search.run(hypotheses, (STIFF,))) if hypotheses else []
-    proven = [w for w in done if w.evidence > best.evidence + PROOF and not any(_idle(w, k) for k in w.hypothesis.keys)]
+    proven = [w for w in done if w.evidence > best.evidence + PROOF and not _idle(w)]
     if proven:
         errors = in_parallel(search.jobs, [(_error, w.fit.crane, judge, None) for w in (best, *proven)])
         excess = [max(e**2 - 1.0, 0.0) for e in errors]
@@ -505,8 +505,7 @@ def _conclude(
         return _without_effect(search, as_given, parameters, finished, notes)
     if best is None or not _explains(best, parameters):
         return _verdict(search, "unknown", best, parameters, finished, notes)
-    ties = _ties(finished)
-    return _verdict(search, "tied" if ties else "effect", best, parameters, finished, notes, ties)
+    return _named(search, parameters, finished, notes)
 
 
 def _between_samples(search: _Search, best: Weighed) -> bool:
@@ -518,14 +517,15 @@ def _between_samples(search: _Search, best: Weighed) -> bool:
     )
 
 
-def _ties(finished: Sequence[Weighed]) -> list[Weighed]:
-    """Return what is no worse than the first within the tie, and needs no more effects."""
+def _named(search: _Search, parameters: Weighed, finished: Sequence[Weighed], notes: list[str]) -> Diagnosis:
+    """Return the verdict that names the best fit, tied with what is no worse within the tie and needs no more effects."""
     best = finished[0]
-    return [
+    ties = [
         w
         for w in finished[1:]
         if w.evidence > best.evidence - TIE and len(w.hypothesis.keys) <= len(best.hypothesis.keys)
     ]
+    return _verdict(search, "tied" if ties else "effect", best, parameters, finished, notes, ties)
 
 
 def _predicts(search: _Search, best: Weighed, parameters: Weighed, check: Recording) -> bool:

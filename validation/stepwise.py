@@ -36,7 +36,7 @@ from .fit.staged import LONG, SHORT, Stage, all_parameters, first_knots, informe
 from .fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
 from .search.candidates import scaled, starts
 from .search.screen import Score, screen
-from .search.weigh import UNDETERMINED
+from .search.weigh import deviation
 
 #: windows in s, how many times smaller than usual their jumps are, and the longest simulation step
 WINDOW, JOINED, STEP = 2.0, 100.0, 5e-3
@@ -266,26 +266,22 @@ def carried(
     shared: Sequence[Variable],
     effects: Sequence[EffectParameter],
     before: Fit,
-    stages: Sequence[Stage],
-    values: Mapping[str, float],
+    stage: Stage,
     kept: Sequence[str],
 ) -> Fit:
-    """Return a fit through stages; of the effects those in `kept` that would fall asleep are held as they were before.
+    """Return a fit that goes on from another; of the effects those in `kept` that would fall asleep are held as they were before.
 
     Where everything moves at once, parameters may slide into a valley in which an effect that was found before does nothing. Another
     effect is to come in addition to it.
     """
-    found = before
-    for stage in stages:
-        found = fitted(crane, data, [*shared, *effects], found, stage, values)
-        values = values_of(found)
+    found = fitted(crane, data, [*shared, *effects], before, stage, values_of(before))
     asleep = [k for k in kept if any(v.key == k for v in effects) and neutral(found, k)]
     if not asleep:
         return found
     for key in asleep:
         crane = crane.with_effect(key, _parameters(before.crane, key))
     awake = [v for v in effects if v.key not in asleep]
-    return carried(crane, data, shared, awake, before, stages, values_of(before), kept)
+    return carried(crane, data, shared, awake, before, stage, kept)
 
 
 def neutral(found: Fit, key: str) -> bool:
@@ -311,9 +307,8 @@ def _tried(
     """
     old = acting(before.crane, keys)
     beside = crane.with_effect(new[0].key, {v.parameter.name: v.start for v in new})
-    near = [Stage(WINDOW, JOINED, 3, STEP)]
-    first = carried(beside, data, shared, old, before, near, values_of(before), keys)
-    return carried(crane, data, shared, [*old, *new], first, [Stage(WINDOW, JOINED, 6, STEP)], values_of(first), keys)
+    first = carried(beside, data, shared, old, before, Stage(WINDOW, JOINED, 3, STEP), keys)
+    return carried(crane, data, shared, [*old, *new], first, Stage(WINDOW, JOINED, 6, STEP), keys)
 
 
 def acting(crane: Crane, keys: Sequence[str]) -> list[EffectParameter]:
@@ -348,19 +343,10 @@ def relevelled(growth: _Growth) -> _Growth:
     now = growth.current
     levels, factor = levels_of(now, growth.noise, growth.levels)
     data = with_noise(growth.data, {c: factor * level for c, level in levels.items()})
-    keys, effects = growth.keys, acting(now.crane, growth.keys)
-    run = carried(growth.crane, data, growth.shared, effects, now, [Stage(LONG, 1.0, 6, STEP)], values_of(now), keys)
-    near = [Stage(WINDOW, JOINED, 6, STEP)]
-    again = carried(
-        growth.crane,
-        data,
-        growth.shared,
-        acting(run.crane, keys),
-        replace(run, knots=now.knots, windows=now.windows),
-        near,
-        values_of(run),
-        keys,
-    )
+    crane, shared, keys = growth.crane, growth.shared, growth.keys
+    run = carried(crane, data, shared, acting(now.crane, keys), now, Stage(LONG, 1.0, 6, STEP), keys)
+    near = replace(run, knots=now.knots, windows=now.windows)  # its parameters, where the windows stand
+    again = carried(crane, data, shared, acting(run.crane, keys), near, Stage(WINDOW, JOINED, 6, STEP), keys)
     return replace(growth, current=again, levels=levels)
 
 
@@ -633,9 +619,7 @@ def _whole_run(growth: _Growth, whole: FitData) -> Fit:
     for _ in range(2):
         levels, factor = levels_of(found, growth.noise, levels, DRIFT)
         data = with_noise(whole, {c: factor * level for c, level in levels.items()})
-        found = _best_run(
-            found.crane, growth.crane, growth.keys, replace(found, data=data, windows=tuple(cut(data, LONG)))
-        )
+        found = _best_run(found.crane, growth.crane, growth.keys, replace(found, data=data))
     return found
 
 
@@ -685,9 +669,7 @@ def _deviations(final: Fit) -> dict[str, float]:
         if isinstance(v, NominalDirection):
             found[v.name] = spread * v.weights[v.name]
         elif isinstance(v, EffectParameter):
-            u = float(final.u[i])
-            inverse = v.parameter.typical / u**2 * spread if u > 2.0 * spread else math.inf
-            found[v.name] = inverse if v.inverse else spread * v.scale if spread < UNDETERMINED else math.inf
+            found[v.name] = deviation(v, float(final.u[i]), spread)
     return found
 
 

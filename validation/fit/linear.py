@@ -193,12 +193,12 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     residuals, jacobians, volume = [], [], 0.0
     for j, sample in enumerate(data.samples):
         z, dz = _shown(channels[j], Y[:, j], G[:, j], base.E, columns, data.step, nx)
-        both = np.column_stack([sample.values - _at(z, sample), _at(dz, sample)]) / sample.noise
-        if window.start > 0:
-            both, own = forgotten(both, sample, data.step, base.E)
-            volume += own
-        residuals.append(both[:, 0])
-        jacobians.append(both[:, 1:])
+        r, dr = (sample.values - _at(z, sample)) / sample.noise, _at(dz, sample) / sample.noise
+        if window.start > 0 and lag_of(sample.channel, base.E) > 0.0:
+            both, own = forgotten(np.column_stack([r, dr]), sample, data.step, base.E)
+            r, dr, volume = both[:, 0], both[:, 1:], volume + own
+        residuals.append(r)
+        jacobians.append(dr)
     r, J = np.concatenate(residuals), np.concatenate(jacobians)
     J[:, :nx] *= JUMP[:nx]
     return Swept(
@@ -207,16 +207,21 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     )  # fmt: skip
 
 
+def lag_of(channel: str, E: np.ndarray) -> float:
+    """Return the time constant (s) of a channel's sensor, 0 where it does not lag."""
+    from crane_exudyn.effects import hooks
+
+    place = SENSOR_PLACE.get(channel)
+    return float(hooks.lag(E, place)) if place is not None else 0.0
+
+
 def forgotten(columns: np.ndarray, sample: Samples, step: float, E: np.ndarray) -> tuple[np.ndarray, float]:
     """Return columns (n, m) of a sensor, in noise units, without what its unknown first value in a window may have done, and the cost of that.
 
     A sensor that lags remembers what was before the window. Its first value is one more unknown, of which only a size is known, and dies
     out as exp(-t / tau); it is integrated out. The cost is minus twice the log of the share that is left of its prior volume.
     """
-    from crane_exudyn.effects import hooks
-
-    place = SENSOR_PLACE.get(sample.channel)
-    tau = hooks.lag(E, place) if place is not None else 0.0
+    tau = lag_of(sample.channel, E)
     if tau <= 0.0:
         return columns, 0.0
     rate = PRESSURE_RATE if sample.channel.startswith("p") else ANGLE_RATE

@@ -10,7 +10,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.base import SENSORS, Effect
+from crane_exudyn.effects.base import SENSORS, Effect, Parameter
 
 from ..fit.data import FitData
 from ..fit.variables import is_moment, sensor_scale
@@ -58,17 +58,21 @@ def _values(effect: type[Effect], key: str, data: FitData, moments: float) -> li
         return [dict(p) for p in effect.probes]
     first = effect.parameters[0]
     size = sensor_scale(key) * 0.5 if first.unit == "channel" else first.typical
-    timed = next((p.name for p in effect.parameters if is_moment(p)), None)
+    timed = _moment_of(effect)
     if timed is None:
         return [{first.name: size}]
     begin, end = float(data.time[0]), float(data.time[-1])
     times = np.arange(begin + moments, end - moments, max(moments, (end - begin) / 120.0))
-    return [{first.name: size, timed: float(t)} for t in (begin, *times)]
+    return [{first.name: size, timed.name: float(t)} for t in (begin, *times)]
+
+
+def _moment_of(effect: type[Effect]) -> Parameter | None:
+    return next((p for p in effect.parameters if is_moment(p)), None)
 
 
 def around(start: Start) -> list[Start]:
     """Return starts at moments close to that of a start, to either side; none for an effect without a moment of its own."""
-    timed = next((p for p in registry.split_key(start.key)[0].parameters if is_moment(p)), None)
+    timed = _moment_of(registry.split_key(start.key)[0])
     if timed is None or timed.name not in start.values:
         return []
     steps = round(_MOMENTS / 2 / _CLOSER)

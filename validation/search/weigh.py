@@ -130,11 +130,15 @@ def deviations(weighed: Weighed, key: str) -> dict[str, float]:
     for i, v in enumerate(weighed.fit.variables):
         if isinstance(v, EffectParameter) and v.key == key:
             u, spread = float(weighed.fit.u[i]), math.sqrt(max(float(weighed.fit.cov[i, i]), 0.0))
-            if v.inverse:
-                found[v.parameter.name] = v.parameter.typical / u**2 * spread if u > 2 * spread else math.inf
-            else:
-                found[v.parameter.name] = v.scale * spread if spread < UNDETERMINED else math.inf
+            found[v.parameter.name] = deviation(v, u, spread)
     return found
+
+
+def deviation(variable: EffectParameter, u: float, spread: float) -> float:
+    """Return the standard deviation (SI) of an effect's parameter whose u has that one; infinite where the data do not determine it."""
+    if variable.inverse:
+        return variable.parameter.typical / u**2 * spread if u > 2.0 * spread else math.inf
+    return variable.scale * spread if spread < UNDETERMINED else math.inf
 
 
 def at_bound(weighed: Weighed, key: str) -> list[str]:
