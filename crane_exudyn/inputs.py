@@ -1,8 +1,9 @@
-"""From commands to spool positions: delay, backlash and the spool's lag (16); and the paper's working cycle.
+"""From commands to spool positions: delay, backlash, the spool's lag (16) and creep; and the paper's working cycle.
 
 Spool positions depend on the commands alone, so they are computed once per time grid. ::
 
-    command -> command hooks -> delay T -> play of width b -> lag tau (16) -> spool position U
+    command -> command hooks -> delay T -> play of width b -> 1 - kappa: lag tau (16)      -> sum: spool position U
+                                                           -> kappa:     creep, lag tau_c
 """
 
 from __future__ import annotations
@@ -35,18 +36,41 @@ def play(follower: float, leader: float, width: float) -> float:
 
 
 @njit
-def _play_step(spool: float, held: float, start: float, end: float, width: float, dt: float, tau: float) -> tuple:
-    """Return (spool, held) after dt for a leader that is linear from start to end, behind a play and the lag (16).
+def _follow(quick: float, slow: float, start: float, end: float, dt: float, valve: tuple) -> tuple:
+    """Return both parts of a spool after dt, behind a leader that is linear from start to end."""
+    _, _, tau, share, creep = valve
+    return spool_step(quick, start, end, dt, tau), spool_step(slow, start, end, dt, creep) if share > 0.0 else slow
+
+
+@njit
+def _play_step(state: tuple, start: float, end: float, dt: float, valve: tuple) -> tuple:
+    """Return the state after dt for a leader that is linear from start to end, behind a play and the spool's lags.
 
     Within the step the play holds until the leader has crossed it, then follows; both parts are linear.
+
+    Args:
+        state: where the quick and the slow part of the spool stand, and what the play holds.
+        valve: delay, backlash, time constant, share of the travel that creeps and its time constant.
     """
+    quick, slow, held = state
+    width = valve[1]
     after = play(held, end, width)
     if dt <= 0.0 or after == held or width <= 0.0:
-        return spool_step(spool, held if width > 0.0 else start, after if width > 0.0 else end, dt, tau), after
+        begin, reached = (held, after) if width > 0.0 else (start, end)
+        quick, slow = _follow(quick, slow, begin, reached, dt, valve)
+        return quick, slow, after
     first = play(held, start, width)  # differs from held only if the leader jumped
     waiting = 1.0 - abs(after - first) / abs(end - start) if end != start else 0.0
-    spool = spool_step(spool, first, first, waiting * dt, tau)
-    return spool_step(spool, first, after, (1.0 - waiting) * dt, tau), after
+    quick, slow = _follow(quick, slow, first, first, waiting * dt, valve)
+    quick, slow = _follow(quick, slow, first, after, (1.0 - waiting) * dt, valve)
+    return quick, slow, after
+
+
+@njit
+def _position(state: tuple, valve: tuple) -> float:
+    """Return where the spool stands: both parts of it by their shares."""
+    share = valve[3]
+    return state[0] if share == 0.0 else (1.0 - share) * state[0] + share * state[1]
 
 
 @njit
@@ -59,7 +83,7 @@ class SpoolPath:
     """Spool positions that follow commands, exact for commands that are linear between samples.
 
     Args:
-        crane: gives the spools' time constants and the effects command_delay and spool_hysteresis.
+        crane: gives the spools' time constants and the effects command_delay, spool_hysteresis and spool_creep.
 
     The spools start at rest where the first command (after delay and backlash) holds them.
     """
@@ -67,13 +91,9 @@ class SpoolPath:
     def __init__(self, crane: Crane) -> None:
         P, self._E = crane.parameter_vector(), crane.effect_vector()
         self._name = crane.name
-        self._tau = [float(P[VALVE + N_VALVE * c + 1]) for c in range(len(CYLINDERS))]
-        self._delay = [float(hooks.delay(self._E, c)) for c in range(len(CYLINDERS))]
-        self._play = [float(hooks.backlash(self._E, c)) for c in range(len(CYLINDERS))]
+        self._valves = [valve_of(P, self._E, c) for c in range(len(CYLINDERS))]
         self._past: deque[tuple[float, np.ndarray]] = deque()
-        self._spool = np.zeros(2)
-        self._held = np.zeros(2)
-        self._last = np.zeros(2)
+        self._states: list[tuple[float, float, float]] = []
 
     def run(self, time: np.ndarray, commands: np.ndarray, valve: int | None = None) -> np.ndarray:
         """Return spool positions (n, 2) at `time` for a whole record; leaves the live state of `step` alone.
@@ -96,7 +116,7 @@ class SpoolPath:
         _apply_command_hooks(self._E, np.ascontiguousarray(u), changed)
         out = np.zeros_like(changed)
         for c in range(2) if valve is None else (valve,):
-            out[:, c] = _run_one(t, np.ascontiguousarray(changed[:, c]), self._delay[c], self._play[c], self._tau[c])
+            out[:, c] = _run_one(t, np.ascontiguousarray(changed[:, c]), self._valves[c])
         return out
 
     def step(self, time: float, command: np.ndarray) -> np.ndarray:
@@ -109,22 +129,20 @@ class SpoolPath:
         self._check(times, np.broadcast_to(u, (times.size, 2)))
         changed = np.empty((1, 2))
         _apply_command_hooks(self._E, u, changed)
-        if not self._past:
-            self._past.append((time, changed[0]))
-            self._spool, self._held = changed[0].copy(), changed[0].copy()
-            return self._spool.copy()
         self._past.append((time, changed[0]))
-        t, v = np.array([p[0] for p in self._past]), np.array([p[1] for p in self._past])
-        for c in range(2):
-            self._spool[c], self._held[c] = _advance(
-                t, np.ascontiguousarray(v[:, c]), times[0], time, self._spool[c], self._held[c],
-                self._delay[c], self._play[c], self._tau[c],
-            )  # fmt: skip
-        self._forget(time)
-        return self._spool.copy()
+        if not self._states:
+            self._states = [(u0, u0, u0) for u0 in changed[0].tolist()]
+        else:
+            t, v = np.array([p[0] for p in self._past]), np.array([p[1] for p in self._past])
+            self._states = [
+                _advance(t, np.ascontiguousarray(v[:, c]), times[0], time, state, valve)
+                for c, (state, valve) in enumerate(zip(self._states, self._valves, strict=True))
+            ]
+            self._forget(time)
+        return np.array([_position(s, v) for s, v in zip(self._states, self._valves, strict=True)])
 
     def _forget(self, time: float) -> None:
-        oldest = time - max(self._delay)
+        oldest = time - max(valve[0] for valve in self._valves)
         while len(self._past) > 2 and self._past[1][0] <= oldest:
             self._past.popleft()
 
@@ -145,24 +163,32 @@ class SpoolPath:
             )
 
 
+def valve_of(P: np.ndarray, E: np.ndarray, c: int) -> tuple[float, float, float, float, float]:
+    """Return what valve c does to its command: delay, backlash, time constant, and the share that creeps with its time constant."""
+    share, creep = hooks.creep(E, c)
+    delay, width, tau = hooks.delay(E, c), hooks.backlash(E, c), P[VALVE + N_VALVE * c + 1]
+    return float(delay), float(width), float(tau), float(share), float(creep)
+
+
 @njit
-def _run_one(time, command, delay, width, tau):
+def _run_one(time, command, valve):
     """Return the spool positions (n,) of one valve at `time`; the samples that arrive are walked through once."""
     out = np.empty(time.size)
-    spool = held = start = command[0]
-    out[0], begin, arriving = spool, time[0] - delay, 0
+    delay, start = valve[0], command[0]
+    state = (start, start, start)
+    out[0], begin, arriving = start, time[0] - delay, 0
     for k in range(1, time.size):
         end = time[k] - delay
         while arriving < time.size and time[arriving] <= end:
             if time[arriving] > begin:
-                spool, held = _play_step(spool, held, start, command[arriving], width, time[arriving] - begin, tau)
+                state = _play_step(state, start, command[arriving], time[arriving] - begin, valve)
                 begin, start = time[arriving], command[arriving]
             arriving += 1
         if end > begin:
             after = _between(time, command, arriving, end)
-            spool, held = _play_step(spool, held, start, after, width, end - begin, tau)
+            state = _play_step(state, start, after, end - begin, valve)
             begin, start = end, after
-        out[k] = spool
+        out[k] = _position(state, valve)
     return out
 
 
@@ -176,17 +202,17 @@ def _between(time, command, after, t):
 
 
 @njit
-def _advance(time, command, begin, end, spool, held, delay, width, tau):
-    """Return (spool, held) at `end`; the delayed command has a corner wherever a sample arrives between begin and end."""
-    t0, t1 = begin - delay, end - delay
+def _advance(time, command, begin, end, state, valve):
+    """Return the state at `end`; the delayed command has a corner wherever a sample arrives between begin and end."""
+    t0, t1 = begin - valve[0], end - valve[0]
     u0 = _delayed(time, command, t0)
     k = np.searchsorted(time, t0, side="right")
     while k < time.size and time[k] < t1:
         if time[k] > t0:
-            spool, held = _play_step(spool, held, u0, command[k], width, time[k] - t0, tau)
+            state = _play_step(state, u0, command[k], time[k] - t0, valve)
             t0, u0 = time[k], command[k]
         k += 1
-    return _play_step(spool, held, u0, _delayed(time, command, t1), width, t1 - t0, tau)
+    return _play_step(state, u0, _delayed(time, command, t1), t1 - t0, valve)
 
 
 def paper_cycle(time: np.ndarray) -> np.ndarray:

@@ -128,6 +128,7 @@ def test_a_clean_recording_is_explained_down_to_its_noise(nominal):
         ("dead_band@tilt", {"lower": 0.04, "upper": 0.06}, {"lower": 0.01, "upper": 0.01}),
         ("entrained_air", {"alpha": 0.01}, {"alpha": 0.003}),
         ("command_delay@lift", {"T": 0.05}, {"T": 0.02}),
+        ("spool_creep@lift", {"kappa": 0.2, "tau": 0.6}, {"kappa": 0.05, "tau": 1.0}),
         ("sensor_lag@p1", {"tau": 0.05}, {"tau": 0.02}),
         ("structural_compliance@lift", {"stiffness": 8e6}, {"stiffness": 5e7}),
     ],

@@ -1,4 +1,4 @@
-"""Commands to spool positions: exactness, delay, backlash, live use, and the paper's cycle."""
+"""Commands to spool positions: exactness, delay, backlash, creep, live use, and the paper's cycle."""
 
 import math
 
@@ -57,14 +57,31 @@ def test_backlash_holds_and_trails_by_half_its_width():
     assert play(0.2, 0.4, 0.1) == pytest.approx(0.35)
 
 
+def test_creep_takes_the_last_share_of_a_step_with_its_own_time_constant():
+    share, creep, tau = 0.2, 0.8, 0.03
+    crane = CRANE.with_effect("spool_creep@tilt", {"kappa": share, "tau": creep})
+    time = np.arange(0.0, 4.0, 0.01)
+    ramp = np.interp(time, [0.5, 0.6], [0.0, 0.3])
+    spool = SpoolPath(crane).run(time, np.column_stack([0 * time, ramp]))[:, 1]
+    after = time[time >= 0.6] - 0.6
+
+    def left(lag):  # of a step that was a ramp of 0.1 s, when it has come to its end
+        return lag / 0.1 * (1.0 - math.exp(-0.1 / lag)) * np.exp(-after / lag)
+
+    closed = 0.3 * (1.0 - (1.0 - share) * left(tau) - share * left(creep))
+    assert spool[time >= 0.6] == pytest.approx(closed, abs=1e-9)
+
+
 def test_neutral_effects_change_nothing():
     neutral = CRANE.with_effect("command_delay@lift", {"T": 0.0}).with_effect("spool_hysteresis@lift", {"b": 0.0})
+    neutral = neutral.with_effect("spool_creep@lift", {"kappa": 0.0, "tau": 1.0})
     assert np.array_equal(SpoolPath(neutral).run(TIME, COMMANDS), SpoolPath(CRANE).run(TIME, COMMANDS))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0173, 0.2])
 def test_live_use_gives_the_same_bits(delay):
     crane = CRANE.with_effect("command_delay@lift", {"T": delay}).with_effect("spool_hysteresis@tilt", {"b": 0.05})
+    crane = crane.with_effect("spool_creep@tilt", {"kappa": 0.2, "tau": 0.5})
     path = SpoolPath(crane)
     live = np.array([path.step(t, u) for t, u in zip(TIME, COMMANDS, strict=True)])
     assert np.array_equal(live, path.run(TIME, COMMANDS))

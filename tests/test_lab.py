@@ -103,7 +103,9 @@ def test_a_stuck_seal_holds_what_friction_by_speed_lets_go(lab):
 
 
 def test_effect_vector_has_room_for_the_new_effects(lab):
-    assert slot("stuck_seal", "tilt") > slot("released_air", "") > slot("sensor_lag", "p4")
+    assert (
+        slot("spool_creep", "tilt") > slot("stuck_seal", "tilt") > slot("released_air", "") > slot("sensor_lag", "p4")
+    )
 
 
 def test_identified_crane_is_the_lab_crane_with_what_the_page_names(lab):

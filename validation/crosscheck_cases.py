@@ -15,7 +15,7 @@ from crane_exudyn.inputs import SpoolPath
 from .semi_recursive import SemiRecursiveEngine
 
 #: hooks that act before or after an engine (on commands, on sensors), in code that both engines are fed by
-OUTSIDE_ENGINES = {"command", "delay", "backlash", "measurement", "lag"}
+OUTSIDE_ENGINES = {"command", "delay", "backlash", "creep", "measurement", "lag"}
 #: smallest chamber length of a random state, m
 MARGIN = 0.03
 SAMPLE = 1e-3

@@ -15,7 +15,7 @@ from .base import CHAMBERS, CYLINDERS, JOINTS, SENSORS, Effect
 from .registry import known, slot
 
 _SWITCH = {
-    "command": CYLINDERS, "delay": CYLINDERS, "backlash": CYLINDERS, "opening": CYLINDERS, "supply_drop": CYLINDERS,
+    "command": CYLINDERS, "delay": CYLINDERS, "backlash": CYLINDERS, "creep": CYLINDERS, "opening": CYLINDERS, "supply_drop": CYLINDERS,
     "return_gain": CYLINDERS, "leakage": CYLINDERS, "cylinder_force": CYLINDERS, "series_compliance": CYLINDERS,
     "joint_torque": JOINTS, "measurement": SENSORS, "lag": SENSORS,
 }  # fmt: skip
@@ -24,6 +24,7 @@ _FORM = {
     "command": ("c, u", "", "u = {call}", "u"),
     "delay": ("c", "T = 0.0", "T += {call}", "T"),
     "backlash": ("c", "b = 0.0", "b += {call}", "b"),
+    "creep": ("c", "k, tau = 0.0, 0.0", "k, tau = {call}", "k, tau"),
     "opening": ("c, U", "", "U = {call}", "U"),
     "supply_drop": ("c, dp", "", "dp = {call}", "dp"),
     "return_gain": ("c, p_own, p_other, load_side", "g = 1.0", "g *= {call}", "g"),
@@ -93,6 +94,7 @@ def _compose(hook: str) -> Any:
 command = _compose("command")
 delay = _compose("delay")
 backlash = _compose("backlash")
+creep = _compose("creep")
 opening = _compose("opening")
 supply_drop = _compose("supply_drop")
 return_gain = _compose("return_gain")

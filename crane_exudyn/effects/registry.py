@@ -20,7 +20,7 @@ BUILT_IN = (
     "command_delay", "spool_hysteresis", "counterbalance_valve", "entrained_air", "pump_droop", "return_back_pressure",
     "seal_friction", "pressure_dependent_friction", "joint_coulomb_friction", "joint_viscous_friction",
     "structural_compliance", "payload_change", "payload_swing", "tip_contact_force", "base_tilt", "end_stop",
-    "sensor_bias", "sensor_scale", "sensor_lag", "released_air", "stuck_seal",
+    "sensor_bias", "sensor_scale", "sensor_lag", "released_air", "stuck_seal", "spool_creep",
 )  # fmt: skip
 #: packages may offer effects of their own under this entry point group
 ENTRY_POINTS = "crane_exudyn.effects"

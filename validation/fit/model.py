@@ -12,6 +12,7 @@ from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import hooks
 from crane_exudyn.effects.base import SENSORS
 from crane_exudyn.effects.registry import find
+from crane_exudyn.inputs import valve_of
 from crane_exudyn.parameters import CYLINDERS
 
 from .data import FitData
@@ -51,29 +52,34 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None 
             constants of the valves differ (many joint moves of parameters change them a little each).
     """
     P, E = crane.parameter_vector(), crane.effect_vector()
-    spool = None if near is None else _extrapolated(near, crane, data, late)
+    spool = None if near is None else _extrapolated(near, crane, P, E, data, late)
     if spool is None:
-        spool = spool_path(crane, data, late)
+        spool = _paths(crane, P, E, data, late)
     return Model(crane, P, E, np.column_stack([spool, data.supply]), late)
 
 
 def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:
     """Return spool positions (N, 2) on the grid of a recording."""
-    E = crane.effect_vector()
-    return np.column_stack([_valve_path(crane, data, c, _valve(crane, E, c), late) for c in range(2)])
+    return _paths(crane, crane.parameter_vector(), crane.effect_vector(), data, late)
+
+
+def _paths(crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: float) -> np.ndarray:
+    return np.column_stack([_valve_path(crane, data, c, _valve(P, E, c), late) for c in range(2)])
 
 
 #: share of a time constant by which it may differ for the spool's path to be extrapolated, and that of the difference quotient
 _NEAR, _QUOTIENT = 1e-2, 1e-4
 
 
-def _extrapolated(near: Model, crane: Crane, data: FitData, late: float) -> np.ndarray | None:
+def _extrapolated(
+    near: Model, crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: float
+) -> np.ndarray | None:
     """Return spool positions (N, 2) from those of a model nearby, or None if more than the time constants differ."""
     if late != near.late or _commanded(crane) != _commanded(near.crane):
         return None
     spool = near.W[:, :2].copy()
     for c, name in enumerate(CYLINDERS):
-        here, there = _valve(crane, crane.effect_vector(), c), _valve(near.crane, near.E, c)
+        here, there = _valve(P, E, c), _valve(near.P, near.E, c)
         change = here[0] - there[0]
         if here[1:] != there[1:] or abs(change) > _NEAR * there[0]:
             return None
@@ -85,9 +91,10 @@ def _extrapolated(near: Model, crane: Crane, data: FitData, late: float) -> np.n
     return spool
 
 
-def _valve(crane: Crane, E: np.ndarray, c: int) -> tuple[float, float, float]:
-    """Return what a valve does to its command: time constant, delay, backlash."""
-    return crane[f"valves.{CYLINDERS[c]}.time_constant"], float(hooks.delay(E, c)), float(hooks.backlash(E, c))
+def _valve(P: np.ndarray, E: np.ndarray, c: int) -> tuple[float, ...]:
+    """Return what a valve does to its command, its time constant first."""
+    delay, backlash, tau, *creep = valve_of(P, E, c)
+    return tau, delay, backlash, *creep
 
 
 def _commanded(crane: Crane) -> tuple[object, ...]:
@@ -95,7 +102,7 @@ def _commanded(crane: Crane) -> tuple[object, ...]:
     return tuple((e.key, *e.parameters.values()) for e in crane.effects if "command" in find(e.name).hooks())
 
 
-def _valve_path(crane: Crane, data: FitData, c: int, valve: tuple[float, float, float], late: float) -> np.ndarray:
+def _valve_path(crane: Crane, data: FitData, c: int, valve: tuple[float, ...], late: float) -> np.ndarray:
     """Return the positions (N,) of one spool on the grid; equal commands and valves are computed once."""
     return _spool_path(_Driven(crane, data), c, (*valve, late))
 
