@@ -52,10 +52,14 @@ DEMANDED, NEAR = 5.0, 5.0
 SERIOUS = 0.5
 #: log of the error by which what was not fitted may be predicted worse, on the average of the channels, for one step
 TOLERATED = 0.1
+#: and the least by which one must fall, fitted and not fitted stretch together: much evidence for next to nothing is a makeshift's
+GAINED = 0.1
 #: an effect stays, for all its evidence, if the error of a channel is so many times as large without it
 MENDED = 1.5
 #: nominal parameters are told that moved by more than so many standard uncertainties, and doubted from so many on
 TOLD, STRAINED = 1.0, 3.0
+#: how often the last fit takes up the error levels that it leaves
+SETTLED = 3
 #: how many starts are fitted in a step, and how many effects are taken in at most
 TRIED, MOST = 9, 10
 #: sizes beyond this many typical ones are implausible: standard deviation of an effect's parameter before the data
@@ -512,7 +516,7 @@ def _best_step(
             break
         errors = judged(fit_with, *judge)
         fall, ahead = (falls(a, b, noise, ranges) for a, b in zip(last, errors, strict=True))
-        if fall + ahead > 0.0 and ahead > -TOLERATED:
+        if fall + ahead > GAINED and ahead > -TOLERATED:
             found.append((fall + ahead, key, fit_with, errors))
     return max(found, key=lambda f: f[0])[1:] if found else None
 
@@ -611,16 +615,49 @@ def mends(without: Errors, full: Errors, floor: Errors) -> bool:
 
 
 def _whole_run(growth: _Growth, whole: FitData) -> Fit:
-    """Return the open-loop fit to the whole recording, by way of long windows, then twice from where it stands with the levels it leaves."""
+    """Return the open-loop fit to the whole recording: the most likely of those that begin at the current fit, at the machine, and anew.
+
+    Anew is the crane as given, with effects of the size that is met in practice: where much has moved step by step, that valley may
+    be the deeper one.
+    """
     data = with_noise(whole, {s.channel: s.noise for s in growth.current.data.samples})
     found = _extended(growth, data)
-    found = _open_loop(found.crane, growth.crane, growth.keys, data, found, 6)
-    levels = {c: math.inf for c in growth.noise}
-    for _ in range(2):
-        levels, factor = levels_of(found, growth.noise, levels, DRIFT)
+    fresh = typical(growth.crane, growth.keys)
+    windows = tuple(cut(data, WINDOW))
+    machine = [replace(found, windows=windows, knots=first_knots(c, data, WINDOW)) for c in (found.crane, fresh)]
+    begins = [(found, found.crane), (machine[0], found.crane), (machine[1], fresh)]
+    fits = in_parallel(growth.jobs, [(_settled, growth, whole, start, crane) for start, crane in begins])
+    return max(fits, key=lambda f: _likelihood(f, growth.noise, fits))
+
+
+def typical(crane: Crane, keys: Sequence[str]) -> Crane:
+    """Return the crane with effects of the size that is met in practice."""
+    for key in keys:
+        effect, _ = split_key(key)
+        crane = crane.with_effect(key, {p.name: p.neutral if p.shape else p.typical for p in effect.parameters})
+    return crane
+
+
+def _settled(growth: _Growth, whole: FitData, start: Fit, crane: Crane) -> Fit:
+    """Return the open-loop fit from a start, fitted again with the error levels that it leaves until they hardly change."""
+    found = _open_loop(crane, growth.crane, growth.keys, start.data, start, 6)
+    for _ in range(SETTLED):
+        levels, factor = levels_of(found, growth.noise, {c: math.inf for c in growth.noise}, DRIFT)
         data = with_noise(whole, {c: factor * level for c, level in levels.items()})
-        found = _best_run(found.crane, growth.crane, growth.keys, replace(found, data=data))
+        found = fitted(growth.crane, data, found.variables, found, Stage(LONG, 1.0, 12, STEP), values_of(found))
     return found
+
+
+def _likelihood(found: Fit, noise: Mapping[str, float], fits: Sequence[Fit]) -> float:
+    """Return the log-likelihood, each channel's error level at its most likely value, and the log prior, up to a constant.
+
+    A channel that is given up costs the log of its level. All fits of a comparison take samples as equally independent.
+    """
+    open_end = {c: math.inf for c in noise}
+    levels, _ = levels_of(found, noise, open_end, DRIFT)
+    factor = float(np.mean([levels_of(f, noise, open_end, DRIFT)[1] for f in fits]))
+    counts = {s.channel: len(s.values) for s in found.data.samples}
+    return -sum(n / factor**2 * math.log(levels[c] / noise[c]) for c, n in counts.items()) - found.prior_cost
 
 
 def _extended(growth: _Growth, data: FitData) -> Fit:
