@@ -1,6 +1,7 @@
 """The diagnosis on recordings of an independent simulation, whose answers are open; and its refusals."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,8 +10,9 @@ import pytest
 
 from crane_exudyn import Crane, CraneError, Recording
 from validation import hidden
-from validation.diagnosis import _between_samples, _predicts, diagnose
-from validation.fit.variables import uncertain_parameters
+from validation.diagnosis import _between_samples, _elsewhere, _explains, _idle, diagnose
+from validation.fit.data import FitData
+from validation.fit.variables import effect_variables, uncertain_parameters
 from validation.search.candidates import Start, around
 from validation.search.weigh import Hypothesis, Weighed
 
@@ -84,27 +86,66 @@ def test_moments_around_the_best_one_are_looked_at_more_closely():
     assert around(Start("internal_leakage@lift", {"k": 1e-12})) == []
 
 
-def weighed(key: str, values: dict[str, float], evidence: float, prior_cost: float = 0.0) -> Weighed:
+def weighed(
+    key: str, values: dict[str, float], evidence: float, prior_cost: float = 0.0, level: float = 1.5
+) -> Weighed:
     """Return a weighed hypothesis of which only the crane, the evidence and the cost of moved parameters matter."""
     crane = Crane.load("patu655").with_effect(key, values)
     fit = SimpleNamespace(crane=crane, variables=uncertain_parameters(crane)[:5], prior_cost=prior_cost)
-    return Weighed(Hypothesis({key: values}), fit, evidence, 1.2, np.zeros(3, dtype=bool))
+    return Weighed(Hypothesis({key: values}), fit, evidence, level, np.ones(3, dtype=bool))
 
 
 @pytest.mark.parametrize(
-    ("evidence", "prior_cost", "errors", "named"),
-    [(500.0, 0.0, (6.4, 1.1), True), (500.0, 0.0, (6.4, 1.9), False), (500.0, 0.0, (1.5, 1.2), False),
-     (5.0, 0.0, (6.4, 1.1), False), (500.0, 200.0, (6.4, 1.1), False)],
+    ("evidence", "prior_cost", "level", "errors", "named"),
+    [(500.0, 0.0, 1.5, (6.4, 1.1), True), (500.0, 0.0, 1.5, (6.4, 1.9), False), (500.0, 0.0, 1.5, (1.5, 1.2), False),
+     (5.0, 0.0, 1.5, (6.4, 1.1), False), (500.0, 200.0, 1.5, (6.4, 1.1), False),
+     (500.0, 0.0, 1.2, (6.4, 1.9), True), (500.0, 0.0, 1.2, (14.8, 3.2), False)],
 )  # fmt: skip
 def test_an_effect_that_leaves_something_is_named_only_if_it_predicts_the_check_recording(
-    monkeypatch, evidence, prior_cost, errors, named
+    monkeypatch, evidence, prior_cost, level, errors, named
 ):
-    best = weighed("internal_leakage@lift", {"k": 5e-12}, evidence, prior_cost)
-    bare = weighed("internal_leakage@lift", {"k": 0.0}, 0.0)
+    best = weighed("internal_leakage@lift", {"k": 5e-12}, evidence, prior_cost, level)
+    bare = replace(weighed("internal_leakage@lift", {"k": 0.0}, 0.0), bad=np.ones(100, dtype=bool))
+    best = replace(best, bad=np.arange(100) < 10)
     found = dict(zip((0, 1), errors, strict=True))
     monkeypatch.setattr("validation.diagnosis._error", lambda crane, recording, knots: found[len(crane.effects)])
     search = SimpleNamespace(crane=Crane.load("patu655"), jobs=1)
-    assert _predicts(search, best, bare, None) is named
+    notes: list[str] = []
+    assert _explains(search, best, bare, object(), notes) is named
+    assert any("does not predict" in n for n in notes) is (errors[1] > 3.0)
+
+
+class Recorded:
+    """A search that notes what it is asked to fit, and answers with the same evidence for all."""
+
+    def __init__(self, data: FitData) -> None:
+        self.crane, self.data, self.base, self.asked = Crane.load("patu655"), data, None, []
+
+    def run(self, hypotheses, stages):
+        """Return the hypotheses as weighed."""
+        self.asked += [h.keys[0] for h, _ in hypotheses]
+        return [weighed(h.keys[0], h.effects[h.keys[0]], 0.0) for h, _ in hypotheses]
+
+
+def test_where_moved_parameters_help_an_effect_its_other_places_are_fitted_too():
+    crane = Crane.load("patu655")
+    data = FitData.of(hidden.make_case(3, kind="none", noise=0, sensors=0, rate=100).learn.window(0.0, 3.0), crane)
+    for cost, asked in ((0.5, set()), (20.0, {"external_leakage@p1", "external_leakage@p3", "external_leakage@p4"})):
+        search = Recorded(data)
+        first = [weighed("external_leakage@p2", {"k": 5e-12}, 10.0, prior_cost=cost)]
+        found = _elsewhere(search, first)
+        assert set(search.asked) == asked
+        assert found[0] is first[0] and len(found) == (2 if asked else 1)
+
+
+def test_an_effect_too_weak_to_be_told_from_nothing_is_idle():
+    """A pressure compensation of 128 bar does nothing; its neutral value is infinite."""
+    w = weighed("pressure_compensation@lift", {"dpc": 128e5}, 0.0)
+    variables = effect_variables("pressure_compensation@lift", {"dpc": 128e5})
+    u = np.array([v.to_u(v.start) for v in variables])
+    for spread, idle in ((u[0], {"pressure_compensation@lift"}), (u[0] / 10.0, set())):
+        fit = SimpleNamespace(crane=w.fit.crane, variables=variables, u=u, cov=np.diag([spread**2]))
+        assert _idle(replace(w, fit=fit)) == idle
 
 
 def test_a_delay_within_a_sampling_interval_is_no_effect():

@@ -33,6 +33,8 @@ Verdict = str
 LEVEL, SHARE = 1.04, 0.03
 #: with something left over, an effect is still named if it repairs this share of the windows and leaves no more than this level
 REPAIRED, LEFT_LEVEL = 0.8, 1.3
+#: error on a check recording beyond which an effect that leaves something is not named
+MISLED = 2.0
 #: share of the check recording's excess error that an effect may leave there if it leaves more than that where it was learned
 LEFT_OF_CHECK = 0.05
 #: log evidence that a further effect must bring, and within which two explanations are tied
@@ -43,6 +45,8 @@ FITTED, FINISHED = 7, 3
 IMPLAUSIBLE = 1e-9
 #: how many of the finished fits are done anew if their parameters are not to be believed
 ANEW = 2
+#: log of the prior that parameters may lose beside the leading effect before its other places are fitted as well
+HELPED = 5.0
 #: a long run is so many times worse than short windows only if its start went astray
 ASTRAY = 1.3
 #: an effect's parameter is told from its neutral value by so many standard deviations
@@ -275,24 +279,14 @@ def diagnose(
     progress("screening all effects", 0.2)
     loose = _singles(search, PROOF if _good(parameters) else 1.0)
     progress("fitting the likely effects", 0.5)
-    finished = _again(search, _finish(search, loose), parameters)
+    finished = _again(search, _elsewhere(search, _finish(search, loose)), parameters)
     if not (_good(parameters) or (finished and _good(finished[0]))):
         progress("trying pairs", 0.7)
         finished = _with_pairs(search, loose, finished, parameters)
     elif finished and finished[0].evidence > parameters.evidence + PROOF:
         finished = _with_seconds(search, finished, recording if check is None else check)
     progress("weighing", 0.9)
-    result = _conclude(search, as_given, parameters, finished, notes)
-    if (
-        result.verdict == "unknown"
-        and check is not None
-        and finished
-        and _predicts(search, finished[0], parameters, check)
-    ):
-        notes.append(
-            "what is named predicts the check recording, but its law is not quite the machine's: something is left"
-        )
-        result = _named(search, parameters, finished, notes)
+    result = _conclude(search, as_given, parameters, finished, check, notes)
     if result.verdict == "unknown":
         result = replace(result, where=_where(crane, recording) or result.where)
     return replace(_with_errors(result, search, recording, check, as_given), seconds=time.perf_counter() - began)
@@ -353,6 +347,21 @@ def _finish(search: _Search, loose: Sequence[Weighed], most: int = FINISHED) -> 
     near = max(100.0, NEAR * (best - log_evidence(search.base)))
     leading = [w for i, w in enumerate(loose[:most]) if i < 2 or w.evidence > best - near]
     return search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))
+
+
+def _elsewhere(search: _Search, finished: list[Weighed]) -> list[Weighed]:
+    """Return the finished fits with the leading effect at its other places added, where moved parameters help it.
+
+    An effect at the wrong place explains much of a recording if parameters may help, and they can hide the right place from the screen.
+    """
+    if not finished or finished[0].fit.prior_cost < HELPED:
+        return finished
+    best, tried = finished[0], {key for w in finished for key in w.hypothesis.keys}
+    effect, _ = registry.split_key(best.hypothesis.keys[0])
+    found = [s for s in starts(search.crane, search.data) if s.key in set(effect.keys()) - tried]
+    others = search.run([(Hypothesis({s.key: s.values}), search.base) for s in found], (LOOSE,)) if found else []
+    leading = _best_of_each(others)[:1]
+    return _best_of_each([*finished, *search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))])
 
 
 def _again(search: _Search, finished: Sequence[Weighed], parameters: Weighed) -> list[Weighed]:
@@ -450,7 +459,13 @@ def _at_neutral(pair: Weighed, key: str) -> bool:
     values, spread = fitted_values(pair, key), deviations(pair, key)
     acting = [p for p in registry.split_key(key)[0].parameters if not p.shape]
     return all(
-        math.isinf(values[p.name]) or abs(values[p.name] - p.neutral) < TOLD_APART * spread[p.name] for p in acting
+        math.isinf(values[p.name])
+        or (
+            math.isinf(spread[p.name])
+            if math.isinf(p.neutral)
+            else abs(values[p.name] - p.neutral) < TOLD_APART * spread[p.name]
+        )
+        for p in acting
     )
 
 
@@ -495,7 +510,12 @@ def _repairs(pair: Weighed, single: Weighed) -> bool:
 
 
 def _conclude(
-    search: _Search, as_given: Weighed, parameters: Weighed, finished: Sequence[Weighed], notes: list[str]
+    search: _Search,
+    as_given: Weighed,
+    parameters: Weighed,
+    finished: Sequence[Weighed],
+    check: Recording | None,
+    notes: list[str],
 ) -> Diagnosis:
     """Return the verdict."""
     best = finished[0] if finished else None
@@ -503,7 +523,7 @@ def _conclude(
     proof = max(parameters.evidence, as_given.evidence) + PROOF
     if enough and (best is None or best.evidence < proof or _between_samples(search, best)):
         return _without_effect(search, as_given, parameters, finished, notes)
-    if best is None or not _explains(best, parameters):
+    if best is None or not _explains(search, best, parameters, check, notes):
         return _verdict(search, "unknown", best, parameters, finished, notes)
     return _named(search, parameters, finished, notes)
 
@@ -528,25 +548,28 @@ def _named(search: _Search, parameters: Weighed, finished: Sequence[Weighed], no
     return _verdict(search, "tied" if ties else "effect", best, parameters, finished, notes, ties)
 
 
-def _predicts(search: _Search, best: Weighed, parameters: Weighed, check: Recording) -> bool:
-    """Whether effects that leave something on what they were fitted to predict the check recording nearly to its noise.
+def _explains(search: _Search, best: Weighed, parameters: Weighed, check: Recording | None, notes: list[str]) -> bool:
+    """Whether effects explain the recording: hardly more than noise left, or nearly all that was wrong repaired.
 
-    A law that is nearly the machine's does; a makeshift for a law that the library lacks does not.
+    Where more is left, a check recording decides: a law that is nearly the machine's predicts it nearly to its noise, whatever it
+    leaves here; a makeshift for what the library lacks does not.
     """
-    if best.evidence < parameters.evidence + PROOF or not _plausible(best.fit):
-        return False
-    before, after = in_parallel(search.jobs, [(_error, c, check, None) for c in (search.crane, best.fit.crane)])
-    return bool(after < LEFT_LEVEL and after**2 - 1.0 < LEFT_OF_CHECK * (before**2 - 1.0))
-
-
-def _explains(best: Weighed, parameters: Weighed) -> bool:
-    """Whether an effect explains the recording: hardly more than noise left, or nearly all that was wrong repaired."""
     if best.evidence < parameters.evidence + PROOF or not _plausible(best.fit):
         return False
     if _good(best):
         return True
     wrong = max(1, int(parameters.bad.sum()))
-    return best.level < LEFT_LEVEL and 1.0 - best.bad.sum() / wrong >= REPAIRED
+    most = best.level < LEFT_LEVEL and 1.0 - best.bad.sum() / wrong >= REPAIRED
+    if check is None:
+        return most
+    before, after = in_parallel(search.jobs, [(_error, c, check, None) for c in (search.crane, best.fit.crane)])
+    if after < LEFT_LEVEL and after**2 - 1.0 < LEFT_OF_CHECK * (before**2 - 1.0):
+        notes.append("what comes first predicts the check recording, but its law is not quite the machine's")
+        return True
+    names = " and ".join(best.hypothesis.keys)
+    if most and after > MISLED:
+        notes.append(f"{names} would repair most of this recording, but does not predict the other (error {after:.3g})")
+    return most and after <= MISLED
 
 
 def _without_effect(
