@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,17 +11,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.signals import noise_std
 from crane_exudyn.simulation import Simulation, simulate
 from patu import main
 from validation import balances, phases
 from validation.balances import EQUATIONS, Balances, Steps
 from validation.compare import Comparison, compare
 from validation.findings import rounded, scores_of, violation
-from validation.fitness import check_recording, usable
+from validation.fitness import check_recording, noise_at_rest, usable
 from validation.phases import phases_of
 from validation.semi_recursive import SemiRecursiveEngine
 
@@ -431,3 +434,27 @@ def test_command_refuses_with_one_message(patu: Callable[..., SimpleNamespace], 
     done = patu("compare", str(file), "--json", "-")
     assert done.status == 2 and done.out == ""
     assert "short.csv" in done.err and "at least 1 s" in done.err and "Traceback" not in done.err
+
+
+def at_rest(colour: float) -> Recording:
+    """Return 2 s of rest, 1 s of motion and 2 s of a ring that dies out; p1 with noise of 0.3 bar of a correlation time in s."""
+    time = np.arange(0.0, 5.0, 0.005)
+    white = np.random.default_rng(7).standard_normal(time.size)
+    q = math.exp(-0.005 / colour) if colour else 0.0
+    noise = 3e4 * lfilter([math.sqrt(1.0 - q * q)], [1.0, -q], white)
+    ring = 5e5 * np.exp(-np.maximum(time - 3.0, 0.0)) * np.sin(2 * np.pi * 3.0 * time) * (time > 2.0)
+    u1 = np.where((time > 2.0) & (time < 3.0), 0.3, 0.0)
+    z1 = 0.2 + 0.05 * np.clip(time - 2.0, 0.0, 1.0) + 1e-3 * np.random.default_rng(8).standard_normal(time.size)
+    columns = {"u1": u1, "u2": 0 * time, "z1": z1, "p1": 5e6 + ring + noise}
+    return Recording.from_arrays("rest", time, columns)
+
+
+def test_slow_noise_at_rest_is_told_and_a_ring_that_dies_out_is_not() -> None:
+    waver = lambda colour: [n for n in check_recording(at_rest(colour), CRANE) if "waver" in n]  # noqa: E731
+    assert waver(0.0) == []
+    assert len(waver(0.03)) == 1 and "p1 by" in waver(0.03)[0] and "z1" not in waver(0.03)[0]
+    recording = at_rest(0.03)
+    time, commands = recording.commands(CRANE)
+    # parabolas through a quarter of a second take some of it away; the white estimate sees a fifth
+    assert 1.5e4 < noise_at_rest(recording["p1"], time, commands) < 3.3e4
+    assert noise_std(recording["p1"].values) < 1.2e4

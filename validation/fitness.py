@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from crane_exudyn.channels import Channel
+from crane_exudyn.channels import CHANNELS, Channel
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
@@ -25,6 +25,8 @@ VALVE_OF = {
 }  # fmt: skip
 #: a channel that stands at its extreme for more than this share of the time is saturated
 _STUCK_SHARE = 0.5
+#: seconds of closed valves in which slow errors of a sensor are looked for, and by how much they must exceed its white noise
+_REST, _WAVERS = 0.25, 1.5
 #: seconds with an open valve that a sound sensor does not sit through without the slightest change
 _STUCK_SECONDS = 0.3
 
@@ -56,7 +58,8 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
             f"{where}: nothing moves: no valve is opened by more than {OPEN:g} and no angle leaves its noise. A diagnosis needs "
             "motion; record a run in which both cylinders extend and retract."
         )
-    return _notes(recording, time, commands, constant, moves)
+    notes = _notes(recording, time, commands, constant, moves)
+    return notes + _wavering(recording, crane, time, commands, constant)
 
 
 def usable(recording: Recording) -> Recording:
@@ -135,6 +138,45 @@ def _notes(recording: Recording, time: np.ndarray, commands: np.ndarray, constan
     if late > 0.1:
         notes.append(f"the last command is held for {late:.1f} s, because sensors go on after the commands end")
     return notes
+
+
+def _wavering(
+    recording: Recording, crane: Crane, time: np.ndarray, commands: np.ndarray, constant: list[str]
+) -> list[str]:
+    """Name the sensors that waver at rest by more than neighbouring samples differ: hum, a logger that smooths, or a machine that rings.
+
+    Noise is estimated from neighbouring samples. Where it is slower than that, a right model seems to leave something.
+    """
+    factors = []
+    for name in recording.sensors:
+        if name not in crane.sensors and name not in constant:
+            slow = noise_at_rest(recording[name], time, commands)
+            factors.append((slow / max(noise_std(recording[name].values), 1e-300), name, slow))
+    found = [f"{name} by {slow:.2g} {CHANNELS[name]} ({f:.1f} times)" for f, name, slow in factors if f > _WAVERS]
+    if not found:
+        return []
+    return [
+        f"at rest sensors waver by more than neighbouring samples differ: {', '.join(found)}. Unless the machine itself rings there, this is "
+        "their noise: write it into [sensors] of the crane file, or what is only hum will look like something missing"
+    ]
+
+
+def noise_at_rest(channel: Channel, time: np.ndarray, commands: np.ndarray) -> float:
+    """Return the standard deviation (SI) of a sensor about parabolas through stretches of closed valves; 0 without such stretches.
+
+    The quietest quarter of the stretches counts, because after a motion the machine itself rings.
+    """
+    open_ = np.abs(commands).max(axis=1) > OPEN
+    spans = np.arange(channel.time[0], channel.time[-1] - _REST, _REST)
+    found = []
+    for start in spans:
+        inside = (channel.time >= start) & (channel.time < start + _REST)
+        valve = open_[(time >= start - _REST) & (time < start + _REST)]
+        if inside.sum() > 6 and len(valve) and not valve.any():
+            t = channel.time[inside] - start
+            left = channel.values[inside] - np.polyval(np.polyfit(t, channel.values[inside], 2), t)
+            found.append(float(left @ left) / (len(left) - 3))
+    return float(np.sqrt(np.quantile(found, 0.25))) if found else 0.0
 
 
 def _opened(command: np.ndarray) -> bool:
