@@ -10,12 +10,13 @@ import pytest
 
 from crane_exudyn import Crane, CraneError, Recording
 from validation import hidden
-from validation.diagnosis import _between_samples, _elsewhere, _explains, _idle, diagnose
+from validation.diagnosis import _between_samples, _elsewhere, _explains, _idle, _leading_pairs, diagnose
 from validation.fit.data import FitData
 from validation.fit.variables import effect_variables, uncertain_parameters
 from validation.search.candidates import Start, around
 from validation.search.weigh import Hypothesis, Weighed
 
+KNOWN = uncertain_parameters(Crane.load("patu655"))[:5]
 DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
 
@@ -113,6 +114,20 @@ def test_an_effect_that_leaves_something_is_named_only_if_it_predicts_the_check_
     notes: list[str] = []
     assert _explains(search, best, bare, object(), notes) is named
     assert any("does not predict" in n for n in notes) is (errors[1] > 3.0)
+
+
+def test_the_pair_that_parameters_help_least_is_fitted_to_the_end_too():
+    pairs = [
+        Weighed(Hypothesis({first: {}, second: {}}), SimpleNamespace(variables=KNOWN, prior_cost=cost), evidence, 1.0, np.zeros(1))
+        for first, second, cost, evidence in (
+            ("dead_band@tilt", "payload_swing", 240.0, 30.0), ("dead_band@tilt", "base_tilt", 280.0, 20.0),
+            ("dead_band@tilt", "sensor_scale@z4", 50.0, 10.0), ("base_tilt", "command_delay@tilt", 40.0, 0.0),
+        )
+    ]  # fmt: skip
+    assert _leading_pairs(pairs, "dead_band@tilt") == pairs[:3]
+    calm = [replace(pairs[0], fit=SimpleNamespace(variables=KNOWN, prior_cost=0.5)), *pairs[1:]]
+    assert _leading_pairs(calm, "dead_band@tilt") == calm[:2]
+    assert _leading_pairs([], "dead_band@tilt") == []
 
 
 class Recorded:

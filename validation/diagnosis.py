@@ -21,7 +21,7 @@ from .fit.data import FitData
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
 from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, all_parameters, informed_directions, timing_of
-from .fit.variables import Variable, effect_variables
+from .fit.variables import EffectParameter, Variable, effect_variables
 from .search.candidates import around, scaled, starts
 from .search.lean import leaner
 from .search.manoeuvre import best_manoeuvre
@@ -210,11 +210,14 @@ class _Search:
 
     def scores_at_nominal(self) -> list[Score]:
         """Return the screen at the crane as it is, all its uncertain parameters free to move."""
-        known = {v.name: u for v, u in zip(self.nominal.variables, self.nominal.u, strict=True)}
-        u = np.array([known.get(v.name, 0.0) for v in self.base.variables])
-        return self.scores(
-            replace(self.nominal, crane=self.crane, origin=self.crane, variables=self.base.variables, u=u)
-        )
+        return self.scores(self.unmoved(self.nominal))
+
+    def unmoved(self, fit: Fit, effects: Sequence[EffectParameter] = ()) -> Fit:
+        """Return a fit of the crane as given (with effects as they are) in which all uncertain parameters may move from where it states them."""
+        known = {v.name: u for v, u in zip(fit.variables, fit.u, strict=True)}
+        variables = (*self.base.variables, *effects)
+        u = [known.get(v.name, v.to_u(v.start) if isinstance(v, EffectParameter) else 0.0) for v in variables]
+        return replace(fit, origin=self.crane, variables=variables, u=np.array(u))
 
 
 def screened(fit: Fit, data: FitData, stiffness: float) -> list[Score]:
@@ -364,15 +367,15 @@ def _elsewhere(search: _Search, finished: list[Weighed]) -> list[Weighed]:
     return _best_of_each([*finished, *search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))])
 
 
-def _again(search: _Search, finished: Sequence[Weighed], parameters: Weighed) -> list[Weighed]:
-    """Return the finished fits, the leading ones taken further where they are not at their end.
+def _again(search: _Search, finished: Sequence[Weighed], parameters: Weighed, level: float = math.inf) -> list[Weighed]:
+    """Return the finished fits, the leading ones (of those below a level) taken further where they are not at their end.
 
     Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given with the effect as it
     was found, and as one long run: what is slow does not show in short windows. Where it had not converged, it goes on.
     """
     tasks: list[tuple[Any, ...]] = []
-    for w in finished[:ANEW]:
-        if _good(w) or w.evidence < parameters.evidence + PROOF:
+    for w in sorted(finished, key=lambda w: w.fit.prior_cost - w.evidence)[:ANEW]:  # rather what parameters help less
+        if _good(w) or w.evidence < parameters.evidence + PROOF or w.level > level:
             continue
         if not _plausible(w.fit):
             tasks.append((_anew, search.crane, search.data, search.shared, w))
@@ -384,10 +387,7 @@ def _again(search: _Search, finished: Sequence[Weighed], parameters: Weighed) ->
 
 def _anew(crane: Crane, data: FitData, shared: Sequence[Variable], found: Weighed) -> Weighed:
     values = {key: fitted_values(found, key) for key in found.hypothesis.keys}
-    held = replace(crane, uncertainty={})
-    for key in values:
-        held = held.with_effect(key, values[key])
-    return weigh(crane, data, shared, all_parameters(held, data), Hypothesis(values), (WHOLE, STIFF))
+    return weigh(crane, data, shared, _held(crane, data, found), Hypothesis(values), (WHOLE, STIFF))
 
 
 def _with_pairs(
@@ -398,7 +398,7 @@ def _with_pairs(
     What came in as a second effect may be the one that is missing, and the first a makeshift: such singles are weighed alone,
     and where one of them leads, pairs with it are tried as well.
     """
-    done = _paired(search, loose[:3])
+    done = _again(search, _paired(search, loose[:3]), parameters, LEFT_LEVEL)
     alone = _alone(search, done, finished)
     finished = _best_of_each([*finished, *alone])
     search.progress("finishing pairs", 0.8)
@@ -419,17 +419,52 @@ def _with_pairs(
 
 
 def _paired(search: _Search, firsts: Sequence[Weighed]) -> list[Weighed]:
-    """Return the two best pairs of one of these effects with what the screen finds beside it, fitted to the end."""
+    """Return the best pairs of one of these effects with what the screen finds beside it, fitted to the end.
+
+    Where parameters have moved further than they may, they do the second effect's work and hide it; then the screen also looks from
+    the crane as given with the first effect.
+    """
     hypotheses = [h for first in firsts for h in _beside(first, _likely(search.scores(first.fit), 5))]
+    strained = [first for first in firsts if not _plausible(first.fit)]
+    held = in_parallel(search.jobs, [(_held, search.crane, search.data, first) for first in strained])
+    for first, fit in zip(strained, held, strict=True):
+        own = [v for key in first.hypothesis.keys for v in effect_variables(key, fitted_values(first, key))]
+        unmoved = search.unmoved(fit, own)
+        tried = {h.keys for h, _ in hypotheses}
+        more = _beside(first, _likely(search.scores(unmoved), BESIDE), unmoved)
+        hypotheses += [h for h in more if h[0].keys not in tried]
     pairs = _best_of_each(search.run(hypotheses, (LOOSE,))) if hypotheses else []
-    return search.run([(w.hypothesis, w.fit) for w in pairs[:2]], (TIGHT, STIFF)) if pairs else []
+    return search.run(
+        [(w.hypothesis, w.fit) for w in _leading_pairs(pairs, firsts[0].hypothesis.keys[0])], (TIGHT, STIFF)
+    )
 
 
-def _beside(first: Weighed, scores: Sequence[Score]) -> list[tuple[Hypothesis, Fit]]:
-    """Return pairs to be fitted: the effects of a fit with each other effect that a screen beside it found."""
+def _leading_pairs(pairs: Sequence[Weighed], first: str) -> list[Weighed]:
+    """Return the pairs to be fitted to the end: the two best, and if parameters help the best too much, the one with `first` that they help
+    least."""
+    leading = list(pairs[:2])
+    if leading and not _plausible(leading[0].fit):
+        calmest = min(
+            (w for w in pairs if first in w.hypothesis.keys), key=lambda w: w.fit.prior_cost, default=leading[0]
+        )
+        if all(calmest is not w for w in leading):
+            leading.append(calmest)
+    return leading
+
+
+def _held(crane: Crane, data: FitData, found: Weighed) -> Fit:
+    """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined windows."""
+    held = replace(crane, uncertainty={})
+    for key in found.hypothesis.keys:
+        held = held.with_effect(key, fitted_values(found, key))
+    return all_parameters(held, data)
+
+
+def _beside(first: Weighed, scores: Sequence[Score], before: Fit | None = None) -> list[tuple[Hypothesis, Fit]]:
+    """Return pairs to be fitted: the effects of a fit with each other effect that a screen beside it found; they begin at `before`."""
     own = {k: fitted_values(first, k) for k in first.hypothesis.keys}
     return [
-        (Hypothesis(own | {s.start.key: scaled(s.start, s.amplitude)}), first.fit)
+        (Hypothesis(own | {s.start.key: scaled(s.start, s.amplitude)}), before or first.fit)
         for s in scores
         if s.start.key not in own
     ]
