@@ -11,7 +11,7 @@ from validation.fit.linear import PRESSURE_RATE, columns_of, cut, forgotten, mod
 from validation.fit.model import lagged, shown
 from validation.fit.solve import bounded_step, covariance, fit, prior_start, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
-from validation.fit.variables import effect_variables, uncertain_parameters
+from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.search.weigh import UNDETERMINED
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -145,6 +145,19 @@ def test_an_effect_is_found_back_within_three_standard_deviations_or_three_perce
         name = v.parameter.name
         assert found[name] == pytest.approx(true[name], rel=0.03, abs=3.0 * result.std(v.name) * v.scale)
     assert result.error < 1.05
+
+
+def test_no_step_of_a_fit_makes_an_impossible_crane():
+    """A leading fit once let the pump fall below the tank, which ended the diagnosis with an error."""
+    crane = Crane.load("patu655")
+    variables = uncertain_parameters(crane)
+    for far in (-1e3, 1e3):
+        moved = with_variables(crane, variables, np.full(len(variables), far))
+        assert moved["supply.pump_pressure"] > moved["supply.tank_pressure"]
+    crossed = np.array(
+        [{"supply.pump_pressure": -1e3, "supply.tank_pressure": 1e3}.get(v.name, 0.0) for v in variables]
+    )
+    assert with_variables(crane, variables, crossed)["supply.pump_pressure"] > 0.0
 
 
 def test_a_fit_says_whether_it_converged(nominal):

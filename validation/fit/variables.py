@@ -18,6 +18,9 @@ from crane_exudyn.effects.base import Parameter
 
 #: scale of a parameter of which only a range is known: this share of the range
 _RANGE_SHARE = 0.15
+SUPPLY = ("supply.pump_pressure", "supply.tank_pressure")
+#: share of the pump's pressure that the tank's is kept below
+_TANK_SHARE = 0.9
 #: by how many seconds a moment is shifted to see what that does: something that happens within a simulation step has no derivative
 _MOMENT = 0.01
 
@@ -176,6 +179,11 @@ def physical(crane: Crane, values: Mapping[str, float]) -> dict[str, float]:
         if nominal > 0.0 and not name.endswith((".x", ".y")):
             value = max(value, 0.05 * nominal) if name != "payload.mass" else max(value, 0.0)
         kept[name] = value
+    pump, tank = (kept.get(name, crane.values[name]) for name in SUPPLY)
+    if (
+        kept.keys() & set(SUPPLY) and tank > _TANK_SHARE * pump
+    ):  # nothing would move in such a crane, and none can be made
+        kept[SUPPLY[1]] = _TANK_SHARE * pump
     return kept
 
 
