@@ -29,7 +29,7 @@ _PATTERN = ("effect", "none", "effect", "two", "effect", "parameters", "effect",
 #: visibility below which nothing is promised
 PROMISED = 5.0
 #: severities of the tables: visibility from … to
-BINS = ((0.0, 5.0), (5.0, 15.0), (15.0, 50.0), (50.0, math.inf))
+BINS = ((0.0, 1.0), (1.0, 2.0), (2.0, 5.0), (5.0, 15.0), (15.0, 50.0), (50.0, math.inf))
 _BLAMING = ("effect", "tied", "unknown")
 
 
