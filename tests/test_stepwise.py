@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +10,22 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.effects.base import Parameter
 from crane_exudyn.inputs import SpoolPath
-from validation.fit.variables import EffectParameter
+from validation.fit.variables import EffectParameter, uncertain_parameters
 from validation.improvement import _predicts_better
 from validation.semi_recursive.engine import SemiRecursiveEngine
-from validation.stepwise import PLAUSIBLE, Found, Grown, Plausible, Stated, explained, falls, grow, independent
+from validation.stepwise import (
+    PLAUSIBLE,
+    Found,
+    Grown,
+    Plausible,
+    Stated,
+    _believable,
+    _likelihood,
+    explained,
+    falls,
+    grow,
+    independent,
+)
 
 NOISE = {"z1": 1e-3, "z4": 1e-3, "p1": 3e4, "p2": 2e4, "p3": 2e4, "p4": 2e4}
 #: few parameters are uncertain here, so that the fits are short
@@ -122,3 +135,28 @@ def test_plain_words_say_what_is_demanded_what_is_not_separated_and_what_is_left
     assert "fluid.oil_bulk_modulus = 1.65e+09 ± 5e+06 Pa" in text and "payload" not in text
     assert "Hardly plausible" in text and "fluid.oil_bulk_modulus by 3.6" in text
     assert "Left, in % of each channel's range, open loop over the whole recording: p1 5" in text
+
+
+def test_the_last_fit_keeps_parameters_within_what_can_be_believed():
+    free = {v.name: v for v in uncertain_parameters(Crane.load("patu655-lab"))}
+    boom = _believable(free["bodies.lift_boom.mass"])
+    assert (boom.lower, boom.upper) == (-3.0, 3.0)
+    payload = _believable(free["payload.mass"])
+    assert (payload.lower, payload.upper) == (
+        free["payload.mass"].lower,
+        free["payload.mass"].upper,
+    )  # a range is a range
+
+
+def test_a_channel_that_is_given_up_costs_more_than_it_saves_elsewhere(monkeypatch):
+    def fitted(levels: dict[str, float], prior_cost: float = 0.0) -> SimpleNamespace:
+        samples = [SimpleNamespace(channel=c, values=np.zeros(1600)) for c in levels]
+        return SimpleNamespace(levels=levels, data=SimpleNamespace(samples=samples), prior_cost=prior_cost)
+
+    monkeypatch.setattr("validation.stepwise.levels_of", lambda found, *_: (found.levels, 4.0))
+    noise = {"p1": 1.0, "p2": 1.0}
+    even, uneven = fitted({"p1": 3.0, "p2": 3.0}), fitted({"p1": 2.5, "p2": 12.0})
+    strained = fitted({"p1": 3.0, "p2": 3.0}, prior_cost=1e3)
+    likelihood = [_likelihood(f, noise, (even, uneven, strained)) for f in (even, uneven, strained)]
+    assert likelihood[0] > likelihood[1] > likelihood[2]
+    assert likelihood[0] - likelihood[1] == pytest.approx(100.0 * math.log(2.5 * 12.0 / 9.0))

@@ -56,8 +56,8 @@ TOLERATED = 0.1
 GAINED = 0.1
 #: an effect stays, for all its evidence, if the error of a channel is so many times as large without it
 MENDED = 1.5
-#: nominal parameters are told that moved by more than so many standard uncertainties, and doubted from so many on
-TOLD, STRAINED = 1.0, 3.0
+#: nominal parameters are told that moved by more than so many standard uncertainties, doubted from so many on, and held within so many
+TOLD, STRAINED, BELIEVED = 1.0, 2.9, 3.0
 #: how often the last fit takes up the error levels that it leaves
 SETTLED = 3
 #: how many starts are fitted in a step, and how many effects are taken in at most
@@ -561,12 +561,17 @@ def _everything(
     crane: Crane, given: Crane, keys: Sequence[str], data: FitData
 ) -> tuple[list[Variable], dict[str, float]]:
     """Return timing, all uncertain parameters and all effects as variables, and their values in a crane."""
-    nominal = uncertain_parameters(given)
+    nominal = [_believable(v) for v in uncertain_parameters(given)]
     found = acting(crane, keys)
     own = [(v, _parameters(crane, e.key)[v.parameter.name]) for e in given.effects for v in stated(e.key, e.parameters)]
     values = {v.name: (crane[v.name] - given[v.name]) / v.weights[v.name] for v in nominal}
     values |= {v.name: v.to_u(v.start) for v in found} | {v.name: v.to_u(x) for v, x in own}
     return [timing_of(data), *nominal, *(v for v, _ in own), *found], values
+
+
+def _believable(v: NominalDirection) -> NominalDirection:
+    """Return a nominal parameter that stays within what can be believed of it."""
+    return v if math.isinf(v.prior) else replace(v, lower=-BELIEVED * v.prior, upper=BELIEVED * v.prior)
 
 
 def _open_loop(crane: Crane, given: Crane, keys: Sequence[str], data: FitData, before: Fit, iterations: int) -> Fit:
