@@ -10,7 +10,7 @@ import pytest
 
 from crane_exudyn import Crane, CraneError, Recording
 from validation import hidden
-from validation.diagnosis import _between_samples, _elsewhere, _explains, _idle, _leading_pairs, diagnose
+from validation.diagnosis import _between_samples, _elsewhere, _explains, _idle, _leading_pairs, _paired, diagnose
 from validation.fit.data import FitData
 from validation.fit.variables import effect_variables, uncertain_parameters
 from validation.search.candidates import Start, around
@@ -128,6 +128,7 @@ def test_the_pair_that_parameters_help_least_is_fitted_to_the_end_too():
     calm = [replace(pairs[0], fit=SimpleNamespace(variables=KNOWN, prior_cost=0.5)), *pairs[1:]]
     assert _leading_pairs(calm, "dead_band@tilt") == calm[:2]
     assert _leading_pairs([], "dead_band@tilt") == []
+    assert _paired(SimpleNamespace(), []) == []  # nothing promised anything
 
 
 class Recorded:

@@ -424,6 +424,8 @@ def _paired(search: _Search, firsts: Sequence[Weighed]) -> list[Weighed]:
     Where parameters have moved further than they may, they do the second effect's work and hide it; then the screen also looks from
     the crane as given with the first effect.
     """
+    if not firsts:
+        return []
     hypotheses = [h for first in firsts for h in _beside(first, _likely(search.scores(first.fit), 5))]
     strained = [first for first in firsts if not _plausible(first.fit)]
     held = in_parallel(search.jobs, [(_held, search.crane, search.data, first) for first in strained])
@@ -434,14 +436,13 @@ def _paired(search: _Search, firsts: Sequence[Weighed]) -> list[Weighed]:
         more = _beside(first, _likely(search.scores(unmoved), BESIDE), unmoved)
         hypotheses += [h for h in more if h[0].keys not in tried]
     pairs = _best_of_each(search.run(hypotheses, (LOOSE,))) if hypotheses else []
-    return search.run(
-        [(w.hypothesis, w.fit) for w in _leading_pairs(pairs, firsts[0].hypothesis.keys[0])], (TIGHT, STIFF)
-    )
+    leading = _leading_pairs(pairs, firsts[0].hypothesis.keys[0])
+    return search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))
 
 
 def _leading_pairs(pairs: Sequence[Weighed], first: str) -> list[Weighed]:
-    """Return the pairs to be fitted to the end: the two best, and if parameters help the best too much, the one with `first` that they help
-    least."""
+    """Return the pairs to be fitted to the end: the two best, and if parameters help the best too much, the one with `first` that
+    they help least."""
     leading = list(pairs[:2])
     if leading and not _plausible(leading[0].fit):
         calmest = min(
