@@ -9,6 +9,7 @@ Spool positions depend on the commands alone, so they are computed once per time
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,16 @@ from .effects import hooks
 from .errors import CraneError
 from .laws.spool import spool_step
 from .parameters import CYLINDERS, N_VALVE, VALVE
+
+
+class Valve(NamedTuple):
+    """What a valve does to its command: delay in s, width of its play, time constant in s, the share of the travel that creeps and its time constant."""
+
+    delay: float
+    width: float
+    tau: float
+    share: float
+    creep: float
 
 
 @njit
@@ -36,24 +47,23 @@ def play(follower: float, leader: float, width: float) -> float:
 
 
 @njit
-def _follow(quick: float, slow: float, start: float, end: float, dt: float, valve: tuple) -> tuple:
+def _follow(quick: float, slow: float, start: float, end: float, dt: float, valve: Valve) -> tuple:
     """Return both parts of a spool after dt, behind a leader that is linear from start to end."""
-    _, _, tau, share, creep = valve
-    return spool_step(quick, start, end, dt, tau), spool_step(slow, start, end, dt, creep) if share > 0.0 else slow
+    after = spool_step(slow, start, end, dt, valve.creep) if valve.share > 0.0 else slow
+    return spool_step(quick, start, end, dt, valve.tau), after
 
 
 @njit
-def _play_step(state: tuple, start: float, end: float, dt: float, valve: tuple) -> tuple:
+def _play_step(state: tuple, start: float, end: float, dt: float, valve: Valve) -> tuple:
     """Return the state after dt for a leader that is linear from start to end, behind a play and the spool's lags.
 
     Within the step the play holds until the leader has crossed it, then follows; both parts are linear.
 
     Args:
         state: where the quick and the slow part of the spool stand, and what the play holds.
-        valve: delay, backlash, time constant, share of the travel that creeps and its time constant.
     """
     quick, slow, held = state
-    width = valve[1]
+    width = valve.width
     after = play(held, end, width)
     if dt <= 0.0 or after == held or width <= 0.0:
         begin, reached = (held, after) if width > 0.0 else (start, end)
@@ -67,10 +77,10 @@ def _play_step(state: tuple, start: float, end: float, dt: float, valve: tuple) 
 
 
 @njit
-def _position(state: tuple, valve: tuple) -> float:
+def _position(state: tuple, valve: Valve) -> float:
     """Return where the spool stands: both parts of it by their shares."""
-    share = valve[3]
-    return state[0] if share == 0.0 else (1.0 - share) * state[0] + share * state[1]
+    quick, slow, _ = state
+    return quick if valve.share == 0.0 else (1.0 - valve.share) * quick + valve.share * slow
 
 
 @njit
@@ -142,7 +152,7 @@ class SpoolPath:
         return np.array([_position(s, v) for s, v in zip(self._states, self._valves, strict=True)])
 
     def _forget(self, time: float) -> None:
-        oldest = time - max(valve[0] for valve in self._valves)
+        oldest = time - max(valve.delay for valve in self._valves)
         while len(self._past) > 2 and self._past[1][0] <= oldest:
             self._past.popleft()
 
@@ -163,18 +173,18 @@ class SpoolPath:
             )
 
 
-def valve_of(P: np.ndarray, E: np.ndarray, c: int) -> tuple[float, float, float, float, float]:
-    """Return what valve c does to its command: delay, backlash, time constant, and the share that creeps with its time constant."""
+def valve_of(P: np.ndarray, E: np.ndarray, c: int) -> Valve:
+    """Return what valve c does to its command."""
     share, creep = hooks.creep(E, c)
     delay, width, tau = hooks.delay(E, c), hooks.backlash(E, c), P[VALVE + N_VALVE * c + 1]
-    return float(delay), float(width), float(tau), float(share), float(creep)
+    return Valve(float(delay), float(width), float(tau), float(share), float(creep))
 
 
 @njit
 def _run_one(time, command, valve):
     """Return the spool positions (n,) of one valve at `time`; the samples that arrive are walked through once."""
     out = np.empty(time.size)
-    delay, start = valve[0], command[0]
+    delay, start = valve.delay, command[0]
     state = (start, start, start)
     out[0], begin, arriving = start, time[0] - delay, 0
     for k in range(1, time.size):
@@ -204,7 +214,7 @@ def _between(time, command, after, t):
 @njit
 def _advance(time, command, begin, end, state, valve):
     """Return the state at `end`; the delayed command has a corner wherever a sample arrives between begin and end."""
-    t0, t1 = begin - valve[0], end - valve[0]
+    t0, t1 = begin - valve.delay, end - valve.delay
     u0 = _delayed(time, command, t0)
     k = np.searchsorted(time, t0, side="right")
     while k < time.size and time[k] < t1:

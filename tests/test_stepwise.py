@@ -20,7 +20,7 @@ from validation.stepwise import (
     Plausible,
     Stated,
     _believable,
-    _likelihood,
+    _likelihoods,
     explained,
     falls,
     grow,
@@ -153,10 +153,10 @@ def test_a_channel_that_is_given_up_costs_more_than_it_saves_elsewhere(monkeypat
         samples = [SimpleNamespace(channel=c, values=np.zeros(1600)) for c in levels]
         return SimpleNamespace(levels=levels, data=SimpleNamespace(samples=samples), prior_cost=prior_cost)
 
-    monkeypatch.setattr("validation.stepwise.levels_of", lambda found, *_: (found.levels, 4.0))
+    monkeypatch.setattr("validation.stepwise.levels_of", lambda found, *_, **__: (found.levels, 4.0))
     noise = {"p1": 1.0, "p2": 1.0}
     even, uneven = fitted({"p1": 3.0, "p2": 3.0}), fitted({"p1": 2.5, "p2": 12.0})
     strained = fitted({"p1": 3.0, "p2": 3.0}, prior_cost=1e3)
-    likelihood = [_likelihood(f, noise, (even, uneven, strained)) for f in (even, uneven, strained)]
+    likelihood = _likelihoods((even, uneven, strained), noise)
     assert likelihood[0] > likelihood[1] > likelihood[2]
     assert likelihood[0] - likelihood[1] == pytest.approx(100.0 * math.log(2.5 * 12.0 / 9.0))

@@ -168,11 +168,11 @@ def independent(r: np.ndarray) -> float:
 
 
 def levels_of(
-    found: Fit, noise: Mapping[str, float], most: Mapping[str, float], apart: float = APART
+    found: Fit, noise: Mapping[str, float], most: Mapping[str, float] | None = None, apart: float = APART
 ) -> tuple[dict[str, float], float]:
     """Return the error level of each channel (SI), and the factor on it at which samples weigh what the independent ones are worth.
 
-    The level is the channel's RMS error, at least its sensor's noise and at most `most`: a channel that a better model fits worse than
+    The level is the channel's RMS error, at least its sensor's noise and at most `most` where that is given: a channel that a better model fits worse than
     the one before must not be given up. The factor is the root of how many samples make an independent one, on the average of
     the channels: one for each would weigh down just those channels that show best what is missing. Samples `apart` seconds from one
     another are independent.
@@ -182,7 +182,7 @@ def levels_of(
     levels = {}
     for c, r in errors.items():
         rms = float(np.sqrt(np.mean(r**2)))
-        levels[c] = min(max(noise[c], rms), max(noise[c], most[c]))
+        levels[c] = max(noise[c], rms if most is None else min(rms, most[c]))
         worth.append(len(r) / max(independent(r), len(r) * found.data.interval / apart))
     factor = math.sqrt(float(np.mean(worth)))
     return levels, factor
@@ -397,7 +397,7 @@ def _following(growth: _Growth) -> Fit:
         windows = cut(data, SHORT)
         knots = first_knots(now.crane, data, SHORT)
         found = fit(growth.crane, data, windows, knots, now.variables, now.u, stiffness=1.0, iterations=2)
-        levels, factor = levels_of(found, growth.noise, {c: math.inf for c in growth.noise})
+        levels, factor = levels_of(found, growth.noise)
         data = with_noise(growth.data, {c: factor * level for c, level in levels.items()})
     return replace(found, data=data, windows=tuple(cut(data, SHORT)))
 
@@ -631,8 +631,8 @@ def _whole_run(growth: _Growth, whole: FitData) -> Fit:
     windows = tuple(cut(data, WINDOW))
     machine = [replace(found, windows=windows, knots=first_knots(c, data, WINDOW)) for c in (found.crane, fresh)]
     begins = [(found, found.crane), (machine[0], found.crane), (machine[1], fresh)]
-    fits = in_parallel(growth.jobs, [(_settled, growth, whole, start, crane) for start, crane in begins])
-    return max(fits, key=lambda f: _likelihood(f, growth.noise, fits))
+    fits: list[Fit] = in_parallel(growth.jobs, [(_settled, growth, whole, start, crane) for start, crane in begins])
+    return fits[int(np.argmax(_likelihoods(fits, growth.noise)))]
 
 
 def typical(crane: Crane, keys: Sequence[str]) -> Crane:
@@ -644,25 +644,27 @@ def typical(crane: Crane, keys: Sequence[str]) -> Crane:
 
 
 def _settled(growth: _Growth, whole: FitData, start: Fit, crane: Crane) -> Fit:
-    """Return the open-loop fit from a start, fitted again with the error levels that it leaves until they hardly change."""
+    """Return the open-loop fit from a start, fitted again a few times with the error levels that it leaves."""
     found = _open_loop(crane, growth.crane, growth.keys, start.data, start, 6)
     for _ in range(SETTLED):
-        levels, factor = levels_of(found, growth.noise, {c: math.inf for c in growth.noise}, DRIFT)
+        levels, factor = levels_of(found, growth.noise, apart=DRIFT)
         data = with_noise(whole, {c: factor * level for c, level in levels.items()})
         found = fitted(growth.crane, data, found.variables, found, Stage(LONG, 1.0, 12, STEP), values_of(found))
     return found
 
 
-def _likelihood(found: Fit, noise: Mapping[str, float], fits: Sequence[Fit]) -> float:
-    """Return the log-likelihood, each channel's error level at its most likely value, and the log prior, up to a constant.
+def _likelihoods(fits: Sequence[Fit], noise: Mapping[str, float]) -> list[float]:
+    """Return the log-likelihood of each fit, each channel's error level at its most likely value, and the log prior, up to a constant.
 
-    A channel that is given up costs the log of its level. All fits of a comparison take samples as equally independent.
+    A channel that is given up costs the log of its level. All fits take samples as equally independent.
     """
-    open_end = {c: math.inf for c in noise}
-    levels, _ = levels_of(found, noise, open_end, DRIFT)
-    factor = float(np.mean([levels_of(f, noise, open_end, DRIFT)[1] for f in fits]))
-    counts = {s.channel: len(s.values) for s in found.data.samples}
-    return -sum(n / factor**2 * math.log(levels[c] / noise[c]) for c, n in counts.items()) - found.prior_cost
+    found = [levels_of(f, noise, apart=DRIFT) for f in fits]
+    factor = float(np.mean([factor for _, factor in found]))
+    counts = {s.channel: len(s.values) for s in fits[0].data.samples}
+    return [
+        -sum(n / factor**2 * math.log(levels[c] / noise[c]) for c, n in counts.items()) - f.prior_cost
+        for f, (levels, _) in zip(fits, found, strict=True)
+    ]
 
 
 def _extended(growth: _Growth, data: FitData) -> Fit:

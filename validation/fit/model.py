@@ -12,7 +12,7 @@ from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import hooks
 from crane_exudyn.effects.base import SENSORS
 from crane_exudyn.effects.registry import find
-from crane_exudyn.inputs import valve_of
+from crane_exudyn.inputs import Valve, valve_of
 from crane_exudyn.parameters import CYLINDERS
 
 from .data import FitData
@@ -64,7 +64,7 @@ def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:
 
 
 def _paths(crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: float) -> np.ndarray:
-    return np.column_stack([_valve_path(crane, data, c, _valve(P, E, c), late) for c in range(2)])
+    return np.column_stack([_valve_path(crane, data, c, valve_of(P, E, c), late) for c in range(2)])
 
 
 #: share of a time constant by which it may differ for the spool's path to be extrapolated, and that of the difference quotient
@@ -79,22 +79,16 @@ def _extrapolated(
         return None
     spool = near.W[:, :2].copy()
     for c, name in enumerate(CYLINDERS):
-        here, there = _valve(P, E, c), _valve(near.P, near.E, c)
-        change = here[0] - there[0]
-        if here[1:] != there[1:] or abs(change) > _NEAR * there[0]:
+        here, there = valve_of(P, E, c), valve_of(near.P, near.E, c)
+        change = here.tau - there.tau
+        if here._replace(tau=there.tau) != there or abs(change) > _NEAR * there.tau:
             return None
         if change != 0.0:
-            step = _QUOTIENT * there[0]
-            beside = near.crane.with_parameters({f"valves.{name}.time_constant": there[0] + step})
-            path = _valve_path(beside, data, c, (there[0] + step, *there[1:]), late)
+            step = _QUOTIENT * there.tau
+            beside = near.crane.with_parameters({f"valves.{name}.time_constant": there.tau + step})
+            path = _valve_path(beside, data, c, there._replace(tau=there.tau + step), late)
             spool[:, c] += change / step * (path - near.W[:, c])
     return spool
-
-
-def _valve(P: np.ndarray, E: np.ndarray, c: int) -> tuple[float, ...]:
-    """Return what a valve does to its command, its time constant first."""
-    delay, backlash, tau, *creep = valve_of(P, E, c)
-    return tau, delay, backlash, *creep
 
 
 def _commanded(crane: Crane) -> tuple[object, ...]:
@@ -102,7 +96,7 @@ def _commanded(crane: Crane) -> tuple[object, ...]:
     return tuple((e.key, *e.parameters.values()) for e in crane.effects if "command" in find(e.name).hooks())
 
 
-def _valve_path(crane: Crane, data: FitData, c: int, valve: tuple[float, ...], late: float) -> np.ndarray:
+def _valve_path(crane: Crane, data: FitData, c: int, valve: Valve, late: float) -> np.ndarray:
     """Return the positions (N,) of one spool on the grid; equal commands and valves are computed once."""
     return _spool_path(_Driven(crane, data), c, (*valve, late))
 

@@ -180,9 +180,8 @@ def physical(crane: Crane, values: Mapping[str, float]) -> dict[str, float]:
             value = max(value, 0.05 * nominal) if name != "payload.mass" else max(value, 0.0)
         kept[name] = value
     pump, tank = (kept.get(name, crane.values[name]) for name in SUPPLY)
-    if (
-        kept.keys() & set(SUPPLY) and tank > _TANK_SHARE * pump
-    ):  # nothing would move in such a crane, and none can be made
+    # with a pump below its tank nothing would move, and no crane can be made
+    if kept.keys() & set(SUPPLY) and tank > _TANK_SHARE * pump:
         kept[SUPPLY[1]] = _TANK_SHARE * pump
     return kept
 
