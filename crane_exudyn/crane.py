@@ -225,6 +225,7 @@ def complete(effect: type[registry.Effect], values: Mapping[str, float]) -> dict
 
 #: last part of a name -> (smallest value, whether that value itself is allowed)
 _LIMITS = {
+    "air_pressure": (0.0, True), "pressure_reference": (0.0, True),
     "mass": (0.0, False), "inertia": (0.0, False), "width": (0.0, True), "height": (0.0, True), "bore": (0.0, False),
     "rod": (0.0, True), "empty_length": (0.0, True), "chamber_range": (0.0, False), "hose_volume_piston": (0.0, False),
     "hose_volume_rod": (0.0, False), "coulomb_friction": (0.0, True), "static_friction": (0.0, True),

@@ -52,8 +52,12 @@ def _table(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, An
     return table
 
 
+#: what files of earlier versions do not say: their pressures are absolute, and no air presses on the rods
+_EARLIER = {"supply.air_pressure": 0.0, "supply.pressure_reference": 0.0}
+
+
 def _values(document: Mapping[str, Any], where: str) -> dict[str, float]:
-    values: dict[str, float] = {}
+    values: dict[str, float] = dict(_EARLIER)
     for section in ("gravity", "bodies", "payload", "joints", "cylinders", "valves", "fluid", "supply"):
         if section in document:
             _flatten(section, document[section], where, values)

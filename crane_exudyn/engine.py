@@ -18,8 +18,8 @@ from .errors import CraneError, nearest
 STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
 SWING_NAMES = ("theta", "dtheta")
 _MOST_ITERATIONS = 15
-#: a step that Newton cannot solve is halved this often before the engine gives up
-_MOST_HALVINGS = 6
+#: a step that Newton cannot solve, or whose local error is too large, is halved this often before the engine gives up
+_MOST_HALVINGS = 14
 #: systems that are kept for further steps, one a batch size
 _MOST_SYSTEMS = 6
 
@@ -33,6 +33,7 @@ class ExudynEngine:
     Args:
         crane: the crane.
         size: batch size that is built at once; others are built when first asked for.
+        accuracy: local error that a step may have, in units of `trapezoidal.*_ERROR`; a step beyond it is halved.
 
     Example:
         >>> engine = ExudynEngine(Crane.load("patu655"))
@@ -40,12 +41,14 @@ class ExudynEngine:
         >>> engine.propagate(x[None], np.array([[0.1, 0, np.nan, np.nan]] * 2), 1e-3)
     """
 
-    def __init__(self, crane: Crane, size: int = 1) -> None:
-        self.crane = crane
+    def __init__(self, crane: Crane, size: int = 1, *, accuracy: float = 1.0) -> None:
+        self.crane, self.accuracy = crane, float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
         self._swings = bool(hooks.pendulum(self._E)[0] > 0.0)
         self.state_names = STATE_NAMES + (SWING_NAMES if self._swings else ())
         self._systems: OrderedDict[int, _System] = OrderedDict()
+        #: steps that were halved so far, because their local error was too large or Newton's method did not converge
+        self.halved = 0
         self._system(size)
 
     def __repr__(self) -> str:
@@ -181,13 +184,14 @@ class ExudynEngine:
             x: (n, nx);  w0, w1: (n, 12) inputs and disturbances at start and end;  P, E: (n, .), or None for the crane's own.
         """
         system = self._system(len(x))
-        out, beyond = system.step(x, w0, w1, h, time, P, E)
+        out, beyond = system.step(x, w0, w1, h, time, P, E, self.accuracy)
         status = system.status.copy() if system.status.any() else None
         for k in () if status is None else np.flatnonzero(status):
             if status[k] == trapezoidal.UNREACHABLE or halved == _MOST_HALVINGS:  # type: ignore[index]
                 raise self._failure(int(status[k]), x[k], time, h, halved)  # type: ignore[index]
             a, b, middle = w0[k, None], w1[k, None], 0.5 * (w0[k, None] + w1[k, None])
             own = (None, None) if P is None or E is None else (P[k, None], E[k, None])
+            self.halved += 1
             half = self._step(x[k, None], a, middle, 0.5 * h, time, halved + 1, *own)
             out[k] = self._step(half, middle, b, 0.5 * h, time + 0.5 * h, halved + 1, *own)[0]
         if beyond >= 0:
@@ -210,6 +214,10 @@ class ExudynEngine:
             trapezoidal.SINGULAR: (
                 "the equations of motion are singular",
                 "Look for brackets in one line, or a body without inertia.",
+            ),
+            trapezoidal.COARSE: (
+                "the step is not accurate",
+                "Look for values that make the equations stiff or impossible, such as a spring far too hard.",
             ),
         }.get(
             status,
@@ -274,7 +282,8 @@ class _System:
         data.SetAECoordinates(np.zeros(size * self.plant.joint_rows))  # the start left joint forces there
         width = self.plant.coordinates
         self._q, self._v, self._a = np.zeros((size, width)), np.zeros((size, width)), np.zeros((size, width))
-        self._p, self._dp, self._p0, self._dp0 = (np.zeros((size, 4)) for _ in range(4))
+        self._p, self._dp, self._held = np.zeros((size, 4)), np.zeros((size, 4)), np.zeros((size, trapezoidal.N_START, 4))
+        self._udd = np.zeros((size, width // 2 - 4))
         self._P, self._E = self.plant.P.copy(), self.plant.E.copy()
         self._before, self._varied, self._payload = np.zeros((size, 5, 4)), False, crane["payload.mass"]
         self.status, self._last = np.zeros(size, dtype=np.int64), np.zeros(size)
@@ -288,11 +297,12 @@ class _System:
         time: float,
         P: np.ndarray | None,
         E: np.ndarray | None,
+        allowed: float,
     ) -> tuple[np.ndarray, int]:
         """Return (states, first crane beyond its stroke or -1); `status` says crane by crane whether the step was solved."""
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
-        ends = (self._q, self._v, self._a, self._p, self._dp, self._p0, self._dp0, self.status, self._last)
+        ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self._udd, self.status, self._last)
         if not trapezoidal.predict(plant.P, plant.E, time, h, before, x, w0, *ends):
             self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
             return out, -1
@@ -302,7 +312,8 @@ class _System:
             residual = self._residual()
             if not trapezoidal.correct(plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends):
                 break
-        return out, trapezoidal.finish(plant.P, plant.E, plant.inertia, x, self._q, self._v, self._p, self.status, out)
+        found = (self._q, self._v, self._p, self._held, self._udd, self.status, out)
+        return out, trapezoidal.finish(plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found)
 
     def _set_parameters(self, P: np.ndarray | None, E: np.ndarray | None, start: float, end: float) -> np.ndarray:
         """Bring the cranes' numbers up to date for the end of a step; return the masses (n, 5, 4) at its start."""
@@ -337,7 +348,7 @@ class _System:
         wide = np.concatenate([w, np.zeros(hydraulics.N_W - w.size)])
         inertia = self._set_parameters(None, None, time, time)[0]
         arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-        start = (self._q[0], self._v[0], self._a[0], self._p[0], self._dp[0])
+        start = (self._q[0], self._v[0], self._a[0], self._p[0], self._dp[0], self._held[0], self._udd[0])
         flag = trapezoidal.start(plant.P[0], plant.E[0], time, inertia, x, wide, arms, N, *start)
         if flag != trapezoidal.ITERATING:
             raise geometry.unreachable(plant.crane.name, x[0], x[1])

@@ -13,8 +13,8 @@ import numpy as np
 
 from .compiled import njit
 from .effects import hooks
-from .laws.bulk_modulus import effective_bulk_modulus
 from .laws.friction import cylinder_friction
+from .laws.oil import filling, pressure_of
 from .laws.orifice import edge_flow
 from .laws.volume import chamber_lengths, chamber_volume
 from .parameters import CYLINDER, FLUID, N_CYLINDER, N_VALVE, SUPPLY, VALVE
@@ -22,6 +22,7 @@ from .parameters import CYLINDER, FLUID, N_CYLINDER, N_VALVE, SUPPLY, VALVE
 # places inside a cylinder's block and inside the fluid's block of P
 BORE, ROD, EMPTY, RANGE, HOSE_A, HOSE_B, FC, FS, VS, VISCOUS = range(10)
 OIL, WALL, HOSE, VAPOUR, LAMINAR = range(5)
+AIR, REFERENCE = SUPPLY + 2, SUPPLY + 3
 
 #: what may act without a law that explains it: moments on z1 and z4 in N m, forces on E in N, flows into chambers in m^3/s
 DISTURBANCES = ("torque.O", "torque.A", "force.x", "force.y", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
@@ -117,20 +118,100 @@ def supply_loop(P, E, w, p):
 
 
 @njit
-def chambers(P, E, c, s, pa, pb):
-    """Return (l_a, l_b, V_a, V_b, B_a, B_b) of cylinder c at pin-to-pin length s, (14) and (41).
+def fluid(P):
+    """Return (1/B, 1/Bw, vapour pressure, zero) of `laws.oil`; pressures as the crane's gauges read them."""
+    zero = P[REFERENCE] * P[AIR]
+    softness = 1.0 / P[FLUID + OIL] + 1.0 / P[FLUID + WALL]
+    return softness, 1.0 / P[FLUID + HOSE] - 1.0 / P[FLUID + WALL], P[FLUID + VAPOUR] - zero, zero
 
-    With a spring in series the hydraulic length is s + F/k, F the force of the pressures.
+
+@njit
+def vapour_pressure(P):
+    """Return the pressure in Pa below which no chamber falls, as the crane's gauges read it."""
+    return P[FLUID + VAPOUR] - P[REFERENCE] * P[AIR]
+
+
+@njit
+def real_pressures(P, y, p):
+    """Fill p (4,) with the pressures in the chambers: those of the state, y, or vapour pressure where there is a void."""
+    for j in range(4):
+        p[j] = max(y[j], vapour_pressure(P))
+
+
+@njit
+def lengths(P, E, c, s, ya, yb):
+    """Return the chambers' lengths (l_a, l_b) in m; with a spring in series at the hydraulic length s + F/k."""
+    k = CYLINDER + N_CYLINDER * c
+    least = vapour_pressure(P)
+    hydraulic = s + hooks.series_compliance(E, c) * pressure_force(P, c, max(ya, least), max(yb, least))
+    return chamber_lengths(hydraulic, P[k + EMPTY], P[k + RANGE])
+
+
+@njit
+def fillings(P, E, c, s, ya, yb):
+    """Return the `filling` (N, dN/dy, dN/dV, density) of both chambers of cylinder c at pin-to-pin length s in m."""
+    k = CYLINDER + N_CYLINDER * c
+    area_a, area_b = areas(P, c)
+    la, lb = lengths(P, E, c, s, ya, yb)
+    softness, hose, vapour, zero = fluid(P)
+    return (
+        filling(E, ya, area_a * la, P[k + HOSE_A], softness, hose, vapour, zero),
+        filling(E, yb, area_b * lb, P[k + HOSE_B], softness, hose, vapour, zero),
+    )
+
+
+@njit
+def chambers(P, E, c, s, ya, yb):
+    """Return (l_a, l_b, V_a, V_b, B_a, B_b) of cylinder c at pin-to-pin length s, (14) and (41): V dp = B dN / density."""
+    k = CYLINDER + N_CYLINDER * c
+    area_a, area_b = areas(P, c)
+    la, lb = lengths(P, E, c, s, ya, yb)
+    va, vb = chamber_volume(P[k + HOSE_A], area_a, la), chamber_volume(P[k + HOSE_B], area_b, lb)
+    (_, slope_a, _, density_a), (_, slope_b, _, density_b) = fillings(P, E, c, s, ya, yb)
+    return la, lb, va, vb, density_a * va / slope_a, density_b * vb / slope_b
+
+
+@njit
+def changed_amounts(P, E, c, s, ya, yb, ds, dya, dyb):
+    """Return the amounts (m^3) in both chambers of cylinder c after small changes of length (m) and pressures (Pa), linearly."""
+    area_a, area_b = areas(P, c)
+    least = vapour_pressure(P)
+    (amount_a, slope_a, volume_a, _), (amount_b, slope_b, volume_b, _) = fillings(P, E, c, s, ya, yb)
+    force = area_a * (dya if ya > least else 0.0) - area_b * (dyb if yb > least else 0.0)
+    moved = ds + hooks.series_compliance(E, c) * force
+    return amount_a + slope_a * dya + volume_a * area_a * moved, amount_b + slope_b * dyb - volume_b * area_b * moved
+
+
+@njit
+def settled_pressures(P, E, c, s, amount_a, amount_b, ya, yb):
+    """Return (ya, yb) at which the chambers of cylinder c hold given amounts (m^3) at pin-to-pin length s; ya, yb: a guess.
+
+    With a spring in series the lengths depend on the force of the pressures. That force is found by Newton's method: more of it
+    makes more length and so less pressure.
     """
     k = CYLINDER + N_CYLINDER * c
     area_a, area_b = areas(P, c)
-    hydraulic = s + hooks.series_compliance(E, c) * (pa * area_a - pb * area_b)
-    la, lb = chamber_lengths(hydraulic, P[k + EMPTY], P[k + RANGE])
-    inv_oil = 1.0 / P[FLUID + OIL]
-    wall, hose = P[FLUID + WALL], P[FLUID + HOSE]
-    ba = effective_bulk_modulus(hooks.oil_compliance(E, inv_oil, pa), wall, hose, area_a * la, P[k + HOSE_A])
-    bb = effective_bulk_modulus(hooks.oil_compliance(E, inv_oil, pb), wall, hose, area_b * lb, P[k + HOSE_B])
-    return la, lb, chamber_volume(P[k + HOSE_A], area_a, la), chamber_volume(P[k + HOSE_B], area_b, lb), ba, bb
+    softness, hose, vapour, zero = fluid(P)
+    inv_k = hooks.series_compliance(E, c)
+    force = pressure_force(P, c, max(ya, vapour), max(yb, vapour))
+    for _ in range(60):
+        la, lb = chamber_lengths(s + inv_k * force, P[k + EMPTY], P[k + RANGE])
+        ya = pressure_of(E, amount_a, area_a * la, P[k + HOSE_A], softness, hose, vapour, zero, ya)
+        yb = pressure_of(E, amount_b, area_b * lb, P[k + HOSE_B], softness, hose, vapour, zero, yb)
+        if inv_k == 0.0:
+            break
+        stiffness = 0.0
+        if ya > vapour:
+            _, slope, by_volume, _ = filling(E, ya, area_a * la, P[k + HOSE_A], softness, hose, vapour, zero)
+            stiffness += area_a**2 * by_volume / slope
+        if yb > vapour:
+            _, slope, by_volume, _ = filling(E, yb, area_b * lb, P[k + HOSE_B], softness, hose, vapour, zero)
+            stiffness += area_b**2 * by_volume / slope
+        gap = pressure_force(P, c, max(ya, vapour), max(yb, vapour)) - force
+        force += gap / (1.0 + inv_k * stiffness)
+        if abs(gap) <= 1e-9 + 1e-13 * abs(force):
+            break
+    return ya, yb
 
 
 @njit
@@ -159,58 +240,69 @@ def flows_in(P, E, w, p, into):
 
 
 @njit
-def _piston_speed(area_a, area_b, stiff_a, stiff_b, inv_k, ds, into_a, into_b):
-    """Return the piston's speed v = ds + dF/dt / k behind a spring, with dF/dt = A_a dp_a - A_b dp_b by (34), solved for v."""
-    from_flow = area_a * stiff_a * into_a - area_b * stiff_b * into_b
-    return (ds + inv_k * from_flow) / (1.0 + inv_k * (area_a**2 * stiff_a + area_b**2 * stiff_b))
+def _piston_speed(P, E, c, ds, ya, yb, fill_a, fill_b, into_a, into_b):
+    """Return the piston's speed v = ds + dF/dt / k behind a spring, with dF/dt by (34), solved for v.
 
-
-@njit
-def pressure_rates(P, E, c, s, ds, pa, pb, into_a, into_b):
-    """Return (dp_a, dp_b, v) of cylinder c in Pa/s and m/s, (34) before the vapour-pressure floor.
-
-    dp_a = B_a/V_a (flow in - A_a v), dp_b = B_b/V_b (flow in + A_b v); v = ds without a spring in series.
-
-    Args:
-        s, ds: pin-to-pin length and its rate, m and m/s.
-        into_a, into_b: flows into the chambers, m^3/s.
+    The pressure of a chamber with a void does not change.
     """
+    inv_k = hooks.series_compliance(E, c)
+    if inv_k == 0.0:
+        return ds
     area_a, area_b = areas(P, c)
-    _, _, va, vb, ba, bb = chambers(P, E, c, s, pa, pb)
-    stiff_a, stiff_b = ba / va, bb / vb
-    v = _piston_speed(area_a, area_b, stiff_a, stiff_b, hooks.series_compliance(E, c), ds, into_a, into_b)
-    return stiff_a * (into_a - area_a * v), stiff_b * (into_b + area_b * v), v
+    (_, slope_a, volume_a, density_a), (_, slope_b, volume_b, density_b) = fill_a, fill_b
+    stiff_a = area_a / slope_a if ya > vapour_pressure(P) else 0.0
+    stiff_b = area_b / slope_b if yb > vapour_pressure(P) else 0.0
+    from_flow = stiff_a * density_a * into_a - stiff_b * density_b * into_b
+    return (ds + inv_k * from_flow) / (1.0 + inv_k * (stiff_a * volume_a * area_a + stiff_b * volume_b * area_b))
 
 
 @njit
-def all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, out):
-    """Fill out (4,) with the raw pressure rates in Pa/s; return whether an effect ties both cylinders to the supply."""
-    into = np.empty(4)
+def chamber_balances(P, E, w, s1, s2, ds1, ds2, y, gain, amount, growth, slope):
+    """Fill four (4,) arrays for all chambers at a state's pressures y (4,): dN/dt, N, what motion takes of it, and dN/dy.
+
+    (34) is slope dy/dt = gain - growth, with gain = density (flow in) in m^3/s and growth = dN/dV A v, v the piston's speed.
+
+    Returns:
+        (v1, v2, tied): the pistons' speeds, and whether an effect ties both cylinders to the supply.
+    """
+    into, p = np.empty(4), np.empty(4)
+    real_pressures(P, y, p)
     tied = flows_in(P, E, w, p, into)
-    out[0], out[1], _ = pressure_rates(P, E, 0, s1, ds1, p[0], p[1], into[0], into[1])
-    out[2], out[3], _ = pressure_rates(P, E, 1, s2, ds2, p[2], p[3], into[2], into[3])
-    return tied
+    v1 = _cylinder_balances(P, E, 0, s1, ds1, y, into, gain, amount, growth, slope)
+    v2 = _cylinder_balances(P, E, 1, s2, ds2, y, into, gain, amount, growth, slope)
+    return v1, v2, tied
 
 
 @njit
-def piston_speeds(P, E, w, s1, s2, ds1, ds2, p):
+def _cylinder_balances(P, E, c, s, ds, y, into, gain, amount, growth, slope):
+    a, b = 2 * c, 2 * c + 1
+    area_a, area_b = areas(P, c)
+    fill_a, fill_b = fillings(P, E, c, s, y[a], y[b])
+    v = _piston_speed(P, E, c, ds, y[a], y[b], fill_a, fill_b, into[a], into[b])
+    amount[a], slope[a], volume_a, density_a = fill_a
+    amount[b], slope[b], volume_b, density_b = fill_b
+    gain[a], gain[b] = density_a * into[a], density_b * into[b]
+    growth[a], growth[b] = volume_a * area_a * v, -volume_b * area_b * v
+    return v
+
+
+@njit
+def all_pressure_rates(P, E, w, s1, s2, ds1, ds2, y, out):
+    """Fill out (4,) with the rates of the state's pressures in Pa/s, (34)."""
+    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    chamber_balances(P, E, w, s1, s2, ds1, ds2, y, gain, amount, growth, slope)
+    for j in range(4):
+        out[j] = (gain[j] - growth[j]) / slope[j]
+
+
+@njit
+def piston_speeds(P, E, w, s1, s2, ds1, ds2, y):
     """Return (v1, v2) in m/s: the cylinders' rates, less what springs in series take up."""
     if hooks.series_compliance(E, 0) == 0.0 and hooks.series_compliance(E, 1) == 0.0:
         return ds1, ds2
-    into = np.empty(4)
-    flows_in(P, E, w, p, into)
-    _, _, v1 = pressure_rates(P, E, 0, s1, ds1, p[0], p[1], into[0], into[1])
-    _, _, v2 = pressure_rates(P, E, 1, s2, ds2, p[2], p[3], into[2], into[3])
+    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    v1, v2, _ = chamber_balances(P, E, w, s1, s2, ds1, ds2, y, gain, amount, growth, slope)
     return v1, v2
-
-
-@njit
-def hold_at_vapour_pressure(P, p, rates):
-    """Set negative rates to zero where a chamber is at or below vapour pressure: it cannot fall further."""
-    floor = P[FLUID + VAPOUR]
-    for i in range(4):
-        if p[i] <= floor and rates[i] < 0.0:
-            rates[i] = 0.0
 
 
 @njit
@@ -221,28 +313,34 @@ def friction_force(P, c, speed):
 
 
 @njit
-def extra_force(P, E, c, s, v, pa, pb):
-    """Return what the cylinder's force has beyond that of the pressures, in N: minus (19), plus the effects' forces.
+def extra_force(P, E, c, s, v, ya, yb):
+    """Return what the cylinder's force has beyond that of the state's pressures ya, yb, in N.
+
+    Minus friction (19), plus the effects' forces; air on the rod's cross-section; and where a chamber has a void, its vapour
+    pressure instead of the state's.
 
     Args:
         s: pin-to-pin length in m.
         v: piston speed in m/s.
     """
-    k = CYLINDER + N_CYLINDER * c
-    hydraulic = s + hooks.series_compliance(E, c) * pressure_force(P, c, pa, pb)
-    la, lb = chamber_lengths(hydraulic, P[k + EMPTY], P[k + RANGE])
-    return hooks.cylinder_force(E, c, v, pa, pb, la, lb) - friction_force(P, c, v)
+    area_a, area_b = areas(P, c)
+    least = vapour_pressure(P)
+    pa, pb = max(ya, least), max(yb, least)
+    la, lb = lengths(P, E, c, s, ya, yb)
+    void = (pa - ya) * area_a - (pb - yb) * area_b
+    air = (1.0 - P[REFERENCE]) * P[AIR] * (area_a - area_b)
+    return hooks.cylinder_force(E, c, v, pa, pb, la, lb) - friction_force(P, c, v) - air + void
 
 
 @njit
-def extra_forces(P, E, w, s1, s2, ds1, ds2, p):
+def extra_forces(P, E, w, s1, s2, ds1, ds2, y):
     """Return the `extra_force` of both cylinders in N."""
-    v1, v2 = piston_speeds(P, E, w, s1, s2, ds1, ds2, p)
-    return extra_force(P, E, 0, s1, v1, p[0], p[1]), extra_force(P, E, 1, s2, v2, p[2], p[3])
+    v1, v2 = piston_speeds(P, E, w, s1, s2, ds1, ds2, y)
+    return extra_force(P, E, 0, s1, v1, y[0], y[1]), extra_force(P, E, 1, s2, v2, y[2], y[3])
 
 
 @njit
-def cylinder_forces(P, E, w, s1, s2, ds1, ds2, p):
+def cylinder_forces(P, E, w, s1, s2, ds1, ds2, y):
     """Return the forces (18) of both cylinders in N with all that effects add, pushing the pins apart."""
-    F1, F2 = extra_forces(P, E, w, s1, s2, ds1, ds2, p)
-    return F1 + pressure_force(P, 0, p[0], p[1]), F2 + pressure_force(P, 1, p[2], p[3])
+    F1, F2 = extra_forces(P, E, w, s1, s2, ds1, ds2, y)
+    return F1 + pressure_force(P, 0, y[0], y[1]), F2 + pressure_force(P, 1, y[2], y[3])

@@ -432,7 +432,6 @@ def _all_rates(P, E, w, inertia, q, v, p, out):
         red.arms_of(P[k], inertia[k], qk, arms)
         s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P[k], arms, qk, vk)
         hyd.all_pressure_rates(P[k], E[k], w[k], s1, s2, ds1, ds2, pk, out[k])
-        hyd.hold_at_vapour_pressure(P[k], pk, out[k])
 
 
 @njit

@@ -45,18 +45,20 @@ class SolveDynamicEngine:
         settings.timeIntegration.newton.relativeTolerance = self._tolerance
         if not self.mbs.SolveDynamic(settings):
             raise CraneError(f"{self.crane.name}: Exudyn's solver fails at t = {time:g} s, state {x}.")
-        q, v = (np.array(f())[None] for f in (data.GetODE2Coordinates, data.GetODE2Coordinates_t))
-        p, out = np.array(data.GetODE1Coordinates())[None], np.empty((1, x.size))
-        trapezoidal.finish(plant.P, plant.E, plant.inertia, x[None], q, v, p, np.zeros(1, dtype=np.int64), out)
-        return out[0]
+        q, v = (np.array(f()) for f in (data.GetODE2Coordinates, data.GetODE2Coordinates_t))
+        out = np.empty(x.size)
+        trapezoidal.read_motion(plant.P[0], plant.inertia[0], x, q, v, np.zeros((reduction.N_ARMS, 2)), out)
+        out[4:8] = data.GetODE1Coordinates()
+        return out
 
     def _set_start(self, x: np.ndarray, w: np.ndarray, time: float) -> None:
         """Write one state, with consistent accelerations and pressure rates, as Exudyn's initial configuration."""
         plant, width = self.plant, self.plant.coordinates
         q, v, a, p, dp = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(4), np.zeros(4)
         arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
+        held, udd = np.zeros((trapezoidal.N_START, 4)), np.zeros(width // 2 - 4)
         wide = np.concatenate([w, np.zeros(8)])
-        flag = trapezoidal.start(plant.P[0], plant.E[0], time, plant.inertia[0], x, wide, arms, N, q, v, a, p, dp)
+        flag = trapezoidal.start(plant.P[0], plant.E[0], time, plant.inertia[0], x, wide, arms, N, q, v, a, p, dp, held, udd)
         if flag != trapezoidal.ITERATING:
             raise geometry.unreachable(self.crane.name, x[0], x[1])
         data, initial = self.mbs.systemData, mechanism.exu.ConfigurationType.Initial

@@ -32,7 +32,7 @@ _CYLINDER = (
 )  # fmt: skip
 _VALVE = ("flow_coefficient", "time_constant")
 _FLUID = ("oil_bulk_modulus", "cylinder_bulk_modulus", "hose_bulk_modulus", "vapour_pressure", "laminar_pressure")
-_SUPPLY = ("pump_pressure", "tank_pressure")
+_SUPPLY = ("pump_pressure", "tank_pressure", "air_pressure", "pressure_reference")
 
 #: names of all nominal parameters, in the order of the vector P
 NAMES: tuple[str, ...] = (
@@ -64,7 +64,7 @@ _UNITS = {
     "coulomb_friction": "N", "static_friction": "N", "stribeck_speed": "m/s", "viscous_friction": "N*s/m",
     "flow_coefficient": "m^3/s/Pa^0.5", "time_constant": "s", "oil_bulk_modulus": "Pa", "cylinder_bulk_modulus": "Pa",
     "hose_bulk_modulus": "Pa", "vapour_pressure": "Pa", "laminar_pressure": "Pa", "pump_pressure": "Pa",
-    "tank_pressure": "Pa", "gravity": "m/s^2",
+    "tank_pressure": "Pa", "air_pressure": "Pa", "pressure_reference": "", "gravity": "m/s^2",
 }  # fmt: skip
 
 

@@ -30,7 +30,7 @@ class Simulation:
         crane: what was simulated.
         time: (N,) s.
         state_names: names of the nx states.
-        states: (N, nx).
+        states: (N, nx); a pressure below vapour pressure stands for a void, see `laws.oil`; channels show vapour pressure.
         commands: (N, 2) spool commands u1, u2.
         inputs: (N, 4) spool positions U1, U2 and supply pressures pp, pt (NaN: the crane's own).
     """
@@ -53,9 +53,10 @@ class Simulation:
     @cached_property
     def _channels(self) -> dict[str, np.ndarray]:
         from .geometry import pose
+        from .statics import visible
 
         found = dict(zip(COMMANDS, self.commands.T, strict=True))
-        found |= dict(zip(self.state_names, self.states.T, strict=True))
+        found |= dict(zip(self.state_names, visible(self.crane, self.states).T, strict=True))
         found["z4_abs"] = found["z1"] + found["z4"]
         found["dz4_abs"] = found["dz1"] + found["dz4"]
         lengths = pose(self.crane, found["z1"], found["z4"]).lengths

@@ -58,7 +58,7 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
     gx, gy = hooks.gravity(E, 0.0, -1.0)
     state = np.array([z1, z4, *[0.0] * 6, *([math.atan2(gx, -gy), 0.0] if swings else [])])
     low = np.broadcast_to(np.asarray(less_loaded, dtype=float), (2,))
-    floor = P[hyd.FLUID + hyd.VAPOUR]
+    floor = hyd.vapour_pressure(P)
     if not np.all(low >= floor):
         raise CraneError(
             f"{crane.name}: the less loaded chamber cannot be at {low.min():g} Pa, below vapour pressure ({floor:g} Pa)."
@@ -87,9 +87,17 @@ def _at_rest(crane: Crane, r: dict[str, Any]) -> np.ndarray:
 def _pressures(P: np.ndarray, c: int, force: float, low: float) -> tuple[float, float]:
     """Return (p_piston, p_rod) that give a force, with the less loaded chamber at `low`."""
     area_a, area_b = hyd.areas(P, c)
+    force += (1.0 - P[hyd.REFERENCE]) * P[hyd.AIR] * (area_a - area_b)
     if force + low * area_b >= low * area_a:
         return (force + low * area_b) / area_a, low
     return low, (low * area_a - force) / area_b
+
+
+def visible(crane: Crane, states: np.ndarray) -> np.ndarray:
+    """Return states (…, nx) with the pressures that a gauge would show: vapour pressure where the state remembers a void."""
+    shown = np.array(states, dtype=float)
+    shown[..., 4:8] = np.maximum(shown[..., 4:8], hyd.vapour_pressure(crane.parameter_vector()))
+    return shown
 
 
 def stroke_message(crane: Crane, state: np.ndarray) -> str:
@@ -138,21 +146,23 @@ def _geometry_terms(crane: Crane, x: np.ndarray, r: dict[str, Any]) -> dict[str,
 def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str, float]:
     P, E = r["P"], r["E"]
     s1, s2, ds1, ds2 = r["kinematics"][:4]
-    pp, pt = hyd.supply_loop(P, E, w, p)
     rates = np.zeros(4)
     hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
-    hyd.hold_at_vapour_pressure(P, p, rates)
+    real = np.zeros(4)
+    hyd.real_pressures(P, p, real)
+    amounts = [filling[0] for c, s in enumerate((s1, s2)) for filling in hyd.fillings(P, E, c, s, p[2 * c], p[2 * c + 1])]
     speeds = hyd.piston_speeds(P, E, w, s1, s2, ds1, ds2, p)
     forces = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
-    out = {"pp": pp, "pt": pt} | {f"dp{i + 1}": rates[i] for i in range(4)}
+    pp, pt = hyd.supply_loop(P, E, w, real)
+    out = {"pp": pp, "pt": pt} | {f"dp{i + 1}": rates[i] for i in range(4)} | {f"N{i + 1}": amounts[i] for i in range(4)}
     for c, s in enumerate((s1, s2)):
         a, b = 2 * c + 1, 2 * c + 2
-        pa, pb = p[2 * c], p[2 * c + 1]
+        pa, pb = real[2 * c], real[2 * c + 1]
         out[f"Q{a}"], out[f"Q{b}"], _, _ = hyd.port_flows(P, E, c, w[c], pp, pt, pa, pb)
         leak = hooks.leakage(E, c, pa, pb)
         out[f"leak{a}"], out[f"leak{b}"] = leak[0] + w[hyd.FLOW + a - 1], leak[1] + w[hyd.FLOW + b - 1]
         names = (f"l{a}", f"l{b}", f"V{a}", f"V{b}", f"Be{a}", f"Be{b}")
-        out |= dict(zip(names, hyd.chambers(P, E, c, s, pa, pb), strict=True))
+        out |= dict(zip(names, hyd.chambers(P, E, c, s, p[2 * c], p[2 * c + 1]), strict=True))
         out |= {f"Fmu{c + 1}": hyd.friction_force(P, c, speeds[c]), f"F{c + 1}": forces[c], f"v_h{c + 1}": speeds[c]}
     return {k: float(v) for k, v in out.items()}
 

@@ -1,12 +1,20 @@
 """The implicit trapezoidal rule (index 2) in redundant coordinates: predictor, and Newton's correction for Exudyn's residual.
 
-    q1 = q0 + h/2 (v0 + v1)     v1 = v0 + h/2 (a0 + a1)     p1 = p0 + h/2 (dp0 + dp1)
-    M a1 - f(q1, v1, p1) + G^T lambda = 0                   dp1 = rates(q1, v1, p1, w1)               G v1 = 0
+    q1 = q0 + h/2 (v0 + v1)     v1 = v0 + h/2 (a0 + a1)     N1 = N0 + h/2 (N0' + N1')
+    M a1 - f(q1, v1, p1) + G^T lambda = 0                   G v1 = 0
 
-This is what Exudyn's solver does with Newmark beta = 1/4, gamma = 1/2 and velocity-level constraints. Exudyn
-assembles the residual of the last line for all cranes; only the linear algebra of Newton's method is done here, crane by
+N are the amounts of oil in the chambers, so that what flows is what is there more. Exudyn has the pressures y as coordinates and
+assembles the residual "rates - dy" of (34); dy is what makes it zero exactly when the rule holds for N:
+
+    dy = (2/h (N1 - N0) - N0' - growth) / slope,            slope dy/dt = N' - growth,  see hydraulics.chamber_balances
+
+The rest is what Exudyn's solver does with Newmark beta = 1/4, gamma = 1/2 and velocity-level constraints. Exudyn
+assembles the residual for all cranes; only the linear algebra of Newton's method is done here, crane by
 crane and with lambda eliminated by the null space, because Exudyn would differentiate the user functions numerically,
 one call a coordinate.
+
+The local error of a step is the defect of the trapezoidal rule against Simpson's, h/3 (f0 + f1 - 2 fm), with the rates fm in the
+middle of Hermite's interpolation.
 """
 
 from __future__ import annotations
@@ -22,18 +30,25 @@ from .effects import hooks
 from .parameters import FLUID
 
 # status of a crane in a step
-DONE, ITERATING, UNREACHABLE, SINGULAR, DIVERGED = 0, 1, -1, -2, -3
+DONE, ITERATING, UNREACHABLE, SINGULAR, DIVERGED, COARSE = 0, 1, -1, -2, -3, -4
 #: increments of Newton's method count in these units: rad/s and Pa
 RATE_UNIT, PRESSURE_UNIT = 1.0, 1e7
 #: Newton stops when the error left is below this fraction of the units above: 1e-9 rad/s, 0.01 Pa
 TOLERANCE = 1e-9
 #: finite differences of forces and flows: m/s, rad/s and Pa
 _DV, _DP = 1e-7, 20.0
+#: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the oil of its chamber
+POSITION_ERROR, RATE_ERROR, PRESSURE_ERROR = 1e-8, 3e-6, 300.0
+# rows of the (n, N_START, 4) table of what the chambers had at the start of a step
+AMOUNT, GAIN, N_START = 0, 1, 2
 
 
 @njit
-def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp):
+def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp, held, udd):
     """Fill q, v, a, p, dp of one crane from its state x (8 or 10,): joints closed, accelerations and rates consistent.
+
+    Args:
+        held: (N_START, 4), filled with the amounts of oil and their rates; udd: (nu,), with the independent accelerations.
 
     Returns:
         ITERATING, or UNREACHABLE or SINGULAR.
@@ -49,17 +64,19 @@ def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp):
         u[2] = x[9]
     red.velocities(N, u, v)
     p[:] = x[4:8]
-    f, work, M, udd = np.empty(width), np.empty(width), np.empty((nu, nu)), np.empty(nu)
+    f, work, M = np.empty(width), np.empty(width), np.empty((nu, nu))
     if not red.accelerations(P, E, t, w, inertia, N, arms, q, v, p, work, f, M, udd, a):
         return SINGULAR
     s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
-    hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, dp)
-    hyd.hold_at_vapour_pressure(P, p, dp)
+    growth, slope = np.empty(4), np.empty(4)
+    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, held[GAIN], held[AMOUNT], growth, slope)
+    for j in range(4):
+        dp[j] = (held[GAIN, j] - growth[j]) / slope[j]
     return ITERATING
 
 
 @njit
-def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0, status, last):
+def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, held, udd, status, last):
     """Fill the (n, .) arrays of the end of the step with a first guess: a1 = a0 and dp1 = dp0.
 
     Args:
@@ -67,7 +84,7 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0, status, la
         P, E: (n, .) parameters.
         start_inertia: (n, 5, 4) masses at the start of the step.
         x, w: states (n, nx) and inputs (n, 12) at the start of the step.
-        p0, dp0: (n, 4), filled with pressures and rates at the start.
+        held: (n, N_START, 4) filled with amounts of oil and their rates at the start;  udd: (n, nu) accelerations there.
         status, last: (n,), set for the first iteration.
 
     Returns:
@@ -77,60 +94,82 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, p0, dp0, status, la
     arms, N = np.zeros((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
     good = True
     for k in range(x.shape[0]):
-        floor = P[k, FLUID + hyd.VAPOUR]
-        status[k] = start(P[k], E[k], t, start_inertia[k], x[k], w[k], arms, N, q[k], v[k], a[k], p0[k], dp0[k])
+        ends = (q[k], v[k], a[k], p[k], dp[k], held[k], udd[k])
+        status[k] = start(P[k], E[k], t, start_inertia[k], x[k], w[k], arms, N, *ends)
         last[k] = math.inf
         good = good and status[k] == ITERATING
         for j in range(width):
             v1 = v[k, j] + h * a[k, j]
             q[k, j] += 0.5 * h * (v[k, j] + v1)
             v[k, j] = v1
+        red.arms_of(P[k], start_inertia[k], q[k], arms)
         for j in range(4):
-            p[k, j] = max(p0[k, j] + h * dp0[k, j], floor)
-            dp[k, j] = 2.0 / h * (p[k, j] - p0[k, j]) - dp0[k, j]
+            p[k, j] += h * dp[k, j]
+        s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P[k], arms, q[k], v[k])
+        _required_rates(P[k], E[k], w[k], h, s1, s2, ds1, ds2, p[k], held[k], dp[k])
     return good
 
 
 @njit
-def _tangents(P, E, w, h, s1, s2, ds1, ds2, p, rates, Fv, Fp, Rv, Rp):
-    """Fill the derivatives of cylinder forces and pressure rates after cylinder speeds and pressures, by differences.
+def _required_rates(P, E, w, h, s1, s2, ds1, ds2, p, held, dp):
+    """Fill dp (4,) with the pressure rates at the end of a step with which the rule holds for the amounts of oil."""
+    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, gain, amount, growth, slope)
+    for j in range(4):
+        dp[j] = (2.0 / h * (amount[j] - held[AMOUNT, j]) - held[GAIN, j] - growth[j]) / slope[j]
+
+
+@njit
+def _defects(P, E, w, h, s1, s2, ds1, ds2, p, scale, out):
+    """Fill out (4,) with (N' - 2/h N)/scale of the chambers, and scale with their dN/dy if it is not positive.
+
+    Returns:
+        whether an effect ties both cylinders to the supply.
+    """
+    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    _, _, tied = hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, gain, amount, growth, slope)
+    for j in range(4):
+        if scale[j] <= 0.0:
+            scale[j] = slope[j]
+        out[j] = (gain[j] - 2.0 / h * amount[j]) / scale[j]
+    return tied
+
+
+@njit
+def _tangents(P, E, w, h, s1, s2, ds1, ds2, p, Fv, Fp, Rv, Rp):
+    """Fill the derivatives of cylinder forces and chambers' defects after cylinder speeds and pressures, by differences.
 
     A speed at the end of the step moves the length by h/2 of it, which belongs to the derivative after the speed.
 
-    rates (4,): raw pressure rates. Fv (2,): dF_c/dv_c. Fp (2, 4), Rv (4, 2), Rp (4, 4) likewise. Chamber j and j + 2 belong to
+    Fv (2,): dF_c/dv_c. Fp (2, 4), Rv (4, 2), Rp (4, 4) likewise. Chamber j and j + 2 belong to
     different cylinders and are moved together, except where an effect ties both cylinders to the supply.
     """
     F1, F2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
-    tied = hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
-    moved, ds = np.empty(4), 0.5 * h * _DV
+    base, moved, scale, ds = np.empty(4), np.empty(4), np.zeros(4), 0.5 * h * _DV
+    tied = _defects(P, E, w, h, s1, s2, ds1, ds2, p, scale, base)
     G1, G2 = hyd.cylinder_forces(P, E, w, s1 + ds, s2 + ds, ds1 + _DV, ds2 + _DV, p)
     Fv[0], Fv[1] = (G1 - F1) / _DV, (G2 - F2) / _DV
-    hyd.all_pressure_rates(P, E, w, s1 + ds, s2 + ds, ds1 + _DV, ds2 + _DV, p, moved)
+    _defects(P, E, w, h, s1 + ds, s2 + ds, ds1 + _DV, ds2 + _DV, p, scale, moved)
     for i in range(4):
-        Rv[i, i // 2] = (moved[i] - rates[i]) / _DV
+        Rv[i, i // 2] = (moved[i] - base[i]) / _DV
     for j in range(2):
         pa, pb = p[j], p[j + 2]
         p[j], p[j + 2] = pa + _DP, pb + _DP
         G1, G2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
         Fp[0, j], Fp[1, j + 2] = (G1 - F1) / _DP, (G2 - F2) / _DP
         if not tied:
-            hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, moved)
-            Rp[0, j], Rp[1, j] = (moved[0] - rates[0]) / _DP, (moved[1] - rates[1]) / _DP
-            Rp[2, j + 2], Rp[3, j + 2] = (moved[2] - rates[2]) / _DP, (moved[3] - rates[3]) / _DP
+            _defects(P, E, w, h, s1, s2, ds1, ds2, p, scale, moved)
+            Rp[0, j], Rp[1, j] = (moved[0] - base[0]) / _DP, (moved[1] - base[1]) / _DP
+            Rp[2, j + 2], Rp[3, j + 2] = (moved[2] - base[2]) / _DP, (moved[3] - base[3]) / _DP
         p[j], p[j + 2] = pa, pb
     if tied:
-        _tied_tangents(P, E, w, s1, s2, ds1, ds2, p, rates, moved, Rp)
-
-
-@njit
-def _tied_tangents(P, E, w, s1, s2, ds1, ds2, p, rates, moved, Rp):
-    for j in range(4):
-        saved = p[j]
-        p[j] = saved + _DP
-        hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, moved)
-        p[j] = saved
-        for i in range(4):
-            Rp[i, j] = (moved[i] - rates[i]) / _DP
+        for j in range(4):
+            saved = p[j]
+            p[j] = saved + _DP
+            _defects(P, E, w, h, s1, s2, ds1, ds2, p, scale, moved)
+            p[j] = saved
+            for i in range(4):
+                Rp[i, j] = (moved[i] - base[i]) / _DP
 
 
 @njit
@@ -143,7 +182,7 @@ def _joint_tangents(E, v):
 
 
 @njit
-def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0, status, last):
+def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held, udd, status, last):
     """Improve the end of the step by one Newton iteration for every crane that needs it, given Exudyn's residual there.
 
     A crane that has converged is left alone, so that its result does not depend on its neighbours.
@@ -153,7 +192,7 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0, statu
         h: step in s.
         scale: factor that Exudyn's solver has put on the ODE2 rows.
         residual: Exudyn's [M a - f, rates - dp, G v] of all cranes, joint forces left out.
-        q, v, a, p, dp: (n, .) end of the step, improved in place;  p0, dp0: (n, 4) its start.
+        q, v, a, p, dp: (n, .) end of the step, improved in place;  held: (n, N_START, 4) amounts of oil at its start.
         status: (n,) updated;  last: (n,) size of each crane's last increment in RATE_UNIT and PRESSURE_UNIT.
 
     Returns:
@@ -166,37 +205,43 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, p0, dp0, statu
     arms, N = np.zeros((red.N_ARMS, 2)), np.zeros((nu, width))
     D, d, work, g = np.zeros((2, nu)), np.zeros(width), np.zeros(width), np.zeros(red.N_JOINT_ROWS + 1)
     A, b = np.zeros((size, size)), np.zeros(size)
-    rates, Fv, Fp, Rv, Rp = np.zeros(4), np.zeros(2), np.zeros((2, 4)), np.zeros((4, 2)), np.zeros((4, 4))
+    Fv, Rv = np.zeros(2), np.zeros((4, 2))
     active = 0
     for k in range(n):
         if status[k] != ITERATING:
             continue
         Pk, Ek, mk, qk, vk, pk = P[k], E[k], inertia[k], q[k], v[k], p[k]
         red.arms_of(Pk, mk, qk, arms)
-        red.null_space(arms, N)
-        s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = red.cylinder_kinematics(Pk, arms, qk, vk)
-        for i in range(nu):
-            D[0, i], D[1, i] = red.cylinder_rates(arms, N[i], e1x, e1y, e2x, e2y)
-        Rp[:] = 0.0
-        _tangents(Pk, Ek, w[k], h, s1, s2, ds1, ds2, pk, rates, Fv, Fp, Rv, Rp)
+        e1x, e1y, e2x, e2y = _linearised(Pk, Ek, h, mk, w[k], qk, vk, pk, arms, N, D, Fv, Rv, work, A)
         start_g = n * (width + 4) + rows * k
         for i in range(rows):
             g[i] = -residual[start_g + i]
         red.chain(arms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, g, d)  # the change of velocity that closes the joints
-        _fill_system(Ek, h, mk, N, D, vk, Fv, Fp, Rv, Rp, work, A)
         red.mass_times(mk, d, work)
         for j in range(width):
             work[j] = residual[width * k + j] / scale + 2.0 / h * work[j]
         d1, d2 = red.cylinder_rates(arms, d, e1x, e1y, e2x, e2y)
         _fill_right_side(N, D, Fv, Rv, d1, d2, work, residual[n * width + 4 * k :], b)
-        _hold_floor(Pk, h, rates, pk, p0[k], dp0[k], nu, A, b)
         if not red.solve(A, b):
             status[k] = SINGULAR
             continue
-        change = _apply(Pk, h, N, d, b, qk, vk, a[k], pk, dp[k], p0[k], dp0[k])
+        change = _apply(Pk, Ek, w[k], h, mk, N, d, b, arms, qk, vk, a[k], pk, dp[k], held[k])
         status[k], last[k] = _judge(change, last[k]), change
         active += status[k] == ITERATING
     return active
+
+
+@njit
+def _linearised(P, E, h, inertia, w, q, v, p, arms, N, D, Fv, Rv, work, A):
+    """Fill null space N, cylinder rates D, derivatives Fv, Rv and the system A of a crane; return the cylinders' directions."""
+    red.null_space(arms, N)
+    s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = red.cylinder_kinematics(P, arms, q, v)
+    for i in range(N.shape[0]):
+        D[0, i], D[1, i] = red.cylinder_rates(arms, N[i], e1x, e1y, e2x, e2y)
+    Fp, Rp = np.zeros((2, 4)), np.zeros((4, 4))
+    _tangents(P, E, w, h, s1, s2, ds1, ds2, p, Fv, Fp, Rv, Rp)
+    _fill_system(E, h, inertia, N, D, v, Fv, Fp, Rv, Rp, work, A)
+    return e1x, e1y, e2x, e2y
 
 
 @njit
@@ -236,28 +281,18 @@ def _fill_system(E, h, inertia, N, D, v, Fv, Fp, Rv, Rp, work, A):
         A[2, 2] += hooks.pendulum(E)[1]
     for i in range(4):
         for j in range(4):
-            A[nu + i, nu + j] = Rp[i, j] - (2.0 / h if i == j else 0.0)
+            A[nu + i, nu + j] = Rp[i, j]
 
 
 @njit
-def _hold_floor(P, h, rates, p, p0, dp0, nu, A, b):
-    """Replace the equation of a chamber that stays at vapour pressure: its pressure does not change in this iteration.
+def _apply(P, E, w, h, inertia, N, d, change, arms, q, v, a, p, dp, held):
+    """Add one Newton increment; return its size.
 
-    It stays there if the trapezoidal rule, with the rate that it would have, leads below the floor.
+    The amounts of oil take the linear change, the pressures follow from them: so the iteration meets no kink where a void
+    closes or gas is pressed together.
     """
-    floor = P[FLUID + hyd.VAPOUR]
-    for j in range(4):
-        if p[j] <= floor and p0[j] + 0.5 * h * (dp0[j] + rates[j]) <= floor:
-            A[nu + j, :] = 0.0
-            A[nu + j, nu + j] = 1.0
-            b[nu + j] = 0.0
-
-
-@njit
-def _apply(P, h, N, d, change, q, v, a, p, dp, p0, dp0):
-    """Add one Newton increment; return its size."""
-    nu, floor = N.shape[0], P[FLUID + hyd.VAPOUR]
-    size = 0.0
+    nu, size = N.shape[0], 0.0
+    s1, s2, _, _, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
     for j in range(q.size):
         dv = d[j]
         for i in range(nu):
@@ -267,39 +302,160 @@ def _apply(P, h, N, d, change, q, v, a, p, dp, p0, dp0):
         a[j] += 2.0 / h * dv
         size = max(size, abs(dv) / RATE_UNIT) if not math.isnan(dv) else math.nan
     for j in range(4):
-        moved = max(p[j] + change[nu + j], floor)
-        step = abs(moved - p[j]) / PRESSURE_UNIT
+        step = abs(change[nu + j]) / PRESSURE_UNIT
         size = max(size, step) if not math.isnan(step + size) else math.nan
-        p[j] = moved
-        dp[j] = 2.0 / h * (moved - p0[j]) - dp0[j]
+    red.arms_of(P, inertia, q, arms)
+    s3, s4, ds3, ds4, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
+    a1, a2 = hyd.changed_amounts(P, E, 0, s1, p[0], p[1], s3 - s1, change[nu], change[nu + 1])
+    a3, a4 = hyd.changed_amounts(P, E, 1, s2, p[2], p[3], s4 - s2, change[nu + 2], change[nu + 3])
+    p[0], p[1] = hyd.settled_pressures(P, E, 0, s3, a1, a2, p[0], p[1])
+    p[2], p[3] = hyd.settled_pressures(P, E, 1, s4, a3, a4, p[2], p[3])
+    _required_rates(P, E, w, h, s3, s4, ds3, ds4, p, held, dp)
     return size
 
 
 @njit
-def finish(P, E, inertia, x, q, v, p, status, out):
+def finish(P, E, t, h, allowed, inertia, x, w0, w1, q, v, p, held, udd, status, out):
     """Fill out (n, nx) with the independent states at the end of the step, of the cranes that are DONE.
+
+    A crane whose local error is too large becomes COARSE.
+
+    Args:
+        t, h: start and length of the step in s;  x, w0: (n, .) states and inputs at its start;  w1: inputs at its end.
+        allowed: local error in units of `*_ERROR`.
+        inertia: (n, 5, 4) masses at the end of the step.
 
     Returns:
         the first crane that is beyond its stroke, or -1.
     """
     width = q.shape[1]
-    arms = np.zeros((red.N_ARMS, 2))
+    arms, N = np.zeros((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
     beyond = -1
     for k in range(q.shape[0]):
         if status[k] != DONE:
             continue
-        out[k, 0], out[k, 1] = q[k, 2], q[k, 11] - q[k, 2]
-        out[k, 2], out[k, 3] = v[k, 2], v[k, 11] - v[k, 2]
-        out[k, 4:8] = p[k]
-        red.arms_of(P[k], inertia[k], q[k], arms)
-        if width > 12:
-            theta = math.atan2(arms[red.ROD, 0], -arms[red.ROD, 1])
-            out[k, 8] = theta + 2.0 * math.pi * round((x[k, 8] - theta) / (2.0 * math.pi))
-            out[k, 9] = red.pendulum_rate(arms, v[k])
-        s1, s2, _, _, _, _, _, _ = red.cylinder_kinematics(P[k], arms, q[k], v[k])
-        if beyond < 0 and stroke_end(P[k], E[k], s1, s2, p[k]) > 0:
+        read_motion(P[k], inertia[k], x[k], q[k], v[k], arms, out[k])
+        s1, s2, gain = _settle(P[k], E[k], h, inertia[k], w1[k], arms, N, q[k], v[k], p[k], held[k], out[k])
+        if beyond < 0 and stroke_end(P[k], E[k], s1, s2, out[k, 4:8]) > 0:
             beyond = k
+        what = (inertia[k], x[k], out[k], w0[k], w1[k], arms, N, q[k], v[k], held[k], gain, udd[k])
+        if not _local_error(P[k], E[k], t, h, allowed, *what) <= allowed:
+            status[k] = COARSE
     return beyond
+
+
+@njit
+def read_motion(P, inertia, x, q, v, arms, out):
+    """Write the independent coordinates and rates of redundant ones to out (nx,); a pendulum's angle stays near that in x."""
+    out[0], out[1] = q[2], q[11] - q[2]
+    out[2], out[3] = v[2], v[11] - v[2]
+    if q.size > 12:
+        red.arms_of(P, inertia, q, arms)
+        theta = math.atan2(arms[red.ROD, 0], -arms[red.ROD, 1])
+        out[8] = theta + 2.0 * math.pi * round((x[8] - theta) / (2.0 * math.pi))
+        out[9] = red.pendulum_rate(arms, v)
+
+
+@njit
+def _settle(P, E, h, inertia, w, arms, N, q, v, p, held, out):
+    """Write the pressures that belong to the amounts of oil at the end of a step to out (nx,), at its pose with all joints closed.
+
+    Returns:
+        pin-to-pin lengths of the cylinders in m, and the rates (4,) of the amounts.
+    """
+    theta = out[8] if q.size > 12 else 0.0
+    red.close_position(P, E, inertia, out[0], out[1], theta, arms, q)
+    s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
+    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, gain, amount, growth, slope)
+    for j in range(4):
+        amount[j] = held[AMOUNT, j] + 0.5 * h * (held[GAIN, j] + gain[j])
+    out[4], out[5] = hyd.settled_pressures(P, E, 0, s1, amount[0], amount[1], p[0], p[1])
+    out[6], out[7] = hyd.settled_pressures(P, E, 1, s2, amount[2], amount[3], p[2], p[3])
+    return s1, s2, gain
+
+
+@njit
+def _local_error(P, E, t, h, allowed, inertia, x, out, w0, w1, arms, N, q, v, held, gain, udd):
+    """Return the local error of one crane's step in units of `*_ERROR`; arms, N, q, v are scratch.
+
+    First by the change of the rates over the step, which bounds the defect of rates that change one way; then by the rates in
+    the middle; then after what the system's stiffness makes of it.
+    """
+    nu = udd.size
+    after, defect = np.empty(nu), np.empty(nu + 4)
+    for i in range(nu):
+        rate = 2 + i if i < 2 else 9
+        after[i] = 2.0 / h * (out[rate] - x[rate]) - udd[i]
+        defect[i] = h / 3.0 * (after[i] - udd[i])
+    for j in range(4):
+        defect[nu + j] = h / 3.0 * (gain[j] - held[GAIN, j])
+    positions = 0.25 * h * np.abs(defect[:nu])
+    error = _size(P, held, defect, positions)
+    if error <= allowed:
+        return error
+    middle, w, width = np.empty(x.size), np.empty(w0.size), q.size
+    for i in range(w.size):
+        w[i] = 0.5 * (w0[i] + w1[i])
+    amount, between, dp = np.empty(4), np.empty((N_START, 4)), np.empty(4)
+    for i in range(nu):
+        place, rate = (i, 2 + i) if i < 2 else (8, 9)
+        middle[place] = 0.5 * (x[place] + out[place]) + 0.125 * h * (x[rate] - out[rate])
+        middle[rate] = 0.5 * (x[rate] + out[rate]) + 0.125 * h * (udd[i] - after[i])
+    theta = middle[8] if nu > 2 else 0.0
+    if not red.close_position(P, E, inertia, middle[0], middle[1], theta, arms, q):
+        return math.inf
+    s1, s2, _, _, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
+    for j in range(4):
+        amount[j] = held[AMOUNT, j] + 0.5 * h * (0.5 * (held[GAIN, j] + gain[j])) + 0.125 * h * (held[GAIN, j] - gain[j])
+    middle[4], middle[5] = hyd.settled_pressures(P, E, 0, s1, amount[0], amount[1], x[4], x[5])
+    middle[6], middle[7] = hyd.settled_pressures(P, E, 1, s2, amount[2], amount[3], x[6], x[7])
+    a, p, there = np.empty(width), np.empty(4), np.empty(nu)
+    if start(P, E, t + 0.5 * h, inertia, middle, w, arms, N, q, v, a, p, dp, between, there) != ITERATING:
+        return math.inf
+    for i in range(nu):
+        defect[i] = h / 3.0 * (udd[i] + after[i] - 2.0 * there[i])
+    for j in range(4):
+        defect[nu + j] = h / 3.0 * (held[GAIN, j] + gain[j] - 2.0 * between[GAIN, j])
+    error = _size(P, held, defect, positions)
+    if error <= allowed:
+        return error
+    return _stiff_error(P, E, h, inertia, w, arms, N, q, v, p, held, defect, positions)
+
+
+@njit
+def _size(P, held, defect, positions):
+    """Return the largest of the defects (nu + 4,) of rates and amounts, and of the positions' (nu,), in units of `*_ERROR`."""
+    nu, error = positions.size, 0.0
+    for i in range(nu):
+        error = max(error, abs(defect[i]) / RATE_ERROR, positions[i] / POSITION_ERROR)
+    for j in range(4):
+        error = max(error, abs(defect[nu + j]) * P[FLUID + hyd.OIL] / (held[AMOUNT, j] * PRESSURE_ERROR))
+    return error if error == error else math.inf
+
+
+@njit
+def _stiff_error(P, E, h, inertia, w, arms, N, q, v, p, held, defect, positions):
+    """Return the error left of a defect by one iteration of Newton's method towards Simpson's rule, around the middle of the step."""
+    nu, width = positions.size, q.size
+    D, Fv, Rv, work = np.zeros((2, nu)), np.zeros(2), np.zeros((4, 2)), np.zeros(width)
+    A, b, M = np.zeros((nu + 4, nu + 4)), np.empty(nu + 4), np.zeros((nu, nu))
+    _linearised(P, E, h, inertia, w, q, v, p, arms, N, D, Fv, Rv, work, A)
+    red.reduced_mass(inertia, N, work, M)
+    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
+    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, gain, amount, growth, slope)
+    for i in range(nu):
+        b[i] = 2.0 / h * red.dot(M[i], defect[:nu])
+    for j in range(4):
+        b[nu + j] = -2.0 / h * defect[nu + j] / slope[j]
+    if not red.solve(A, b):
+        return math.inf
+    left = np.empty(nu + 4)
+    left[:nu] = b[:nu]
+    for j in range(4):
+        left[nu + j] = b[nu + j] * slope[j]
+    return _size(P, held, left, positions)
 
 
 @njit
@@ -311,6 +467,7 @@ def stroke_end(P, E, s1, s2, p):
     for c in range(2):
         s, pa, pb = (s1, p[0], p[1]) if c == 0 else (s2, p[2], p[3])
         la, lb, va, vb, _, _ = hyd.chambers(P, E, c, s, pa, pb)
+        pa, pb = max(pa, hyd.vapour_pressure(P)), max(pb, hyd.vapour_pressure(P))
         if la < 0.0 and (va <= 0.0 or hooks.cylinder_force(E, c, 0.0, pa, pb, la, lb) <= 0.0):
             return 1 + 2 * c
         if lb < 0.0 and (vb <= 0.0 or hooks.cylinder_force(E, c, 0.0, pa, pb, la, lb) >= 0.0):

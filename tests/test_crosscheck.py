@@ -121,8 +121,7 @@ class Faulty(SemiRecursiveEngine):
     def terms_along(self, states: np.ndarray, inputs: np.ndarray, time: np.ndarray) -> dict[str, np.ndarray]:
         out = np.empty((len(states), len(terms_module.TERM_NAMES)))
         for x, w, t, row in zip(states, inputs, time, out, strict=True):
-            self._fill(self._balance(x, w, t, self._P, self._E), row)
-            terms_module._hold_at_floor.py_func(x, 0.0, row)
+            self._fill(self._balance(x, w, t, self._P, self._E), self._P, row)
         return dict(zip(terms_module.TERM_NAMES, out.T, strict=True))
 
 
@@ -138,7 +137,7 @@ def faulty_functions(faults: tuple[tuple[str, str], ...]) -> tuple[Callable[...,
     module = types.ModuleType("faulty_equations")
     exec(compile(text, "faulty_equations", "exec"), module.__dict__)
     fill = types.FunctionType(
-        terms_module._fill.py_func.__code__, {**vars(terms_module), "_angle": terms_module._angle.py_func}
+        terms_module._fill.py_func.__code__, {**vars(terms_module), "_angle": terms_module._angle.py_func, "bulk": terms_module.bulk.py_func}
     )
     return module.balance, fill
 
@@ -157,15 +156,14 @@ FAULTS = {
     "sign of the rod side's flow": (("Qa, Qb = (pump, tank)", "Qa, Qb = (pump, -tank)"), {"Q2", "Q4"}),
     "areas swapped in the force": (("F = pa * Aa - pb * Ab", "F = pa * Ab - pb * Aa"), {"F1", "F2"}),
     "areas swapped in the volumes": (
-        ("P[i + HOSE_A] + Aa * la, P[i + HOSE_B] + Ab * lb", "P[i + HOSE_A] + Ab * la, P[i + HOSE_B] + Aa * lb"),
-        {"V1", "V2", "V3", "V4"},
+        ("oil_at(ya, Aa * la, P[i + HOSE_A], f, E), oil_at(yb, Ab * (P", "oil_at(ya, Ab * la, P[i + HOSE_A], f, E), oil_at(yb, Aa * (P"),
+        {"N1", "N2", "N3", "N4"},
     ),
     "centrifugal force lost": (("return w * w * M.mg - M.m * d", "return -M.m * d"), {"Qv1", "Qv4"}),
     "velocity products of the loop lost": (("-((dD - dB) * dz2", "-0.0 * ((dD - dB) * dz2"), {"Qv1", "Qv4"}),
-    "volume frozen in the pressure rates": (("ka, kb = Ba / Va, Bb / Vb", "ka, kb = Ba / 4e-3, Bb / 3e-3"),
-                                            {"dp1", "dp2", "dp3", "dp4"}),
-    "volume frozen": (("Va, Vb = P[i + HOSE_A] + Aa * la,", "Va, Vb = P[i + HOSE_A] + Aa * 0.4,"), {"V1", "V3"}),
-    "hose forgotten in the bulk modulus": (("+ Vh / (V * P[HOSE])", ""), {"Be1", "Be2", "Be3", "Be4"}),
+    "volume frozen": (("    V, wall = Al + Vh, Vh * f.wall", "    V, wall = 4e-3, Vh * f.wall"), {"dp1", "dp2", "dp3", "dp4"}),
+    "hose forgotten in the bulk modulus": (("V * k * f.soft + wall * k, k, k)", "V * k * f.soft, k, k)"), {"Be1", "Be2", "Be3", "Be4"}),
+    "oil that comes in weighs too much": (("a.density * (Qa + leak_a)", "(Qa + leak_a)"), {"dp1", "dp3"}),
     "payload's inertia forgotten": (("return Inertia(m, m * E, J + m * square(E))", "return Inertia(m, m * E, m * square(E))"),
                                     {"M11", "M12", "M22"}),
     "half of gravity on bracket 2": (("t.M3.m * g, cross(t.M3.mg, g)", "0.5 * t.M3.m * g, cross(t.M3.mg, g)"), {"Qg1", "Qg4"}),

@@ -43,7 +43,8 @@ def test_laws_are_the_formulas():
     band = find("dead_band").opening
     assert [band(0.1, 0.2, u) for u in (-1.0, -0.05, 0.15, 0.6, 1.0)] == pytest.approx([-1.0, 0.0, 0.0, 0.5, 1.0])
     assert find("pressure_compensation").supply_drop(7e5, 30e5) == 7e5
-    assert find("entrained_air").oil_compliance(0.01, 1e-9, 1e4) == pytest.approx(1e-9 + 0.01 * 1e5 / (0.2e5) ** 2)
+    assert find("entrained_air").free_gas(0.01, 1e4)[1] == pytest.approx(0.01 * 1e5 / (0.2e5) ** 2)
+    assert find("entrained_air").free_gas(0.01, 1e6) == pytest.approx((1e-3, 1e-9))
     assert find("pump_droop").supply_pressure(1e10, 1e7, 1e-4) == pytest.approx(1e7 - 1e6)
     assert find("base_tilt").gravity(0.1, 0.0, -9.81) == pytest.approx((9.81 * math.sin(0.1), -9.81 * math.cos(0.1)))
     assert find("joint_coulomb_friction").joint_torque(500.0, -1.0) == pytest.approx(500.0)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from crane_exudyn.laws.bulk_modulus import effective_bulk_modulus
+from crane_exudyn.crane import Crane
 from crane_exudyn.laws.friction import cylinder_friction
+from crane_exudyn.laws.oil import filling, pressure_of
 from crane_exudyn.laws.orifice import edge_flow, root_drop
 from crane_exudyn.laws.spool import spool_step
 from crane_exudyn.laws.volume import chamber_lengths, chamber_volume
@@ -51,13 +52,53 @@ def test_spool_without_lag_and_without_time():
     assert spool_step(0.3, 0.0, 0.8, 0.0, 0.03) == 0.3
 
 
-def test_effective_bulk_modulus_is_a_sum_of_compliances():
-    """(41): the volume given up by oil, cylinder wall and hose per pressure adds up."""
-    oil, wall, hose, chamber, hose_volume = 1.65e9, 2.1e11, 7e8, 3.5e-3, 1.9e-4
-    given_up = (chamber + hose_volume) / oil + chamber / wall + hose_volume / hose
-    expected = (chamber + hose_volume) / given_up
-    assert effective_bulk_modulus(1 / oil, wall, hose, chamber, hose_volume) == pytest.approx(expected, rel=1e-15)
-    assert effective_bulk_modulus(1 / oil, math.inf, math.inf, chamber, hose_volume) == pytest.approx(oil, rel=1e-15)
+OIL, WALL, HOSE, CHAMBER, HOSE_VOLUME = 1.65e9, 2.1e11, 7e8, 3.5e-3, 1.9e-4
+SOFT, HOSE_SOFT = 1 / OIL + 1 / WALL, 1 / HOSE - 1 / WALL
+PLAIN = Crane.load("patu655").effect_vector()
+GASSY = {
+    "none": PLAIN,
+    "entrained": Crane.load("patu655").with_effect("entrained_air", {"alpha": 0.05}).effect_vector(),
+    "released": Crane.load("patu655").with_effect("released_air", {"alpha": 0.1, "ps": 3e5}).effect_vector(),
+}
+
+
+def filled(E, y, chamber=CHAMBER, vapour=0.0):
+    return filling(E, y, chamber, HOSE_VOLUME, SOFT, HOSE_SOFT, vapour, 0.0)
+
+
+def test_the_amount_of_oil_gives_the_bulk_modulus_of_the_paper():
+    """(41): the volume given up by oil, cylinder wall and hose per pressure adds up; V dp = Be Q without motion."""
+    _, slope, _, density = filled(PLAIN, 80e5)
+    given_up = (CHAMBER + HOSE_VOLUME) / OIL + CHAMBER / WALL + HOSE_VOLUME / HOSE
+    assert slope / density == pytest.approx(given_up, rel=1e-12)
+
+
+@pytest.mark.parametrize("gas", GASSY)
+@pytest.mark.parametrize("y", [90e5, 2.7e5, 0.6e5, 1e4, -3e5])
+def test_derivatives_of_the_amount_are_differences(gas, y):
+    amount, slope, by_volume, _ = filled(GASSY[gas], y)
+    difference = (filled(GASSY[gas], y + 1.0)[0] - filled(GASSY[gas], y - 1.0)[0]) / 2.0
+    assert slope == pytest.approx(difference, rel=1e-6)
+    assert by_volume == pytest.approx((filled(GASSY[gas], y, CHAMBER + 1e-6)[0] - amount) / 1e-6, rel=1e-7)
+
+
+@pytest.mark.parametrize("gas", GASSY)
+@pytest.mark.parametrize("y", [150e5, 5e5, 1e5, 0.0, -40e5])
+@pytest.mark.parametrize("guess", [200e5, 0.1e5, -1e7])
+def test_the_pressure_follows_from_the_amount(gas, y, guess):
+    E = GASSY[gas]
+    amount = filled(E, y)[0]
+    found = pressure_of(E, amount, CHAMBER, HOSE_VOLUME, SOFT, HOSE_SOFT, 0.0, 0.0, guess)
+    assert filled(E, found)[0] == pytest.approx(amount, rel=1e-15)
+    assert found == pytest.approx(y, abs=1e-3)
+
+
+def test_a_void_has_the_volume_that_the_oil_lacks():
+    """At vapour pressure the oil fills what it filled there, however far the chamber is pulled open."""
+    full = filled(PLAIN, 0.0)[0]
+    pulled = pressure_of(PLAIN, full, CHAMBER + 1e-4, HOSE_VOLUME, SOFT, HOSE_SOFT, 0.0, 0.0, 0.0)
+    softness = (CHAMBER + 1e-4 + HOSE_VOLUME) * SOFT + HOSE_VOLUME * HOSE_SOFT
+    assert -pulled * softness == pytest.approx(1e-4, rel=1e-9)
 
 
 def test_chambers_share_the_range_and_the_piston_side_grows():

@@ -81,7 +81,7 @@ def total_energy(crane, engine, run):
 
 
 def ring(crane, step, duration=0.4):
-    engine, n = ExudynEngine(crane), round(duration / step) + 1
+    engine, n = ExudynEngine(crane, accuracy=np.inf), round(duration / step) + 1
     return engine, engine.simulate(ringing_start(crane), np.linspace(0.0, duration, n), closed(n), step=step * 1.001)
 
 
@@ -147,17 +147,14 @@ def test_pendulum_damping_is_its_torque():
 
 
 def test_oil_of_closed_chambers_is_constant():
-    """Second order as well; the pressures themselves move by tens of bar."""
-    drift = {}
+    """Whatever the step; the pressures themselves move by tens of bar."""
     for step in (2e-3, 1e-3):
         engine, run = ring(CRANE, step)
         s = np.array([[t["s1"], t["s2"]] for t in (engine.terms(x, closed(1)[0]) for x in run[:: round(8e-3 / step)])])
         p = run[:: round(8e-3 / step), 4:8]
         assert np.ptp(p[:, 0]) > 10e5
         oil = np.column_stack([Chamber(CRANE, i).oil(s[:, i // 2], p[:, i]) for i in range(4)])
-        drift[step] = np.max(np.abs(oil - oil[0]))
-    assert drift[1e-3] < 200.0  # Pa, of a million
-    assert drift[2e-3] / drift[1e-3] == pytest.approx(4.0, rel=0.3)
+        assert np.max(np.abs(oil - oil[0])) < 0.1  # Pa, of a million
 
 
 @pytest.mark.parametrize("pose", [(0.0, -0.5), (0.17, -0.7), (0.8, -1.7)])
@@ -273,7 +270,7 @@ def test_natural_frequencies():
 
 def test_convergence_is_of_second_order():
     """Halving the step quarters the error, in the middle of a motion with both valves open."""
-    engine = ExudynEngine(CRANE)
+    engine = ExudynEngine(CRANE, accuracy=np.inf)
     w = np.array([0.4, 0.3, np.nan, np.nan])
     start = engine.simulate(engine.static_start(0.1, -0.5), np.array([0.0, 0.5]), np.array([w, w]))[-1]
     steps = (2e-3, 1e-3, 5e-4, 2.5e-4)

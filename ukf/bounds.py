@@ -76,16 +76,20 @@ def _clipped(points, lower, upper):  # type: ignore[no-untyped-def]
     return inside, excess
 
 
+#: largest share of a chamber that may be void; a state remembers a void as a pressure that far below zero
+_MOST_VOID = 0.5
+
+
 def crane_bounds(
     crane: Crane, lengths: Callable[[np.ndarray], np.ndarray] | None, states: int, margin: float = 5e-3
 ) -> Bounds:
-    """Return the limits of a crane's states: the vapour floor, and the angles at which a piston meets its cylinder's end.
+    """Return the limits of a crane's states: half a chamber empty, and the angles at which a piston meets its cylinder's end.
 
     `lengths` maps z (m, 2) to cylinder lengths (m, 2), NaN where the loop cannot close; without it angles are free.
     `margin` (m) keeps both chambers of a cylinder a little longer than nothing.
     """
     lower, upper = np.full(states, -np.inf), np.full(states, np.inf)
-    lower[4:8] = crane["fluid.vapour_pressure"]
+    lower[4:8] = -_MOST_VOID * crane["fluid.oil_bulk_modulus"]
     if lengths is not None:
         for i, cylinder in enumerate(("lift", "tilt")):
             empty = crane[f"cylinders.{cylinder}.empty_length"] + margin

@@ -12,6 +12,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.hydraulics import vapour_pressure
 
 from .augment import SENSORS, Extra
 
@@ -49,7 +50,7 @@ class Channels:
                 raise CraneError(f"sensor {name!r} needs the crane's geometry, which this engine does not offer.")
         self.names = tuple(names)
         self.lags = lags(crane, self.names)
-        self._engine_states = engine_states
+        self._engine_states, self._least = engine_states, float(vapour_pressure(crane.parameter_vector()))
         self._lengths = lengths
         self._matrix = self._linear_part(engine_states, extras)
         self._distances = [(i, int(n[1]) - 1) for i, n in enumerate(self.names) if n in ("s1", "s2")]
@@ -72,9 +73,17 @@ class Channels:
             matrix[self.names.index(channel), engine_states + len(self.lags) + k] = 1.0
         return matrix
 
+    def _visible(self, points: np.ndarray) -> np.ndarray:
+        """Return points (m, n) with vapour pressure where a chamber holds a void."""
+        if points[:, 4:8].min() >= self._least:
+            return points
+        shown = points.copy()
+        shown[:, 4:8] = np.maximum(points[:, 4:8], self._least)
+        return shown
+
     def read(self, points: np.ndarray) -> np.ndarray:
         """Return what the sensors would read without lag (m, k), from points (m, n)."""
-        out = points @ self._transposed
+        out = self._visible(points) @ self._transposed
         if self._distances and self._lengths is not None:
             lengths = self._lengths(points[:, :2])
             for row, cylinder in self._distances:
@@ -86,7 +95,7 @@ class Channels:
     def observe(self, points: np.ndarray) -> np.ndarray:
         """Return the measurements (m, k) expected in points (m, n); a sensor with a lag shows its own state."""
         if self._plain:
-            return points @ self._transposed
+            return self._visible(points) @ self._transposed
         out = self.read(points)
         for k, (row, _) in enumerate(self.lags):
             out[:, row] = points[:, self._engine_states + k]

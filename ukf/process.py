@@ -65,6 +65,10 @@ class Process:
         return out if excess is None else out + excess
 
 
+#: local error of a filter's step, in units of the engines': 0.1 bar and 3e-7 rad, far below what a sensor shows in one sample
+ACCURACY = 30.0
+
+
 def accepts_parameters(engine: Any) -> bool:
     """Whether an engine takes parameters that differ from sigma point to sigma point."""
     return "parameters" in inspect.signature(engine.propagate).parameters
@@ -77,12 +81,12 @@ def engine_of(engine: Any, crane: Crane) -> Any:
     if engine == "exudyn":
         from crane_exudyn.engine import ExudynEngine
 
-        return ExudynEngine(crane)
+        return ExudynEngine(crane, accuracy=ACCURACY)
     if engine == "semi-recursive":
         from importlib import import_module
 
         # by name, because imports point from validation to ukf
-        return import_module("validation.semi_recursive").SemiRecursiveEngine(crane)
+        return import_module("validation.semi_recursive").SemiRecursiveEngine(crane, accuracy=ACCURACY)
     raise CraneError(f'There is no engine {engine!r}. Use "exudyn" or "semi-recursive".')
 
 

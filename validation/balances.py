@@ -24,7 +24,7 @@ from .fit.model import SENSOR_PLACE, Model, affine, model_of, output_rows, shown
 from .fit.start import knots_of
 from .semi_recursive import sensitivity
 from .semi_recursive.engine import DISTURBANCES
-from .semi_recursive.equations import FLOOR
+from crane_exudyn.hydraulics import vapour_pressure
 
 #: the unknown inputs, by the equation in which they stand
 EQUATIONS = ("torque.O", "torque.A", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
@@ -126,7 +126,6 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
         steps = linearised(model, data, starts, knots, inputs, stride)
         smoothed = _smooth(steps)
         states = steps.states + smoothed.mean[:, :-6] * JUMP[: model.nx]
-        states[:, 4:8] = np.maximum(states[:, 4:8], 0.0)
         found = steps.inputs + smoothed.mean[:, -6:]
         at = data.time[::stride][: len(found)]
         knots = np.column_stack([np.interp(data.time[starts], at, x) for x in states.T])
@@ -139,7 +138,7 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
     std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
     return Balances(
         at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains, unsettled,
-        float(model.P[FLOOR]),
+        float(vapour_pressure(model.P)),
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import CYLINDERS, SENSORS
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.statics import visible
 
 if TYPE_CHECKING:
     from .hidden_plant import Dialect, Law
@@ -279,7 +280,9 @@ def _draft(crane: Crane, manoeuvre: Manoeuvre) -> dict[str, np.ndarray]:
 
 def readings(crane: Crane, states: np.ndarray) -> dict[str, np.ndarray]:
     """Return what the sensors of a machine show without noise, every ms: lag, then gain, then bias, as the effects say."""
-    shown = dict(zip(("z1", "z4", "p1", "p2", "p3", "p4"), states[:, (0, 1, 4, 5, 6, 7)].T, strict=True))
+    shown = dict(
+        zip(("z1", "z4", "p1", "p2", "p3", "p4"), visible(crane, states)[:, (0, 1, 4, 5, 6, 7)].T, strict=True)
+    )
     for name in SENSORS:
         lag, scale, bias = (crane.effect(f"sensor_{what}@{name}") for what in ("lag", "scale", "bias"))
         y = shown[name]

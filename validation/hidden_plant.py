@@ -21,6 +21,7 @@ from crane_exudyn.drive import spool_on
 from crane_exudyn.effects.base import CHAMBERS, CYLINDERS
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.inputs import SpoolPath, play
+from crane_exudyn.statics import visible
 
 
 @dataclass(frozen=True)
@@ -29,19 +30,20 @@ class Now:
 
     Attributes:
         time: s.
-        state: (nx,).
+        state: (nx,); visible: the same with vapour pressure where a chamber holds a void.
         inputs: (4,) [U1 U2 pp pt].
         lengths: pin-to-pin lengths (s1, s2), m.
     """
 
     time: float
     state: np.ndarray
+    visible: np.ndarray
     inputs: np.ndarray
     lengths: tuple[float, float]
 
     def pressures(self, cylinder: int) -> tuple[float, float]:
         """Return (piston side, rod side) in Pa."""
-        return float(self.state[4 + 2 * cylinder]), float(self.state[5 + 2 * cylinder])
+        return float(self.visible[4 + 2 * cylinder]), float(self.visible[5 + 2 * cylinder])
 
 
 #: a law returns what differs in the next step: names as in ExudynEngine.propagate's `parameters`, values in SI
@@ -63,7 +65,7 @@ def simulate(crane: Crane, start: np.ndarray, time: np.ndarray, inputs: np.ndarr
     for k in range(time.size - 1):
         x = states[k]
         lengths = float(np.interp(x[0], table[0], table[1])), float(np.interp(x[1], table[2], table[3]))
-        now = Now(float(time[k]), x, inputs[k], lengths)
+        now = Now(float(time[k]), x, visible(crane, x), inputs[k], lengths)
         changes = {name: np.array([value]) for law in laws for name, value in law(now).items()}
         states[k + 1] = engine.propagate(x[None], inputs[k : k + 2], time[k + 1] - time[k], now.time, changes or None)[
             0
@@ -311,7 +313,7 @@ def _curved_leak(values: Mapping[str, float], place: str, crane: Crane) -> Diale
         return values["k"] * dp * (1.0 + 0.1 * abs(dp) / 50e5)
 
     def out(now: Now) -> Mapping[str, float]:
-        return {f"flow.{place}": -flow(float(now.state[4 + CHAMBERS.index(place)]))}
+        return {f"flow.{place}": -flow(float(now.visible[4 + CHAMBERS.index(place)]))}
 
     def across(now: Now) -> Mapping[str, float]:
         c = CYLINDERS.index(place)

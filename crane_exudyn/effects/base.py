@@ -16,7 +16,7 @@ EVERYWHERE = ("",)
 #: hook -> number of arguments after the effect's own parameters (docs/architecture.md tells what they mean)
 HOOKS: Mapping[str, int] = {
     "command": 1, "delay": 0, "backlash": 0, "creep": 0, "opening": 1,
-    "supply_drop": 1, "return_gain": 3, "leakage": -1, "supply_pressure": 2, "tank_pressure": 2, "oil_compliance": 2,
+    "supply_drop": 1, "return_gain": 3, "leakage": -1, "supply_pressure": 2, "tank_pressure": 2, "free_gas": 1,
     "cylinder_force": 5, "series_compliance": 0, "joint_torque": 1,
     "payload_mass": 2, "tip_force": 1, "gravity": 2, "pendulum": 0,
     "measurement": 1, "lag": 0,

@@ -15,6 +15,9 @@ class EntrainedAir(Effect):
     probes = ({"alpha": 0.002}, {"alpha": 0.02})
 
     @staticmethod
-    def oil_compliance(alpha, inv_bulk, p):
+    def free_gas(alpha, p):
+        if alpha == 0.0:
+            return 0.0, 0.0
         p_air = max(p, 0.2e5)
-        return inv_bulk + alpha * 1e5 / (p_air * p_air)
+        compliance = alpha * 1e5 / (p_air * p_air)
+        return alpha * 1e5 / p_air + compliance * (p_air - p), compliance

@@ -30,7 +30,7 @@ _FORM = {
     "return_gain": ("c, p_own, p_other, load_side", "g = 1.0", "g *= {call}", "g"),
     "supply_pressure": ("pp, q", "", "pp = {call}", "pp"),
     "tank_pressure": ("pt, q", "", "pt = {call}", "pt"),
-    "oil_compliance": ("inv_bulk, p", "", "inv_bulk = {call}", "inv_bulk"),
+    "free_gas": ("p", "share, compliance = 0.0, 0.0", "x, y = {call}; share += x; compliance += y", "share, compliance"),
     "cylinder_force": ("c, v, pa, pb, la, lb", "F = 0.0", "F += {call}", "F"),
     "series_compliance": ("c", "k = 0.0", "k += {call}", "k"),
     "joint_torque": ("c, omega", "T = 0.0", "T += {call}", "T"),
@@ -101,7 +101,7 @@ return_gain = _compose("return_gain")
 leakage = _compose("leakage")
 supply_pressure = _compose("supply_pressure")
 tank_pressure = _compose("tank_pressure")
-oil_compliance = _compose("oil_compliance")
+free_gas = _compose("free_gas")
 cylinder_force = _compose("cylinder_force")
 series_compliance = _compose("series_compliance")
 joint_torque = _compose("joint_torque")

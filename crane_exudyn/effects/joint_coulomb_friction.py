@@ -19,4 +19,4 @@ class JointCoulombFriction(Effect):
 
     @staticmethod
     def joint_torque(T, omega):
-        return -T * math.tanh(omega / 2e-3)
+        return -T * math.tanh(omega / 2e-3) if T != 0.0 else 0.0

@@ -18,4 +18,4 @@ class PressureDependentFriction(Effect):
 
     @staticmethod
     def cylinder_force(mu, v, pa, pb, la, lb):
-        return -mu * abs(pa - pb) * math.tanh(v / 2e-3)
+        return -mu * abs(pa - pb) * math.tanh(v / 2e-3) if mu != 0.0 else 0.0

@@ -1,5 +1,7 @@
 """Air that comes out of solution below its saturation pressure."""
 
+import math
+
 from .base import Effect, Parameter
 
 #: below this pressure the gas law is not followed any further, as in entrained_air
@@ -27,7 +29,13 @@ class ReleasedAir(Effect):
     probes = ({"alpha": 0.02, "ps": 5e5}, {"alpha": 0.2, "ps": 5e5})
 
     @staticmethod
-    def oil_compliance(alpha, ps, inv_bulk, p):
-        p_air = max(p, _LEAST)
-        free = min(max((ps - p_air) / (_FADE * ps), 0.0), 1.0)
-        return inv_bulk + alpha * 1e5 / (p_air * p_air) * free
+    def free_gas(alpha, ps, p):
+        if alpha == 0.0 or p >= ps:
+            return 0.0, 0.0
+        p_air, knee = max(p, _LEAST), (1.0 - _FADE) * ps
+        fading = max(p_air, knee)
+        # the integral of the compliance from p to ps: where it fades out, where it is whole, and below the least pressure
+        share = alpha * 1e5 / (_FADE * ps) * (ps / fading - 1.0 - math.log(ps / fading))
+        share += alpha * 1e5 * max(1.0 / p_air - 1.0 / knee, 0.0)
+        compliance = alpha * 1e5 / (p_air * p_air) * min((ps - p_air) / (_FADE * ps), 1.0)
+        return share + compliance * (p_air - p), compliance

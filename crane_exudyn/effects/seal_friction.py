@@ -27,6 +27,8 @@ class SealFriction(Effect):
 
     @staticmethod
     def cylinder_force(dFc, dFs, vs, v, pa, pb, la, lb):
+        if dFc == 0.0 and dFs == 0.0:
+            return 0.0
         r = abs(v) / vs
         hump = r / (0.25 * r * r + 0.75) ** 2
         return -math.copysign(dFc * math.tanh(4.0 * r) + (dFs - dFc) * hump, v)

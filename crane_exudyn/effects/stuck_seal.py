@@ -30,4 +30,4 @@ class StuckSeal(Effect):
 
     @staticmethod
     def cylinder_force(Fc, l0, delta, v, pa, pb, la, lb):
-        return -Fc * math.tanh((la - l0) / delta)
+        return -Fc * math.tanh((la - l0) / delta) if Fc > 0.0 else 0.0

@@ -10,8 +10,9 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import hooks
-from crane_exudyn.effects.base import SENSORS
+from crane_exudyn.effects.base import CHAMBERS, SENSORS
 from crane_exudyn.effects.registry import find
+from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import Valve, valve_of
 from crane_exudyn.parameters import CYLINDERS
 
@@ -138,12 +139,16 @@ def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tupl
         outputs (n, m) and their derivative (n, m, nx).
     """
     n, nx = X.shape
+    least = vapour_pressure(P)
     Y, C = np.zeros((n, len(channels))), np.zeros((n, len(channels), nx))
     for j, channel in enumerate(channels):
         if channel in _ROWS:
             for state, factor in _ROWS[channel].items():
                 C[:, j, state] = factor
                 Y[:, j] += factor * X[:, state]
+            if channel in CHAMBERS:  # a void stands at vapour pressure, whatever its size
+                void = Y[:, j] < least
+                Y[void, j], C[void, j] = least, 0.0
         else:
             cylinder, state = (0, 0) if channel == "s1" else (1, 1)
             Y[:, j], C[:, j, state] = cylinder_length(cylinder, X[:, state], P)

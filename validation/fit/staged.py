@@ -97,8 +97,8 @@ def residuals(
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return per channel the sample times and the residuals in noise units of an open-loop run from x0 (nx,)."""
     model = model_of(crane, data, late)
-    X, status, last = kernel.simulate(
-        np.asarray(x0, dtype=float), model.W, data.step, float(data.time[0]), model.P, model.E
+    X, status, last, _ = kernel.simulate(
+        np.asarray(x0, dtype=float), model.W, data.time, data.step, model.P, model.E
     )
     if status != kernel.OK:
         X[last + 1 :] = X[last]

@@ -62,12 +62,15 @@ class SemiRecursiveEngine:
     Args:
         crane: the crane, with its effects.
         step: longest inner time step, s.
+        accuracy: local error that a step may have, in units of `kernel.ERROR_*`; a step beyond it is halved.
     """
 
-    def __init__(self, crane: Crane, *, step: float = 1e-3):
-        self.crane, self.step = crane, float(step)
+    def __init__(self, crane: Crane, *, step: float = 1e-3, accuracy: float = 1.0):
+        self.crane, self.step, self.accuracy = crane, float(step), float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
         self._columns: dict[str, tuple[str, int]] = {}
+        #: steps that were halved so far, because their local error was too large or Newton's method did not converge
+        self.halved = 0
         pendulum = crane.effect("payload_swing")
         swings = pendulum is not None and pendulum.parameters.get("length", 0.0) > 0.0
         self.state_names = STATE_NAMES + (PENDULUM_NAMES if swings else ())
@@ -126,9 +129,10 @@ class SemiRecursiveEngine:
         if parameters:
             w, P, E = self._by_row(len(x), w, parameters)
         n = max(1, math.ceil(dt / self.step - 1e-6))
-        out, status, row = kernel.propagate_batch(x, w[0], w[1], float(time), float(dt), n, P, E)
+        out, status, row, halved = kernel.propagate_batch(x, w[0], w[1], float(time), float(dt), n, P, E, self.accuracy)
+        self.halved += halved
         if status != kernel.OK:
-            raise CraneError(self._failure(x[row], time, dt / n, f"row {row} of the batch"))
+            raise CraneError(self._failure(status, out[row], time, dt / n, f"row {row} of the batch"))
         return out
 
     def _by_row(
@@ -163,10 +167,11 @@ class SemiRecursiveEngine:
         x, t, w = (np.ascontiguousarray(a, dtype=float) for a in (x0, time, inputs))
         self._check_run(x, t, w)
         h = self.step if step is None else float(step)
-        X, status, k = kernel.simulate_substeps(x, w, t, h, self._P, self._E)
+        X, status, k, halved = kernel.simulate(x, w, t, h, self._P, self._E, self.accuracy)
+        self.halved += halved
         self._refuse_stroke_end(X[: k + 1] if status != kernel.OK else X, t)
         if status != kernel.OK:
-            raise CraneError(self._failure(X[k], t[k], h, f"sample {k}"))
+            raise CraneError(self._failure(status, X[k + 1], t[k], h, f"sample {k}"))
         return X
 
     def terms(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
@@ -216,16 +221,17 @@ class SemiRecursiveEngine:
             "Shorten the motion, start elsewhere, or add the effect end_stop to the crane."
         )
 
-    def _failure(self, x: np.ndarray, time: float, h: float, where: str) -> str:
+    def _failure(self, status: int, x: np.ndarray, time: float, h: float, where: str) -> str:
         if not np.all(np.isfinite(x)):
             return f"Semi-recursive engine: at t = {time:.4f} s ({where}) the state is not finite: {self._told(x)}."
         lengths = _chamber_lengths(x[None], self._P, self._E)[0]
         if np.isnan(lengths).any():
             return self._unreachable(x) + f" It was met at t = {time:.4f} s ({where})."
         chamber = int(np.argmin(lengths))
+        what = "did not converge" if status == kernel.NOT_CONVERGED else "is not accurate"
         return (
-            f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) did not converge, neither with {h:g} s nor cut into "
-            f"up to {kernel.MAX_PIECES} pieces, with new tangents. State: {self._told(x)}. Shortest chamber: "
+            f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) {what}, neither with {h:g} s nor "
+            f"halved up to {kernel.MOST_HALVINGS} times. State: {self._told(x)}. Shortest chamber: "
             f"{_CHAMBERS[chamber].replace(' empty', '')}, {1e3 * lengths[chamber]:.1f} mm. Look for a pose near the limit of the "
             "loop A-B-C-D, a chamber near its end, or parameters out of proportion."
         )

@@ -43,7 +43,8 @@ PAYLOAD, POINT, CYLINDER, N_CYLINDER = par.PAYLOAD, par.POINT, par.CYLINDER, par
 VALVE, N_VALVE, FLUID, SUPPLY, GRAVITY = par.VALVE, par.N_VALVE, par.FLUID, par.SUPPLY, par.GRAVITY
 P_O, P_F, P_G, P_H, P_B, P_A, P_C, P_D_BRACKET, P_D, P_E = range(POINT, POINT + 2 * len(par.POINT_NAMES), 2)
 BORE, ROD, EMPTY, RANGE, HOSE_A, HOSE_B, COULOMB, STATIC, STRIBECK, VISCOUS = range(N_CYLINDER)
-OIL, STEEL, HOSE, FLOOR, LAMINAR = range(FLUID, FLUID + 5)
+OIL, STEEL, HOSE, VAPOUR, LAMINAR = range(FLUID, FLUID + 5)
+AIR, REFERENCE = SUPPLY + 2, SUPPLY + 3
 TANH4 = math.tanh(4.0)
 
 
@@ -105,23 +106,49 @@ class Line(NamedTuple):
     u: complex
 
 
+class Fluid(NamedTuple):
+    """Numbers of the crane that all chambers share."""
+
+    soft: float  # 1/B = 1/Bo + 1/Bc
+    wall: float  # 1/Bh - 1/Bc
+    least: float  # vapour pressure, and
+    zero: float  # what is to be added for an absolute pressure, as the crane's gauges read them
+
+
+class Oil(NamedTuple):
+    """The oil of a chamber at one state."""
+
+    y: float  # the state's pressure
+    pressure: float  # in the chamber: y, or vapour pressure where y is below it
+    amount: float  # volume of the oil at the pressure 0, m^3
+    by_pressure: float  # derivative of the amount by y at constant volume
+    by_volume: float  # and by the volume Al at constant pressure
+    density: float  # density over that at the pressure 0
+
+
+class Chambers(NamedTuple):
+    """Both chambers of a cylinder: length of the one on the piston side, and their oil."""
+
+    la: float
+    a: Oil
+    b: Oil
+
+
 class Cylinder(NamedTuple):
     """Everything hydraulic about one cylinder. a: piston side, b: rod side."""
 
     la: float
     lb: float
-    Va: float
-    Vb: float
-    Ba: float
-    Bb: float
     Qa: float
     Qb: float
     leak_a: float
     leak_b: float
     Fmu: float
     F: float
-    dpa: float
-    dpb: float
+    a: Oil
+    b: Oil
+    Ga: float  # rates of the amounts of oil
+    Gb: float
     v: float
 
 
@@ -406,43 +433,43 @@ def tank_edge(c, u, pa, pb, pt, P, E):
 
 
 @njit
-def drawn(u1, u2, x, pp, P, E):
-    return pump_edge(0, u1, x[4], x[5], pp, P, E) + pump_edge(1, u2, x[6], x[7], pp, P, E)
+def drawn(u1, u2, p1, p2, p3, p4, pp, P, E):
+    return pump_edge(0, u1, p1, p2, pp, P, E) + pump_edge(1, u2, p3, p4, pp, P, E)
 
 
 @njit
-def returned(u1, u2, x, pt, P, E):
-    return tank_edge(0, u1, x[4], x[5], pt, P, E) + tank_edge(1, u2, x[6], x[7], pt, P, E)
+def returned(u1, u2, p1, p2, p3, p4, pt, P, E):
+    return tank_edge(0, u1, p1, p2, pt, P, E) + tank_edge(1, u2, p3, p4, pt, P, E)
 
 
 @njit
-def pump_gap(p, pp, u1, u2, x, P, E):
+def pump_gap(p, pp, u1, u2, p1, p2, p3, p4, P, E):
     """How far the pressure p is above what the supply gives at the flow that p drives."""
-    return p - hooks.supply_pressure(E, pp, drawn(u1, u2, x, p, P, E))
+    return p - hooks.supply_pressure(E, pp, drawn(u1, u2, p1, p2, p3, p4, p, P, E))
 
 
 @njit
-def tank_gap(p, pt, u1, u2, x, P, E):
-    return p - hooks.tank_pressure(E, pt, returned(u1, u2, x, p, P, E))
+def tank_gap(p, pt, u1, u2, p1, p2, p3, p4, P, E):
+    return p - hooks.tank_pressure(E, pt, returned(u1, u2, p1, p2, p3, p4, p, P, E))
 
 
 def _balanced(gap, doc):
     """Return a solver of gap(p) = 0 by regula falsi (Illinois), begun at the pressure without any flow."""
 
     @njit
-    def solve(nominal, u1, u2, x, P, E):
-        a, fa = nominal, gap(nominal, nominal, u1, u2, x, P, E)
+    def solve(nominal, u1, u2, p1, p2, p3, p4, P, E):
+        a, fa = nominal, gap(nominal, nominal, u1, u2, p1, p2, p3, p4, P, E)
         if fa == 0.0:
             return nominal
         # The flow weakens with the drop it causes, so the root lies between the nominal pressure and one full drop.
         b = a - fa
-        fb = gap(b, nominal, u1, u2, x, P, E)
+        fb = gap(b, nominal, u1, u2, p1, p2, p3, p4, P, E)
         tolerance = 4e-16 * max(abs(nominal), 1e5)
         for _ in range(100):
             if abs(fb) <= tolerance or abs(b - a) <= tolerance:
                 return b
             p = b - fb * (b - a) / (fb - fa)
-            f = gap(p, nominal, u1, u2, x, P, E)
+            f = gap(p, nominal, u1, u2, p1, p2, p3, p4, P, E)
             if f * fb < 0.0:
                 a, fa = b, fb
             else:
@@ -458,11 +485,127 @@ pump_pressure = _balanced(pump_gap, "Return the pressure at the valves' pump por
 tank_pressure = _balanced(tank_gap, "Return the pressure at the valves' tank ports, in balance with the flow returned.")
 
 
+@njit(inline="always")
+def fluid(P):
+    """Return the Fluid of a crane."""
+    zero = P[REFERENCE] * P[AIR]
+    return Fluid(1.0 / P[OIL] + 1.0 / P[STEEL], 1.0 / P[HOSE] - 1.0 / P[STEEL], P[VAPOUR] - zero, zero)
+
+
+@njit(inline="always")
+def pressed_oil(y, pressed, share, gas, Al, Vh, f):
+    """Return the Oil at a pressure y that is not below vapour pressure; pressed = exp(y/B) - 1, share and gas: see `oil_at`.
+
+    Without gas N - V is summed up apart, so that pressure and amount follow from each other to the last digit.
+    """
+    V, wall = Al + Vh, Vh * f.wall
+    if share == 0.0:
+        k = 1.0 + pressed
+        return Oil(y, y, V + (V + wall / f.soft) * pressed, V * k * f.soft + wall * k, k, k)
+    k = (1.0 + pressed) * math.exp(-share)
+    return Oil(y, y, V * k + wall / f.soft * pressed, V * k * (f.soft + gas) + wall * (1.0 + pressed), k, k)
+
+
+@njit(inline="always")
+def pulled_oil(y, empty, Al, Vh, f):
+    """Return the Oil at a state y below vapour pressure, `empty` being the Oil there."""
+    k, soft = empty.density, (Al + Vh) * f.soft + Vh * f.wall
+    pull = k * (y - f.least)
+    return Oil(y, f.least, empty.amount + pull * soft, k * soft, k + pull * f.soft, k)
+
+
 @njit
-def bulk_modulus(inv_oil, Al, Vh, P):
-    """Effective bulk modulus (14), (41) of a chamber of volume Al with a hose of volume Vh."""
-    V = Al + Vh
-    return 1.0 / (inv_oil + Al / (V * P[STEEL]) + Vh / (V * P[HOSE]))
+def oil_at(y, Al, Vh, f, E):
+    """Return the Oil of a chamber of volume Al with a hose of volume Vh, where the state says y for its pressure.
+
+    (34) with (14) and (41) is an exact differential up to the factor k: dN = k Q dt = N_p dp + N_V dV with
+
+        N = V k + Vh (1/Bh - 1/Bc) (exp(p/B) - 1) B,      k = exp(p/B - x),   1/B = 1/Bo + 1/Bc,   V = Al + Vh,
+
+    x the free gas as a share of the oil. N is the volume that the oil had at the pressure 0, so it changes by flows alone.
+    Below vapour pressure the oil gives way no further: y goes on falling as if oil could be pulled, while a void opens.
+    """
+    p = max(y, f.least)
+    share, gas = hooks.free_gas(E, p + f.zero)
+    there = pressed_oil(p, math.expm1(p * f.soft), share, gas, Al, Vh, f)
+    return there if y >= f.least else pulled_oil(y, there, Al, Vh, f)
+
+
+@njit
+def oil_of(N, Al, Vh, guess, f, E):
+    """Return the Oil of a chamber that holds the amount N: the inverse of `oil_at`, in closed form where there is no gas.
+
+    With gas N(p) is concave, so that Newton's method climbs to the root from below without a bracket.
+    """
+    share, gas = hooks.free_gas(E, f.least + f.zero)
+    if share == 0.0:
+        pressed = (N - (Al + Vh)) / (Al + Vh + Vh * f.wall / f.soft)
+        y = math.log1p(pressed) / f.soft
+        if y >= f.least:
+            return pressed_oil(y, pressed, 0.0, 0.0, Al, Vh, f)
+    empty = pressed_oil(f.least, math.expm1(f.least * f.soft), share, gas, Al, Vh, f)
+    if not N > empty.amount:
+        pull = (N - empty.amount) / (empty.density * ((Al + Vh) * f.soft + Vh * f.wall))
+        return pulled_oil(f.least + pull, empty, Al, Vh, f)
+    there = oil_at(max(guess, f.least), Al, Vh, f, E)
+    for _ in range(100):
+        change = (N - there.amount) / there.by_pressure
+        there = oil_at(max(there.y + change, f.least), Al, Vh, f, E)
+        if abs(change) <= 1e-6 + 1e-10 * abs(there.y):
+            break
+    return there
+
+
+@njit
+def chambers_at(c, s, ya, yb, f, P, E):
+    """Return the Chambers of cylinder c at pin-to-pin length s and the state's pressures ya, yb.
+
+    With a spring of compliance k' in series the hydraulic length is s + k' F, F the force of the pressures.
+    """
+    i = CYLINDER + N_CYLINDER * c
+    Aa, Ab = piston_areas(i, P)
+    la = s - P[i + EMPTY]
+    compliance = hooks.series_compliance(E, c)
+    if compliance != 0.0:
+        la += compliance * (max(ya, f.least) * Aa - max(yb, f.least) * Ab)
+    return Chambers(
+        la, oil_at(ya, Aa * la, P[i + HOSE_A], f, E), oil_at(yb, Ab * (P[i + RANGE] - la), P[i + HOSE_B], f, E)
+    )
+
+
+@njit
+def chambers_of(c, s, Na, Nb, ya, yb, f, P, E):
+    """Return the Chambers that hold the amounts Na, Nb; ya, yb: a guess of their pressures.
+
+    With a spring in series F(la(F)) = F is solved by Newton's method: more force means more length and so less force.
+    """
+    i = CYLINDER + N_CYLINDER * c
+    Aa, Ab = piston_areas(i, P)
+    compliance, L, Va, Vb = hooks.series_compliance(E, c), P[i + RANGE], P[i + HOSE_A], P[i + HOSE_B]
+    la = s - P[i + EMPTY]
+    if compliance == 0.0:
+        return Chambers(la, oil_of(Na, Aa * la, Va, ya, f, E), oil_of(Nb, Ab * (L - la), Vb, yb, f, E))
+    F, rest = max(ya, f.least) * Aa - max(yb, f.least) * Ab, la
+    for _ in range(60):
+        la = rest + compliance * F
+        a, b = oil_of(Na, Aa * la, Va, ya, f, E), oil_of(Nb, Ab * (L - la), Vb, yb, f, E)
+        ya, yb, slope = a.y, b.y, 1.0
+        if ya > f.least:
+            slope += compliance * Aa * Aa * a.by_volume / a.by_pressure
+        if yb > f.least:
+            slope += compliance * Ab * Ab * b.by_volume / b.by_pressure
+        change = (a.pressure * Aa - b.pressure * Ab - F) / slope
+        F += change
+        if abs(change) <= 1e-9 + 1e-13 * abs(F):
+            break
+    return Chambers(la, a, b)
+
+
+@njit(inline="always")
+def piston_areas(i, P):
+    """Return the areas of piston side and rod side of the cylinder whose block begins at i."""
+    Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
+    return Aa, Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
 
 
 @njit
@@ -475,37 +618,32 @@ def friction(P, i, v):
 
 
 @njit
-def cylinder(c, s, v, pa, pb, u, pp, pt, P, E, flow_a=0.0, flow_b=0.0):
-    """Return all hydraulic quantities of cylinder c at pin-to-pin length s and rate v, (17)-(19), (34), (37), (38).
+def cylinder(c, v, chambers, f, u, pp, pt, P, E, flow_a, flow_b):
+    """Return all hydraulic quantities of cylinder c at the rate v of its pin-to-pin length, (17)-(19), (34), (37), (38).
 
-    flow_a, flow_b: flows into the chambers that no law explains (disturbances).
+    flow_a, flow_b: flows into the chambers that no law explains (disturbances). Air presses on the rod's cross-section.
 
-    With a spring of compliance k' in series the hydraulic length is s + k' F; its rate follows from both chambers' pressure
-    rates, which depend on it linearly, so it is found without iteration.
+    With a spring of compliance k' in series the rate of the hydraulic length follows from both chambers' pressure rates, which
+    depend on it linearly, so it is found without iteration. A chamber that holds a void has a constant pressure.
     """
     i = CYLINDER + N_CYLINDER * c
-    Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
-    Ab = Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
+    Aa, Ab = piston_areas(i, P)
     compliance = hooks.series_compliance(E, c)
-    la = s + compliance * (pa * Aa - pb * Ab) - P[i + EMPTY]
-    lb = P[i + RANGE] - la
-    Va, Vb = P[i + HOSE_A] + Aa * la, P[i + HOSE_B] + Ab * lb
-    Ba = bulk_modulus(hooks.oil_compliance(E, 1.0 / P[OIL], pa), Aa * la, P[i + HOSE_A], P)
-    Bb = bulk_modulus(hooks.oil_compliance(E, 1.0 / P[OIL], pb), Ab * lb, P[i + HOSE_B], P)
+    la, a, b = chambers
+    pa, pb, lb = a.pressure, b.pressure, P[i + RANGE] - la
     pump, tank = pump_edge(c, u, pa, pb, pp, P, E), tank_edge(c, u, pa, pb, pt, P, E)
     Qa, Qb = (pump, tank) if u > 0.0 else (-tank, -pump)
     leak_a, leak_b = hooks.leakage(E, c, pa, pb)
     leak_a, leak_b = leak_a + flow_a, leak_b + flow_b
-    ka, kb = Ba / Va, Bb / Vb
+    Ga, Gb = a.density * (Qa + leak_a), b.density * (leak_b - Qb)
     if compliance != 0.0:
-        v += compliance * (Aa * ka * (Qa + leak_a) + Ab * kb * (Qb - leak_b))
-        v /= 1.0 + compliance * (Aa * Aa * ka + Ab * Ab * kb)
+        ka, kb = (1.0 / a.by_pressure if a.y > f.least else 0.0), (1.0 / b.by_pressure if b.y > f.least else 0.0)
+        v += compliance * (Aa * ka * Ga - Ab * kb * Gb)
+        v /= 1.0 + compliance * (Aa * Aa * ka * a.by_volume + Ab * Ab * kb * b.by_volume)
     Fmu = friction(P, i, v)
-    F = pa * Aa - pb * Ab - Fmu + hooks.cylinder_force(E, c, v, pa, pb, la, lb)
-    return Cylinder(
-        la, lb, Va, Vb, Ba, Bb, Qa, Qb, leak_a, leak_b, Fmu, F,
-        ka * (Qa + leak_a - Aa * v), kb * (Ab * v - Qb + leak_b), v,
-    )  # fmt: skip
+    air = (1.0 - P[REFERENCE]) * P[AIR] * (Aa - Ab)
+    F = pa * Aa - pb * Ab - air - Fmu + hooks.cylinder_force(E, c, v, pa, pb, la, lb)
+    return Cylinder(la, lb, Qa, Qb, leak_a, leak_b, Fmu, F, a, b, Ga, Gb, v)
 
 
 # -------------------------------------------------------------------------------------------- all together
@@ -593,17 +731,53 @@ class Balance(NamedTuple):
     ddtheta: float
 
 
-@njit
+@njit(inline="always")
 def balance(x, w, t, P, E):
-    """Return all terms of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20)."""
+    """Return all terms of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20), at a state x (nx,)."""
     z = positions(x[0], x[1], P)
     m = motion(z, x[2], x[3])
     lift, tilt = lines(z, m)
+    f = fluid(P)
+    first, second = chambers_at(0, lift.s, x[4], x[5], f, P, E), chambers_at(1, tilt.s, x[6], x[7], f, P, E)
+    return balance_at(z, m, lift, tilt, first, second, f, x, w, t, P, E)
+
+
+@njit(inline="always")
+def balance_of_amounts(x, N, w, t, P, E):
+    """Return the same for amounts of oil N (4,) instead of the pressures in x, which are replaced by what follows from N."""
+    z = positions(x[0], x[1], P)
+    m = motion(z, x[2], x[3])
+    lift, tilt = lines(z, m)
+    f = fluid(P)
+    first, second = fill_pressures(lift.s, tilt.s, x, N, f, P, E)
+    return balance_at(z, m, lift, tilt, first, second, f, x, w, t, P, E)
+
+
+@njit
+def fill_pressures(s1, s2, x, N, f, P, E):
+    """Write the pressures that follow from the amounts of oil N (4,) at pin-to-pin lengths s1, s2 to x; return both Chambers."""
+    first = chambers_of(0, s1, N[0], N[1], x[4], x[5], f, P, E)
+    second = chambers_of(1, s2, N[2], N[3], x[6], x[7], f, P, E)
+    x[4], x[5], x[6], x[7] = first.a.y, first.b.y, second.a.y, second.b.y
+    return first, second
+
+
+@njit
+def settle_pressures(x, N, P, E):
+    """Write the pressures that follow from the amounts of oil N (4,) at the pose in x to x."""
+    z = positions(x[0], x[1], P)
+    fill_pressures(math.sqrt(square(z.G - z.F)), math.sqrt(square(z.C - z.H)), x, N, fluid(P), P, E)
+
+
+@njit
+def balance_at(z, m, lift, tilt, first, second, f, x, w, t, P, E):
+    """Return all terms at a Pose, Motion, Lines and Chambers."""
     u1, u2 = hooks.opening(E, 0, w[0]), hooks.opening(E, 1, w[1])
-    pp = pump_pressure(supply(w, 0, P), u1, u2, x, P, E)
-    pt = tank_pressure(supply(w, 1, P), u1, u2, x, P, E)
-    c1 = cylinder(0, lift.s, lift.v, x[4], x[5], u1, pp, pt, P, E, disturbance(w, 4), disturbance(w, 5))
-    c2 = cylinder(1, tilt.s, tilt.v, x[6], x[7], u2, pp, pt, P, E, disturbance(w, 6), disturbance(w, 7))
+    p1, p2, p3, p4 = first.a.pressure, first.b.pressure, second.a.pressure, second.b.pressure
+    pp = pump_pressure(supply(w, 0, P), u1, u2, p1, p2, p3, p4, P, E)
+    pt = tank_pressure(supply(w, 1, P), u1, u2, p1, p2, p3, p4, P, E)
+    c1 = cylinder(0, lift.v, first, f, u1, pp, pt, P, E, disturbance(w, 4), disturbance(w, 5))
+    c2 = cylinder(1, tilt.v, second, f, u2, pp, pt, P, E, disturbance(w, 6), disturbance(w, 7))
     mass = hooks.payload_mass(E, t, P[PAYLOAD])
     length, damping = hooks.pendulum(E)
     swings = length > 0.0 and x.shape[0] > 8
@@ -629,26 +803,25 @@ def balance(x, w, t, P, E):
     )  # fmt: skip
 
 
-@njit
-def free_rhs(x, w, t, P, E, out):
-    """Write dx/dt to out as if there were no vapour."""
-    b = balance(x, w, t, P, E)
+@njit(inline="always")
+def rates(b, x, E, out):
+    """Write the rates of [z1 z4 z1' z4' N1 N2 N3 N4 (theta theta')] to out: amounts of oil in the place of pressures."""
     out[0], out[1], out[2], out[3] = x[2], x[3], b.ddz1, b.ddz4
-    out[4], out[5], out[6], out[7] = b.c1.dpa, b.c1.dpb, b.c2.dpa, b.c2.dpb
+    out[4], out[5], out[6], out[7] = b.c1.Ga, b.c1.Gb, b.c2.Ga, b.c2.Gb
     if x.shape[0] > 8:
         out[8], out[9] = (x[9], b.ddtheta) if hooks.pendulum(E)[0] > 0.0 else (0.0, 0.0)
 
 
-@njit
-def rhs(x, w, t, P, E, out):
-    """Write dx/dt (nx,) to out at the state x (nx,), the inputs w = [U1 U2 pp pt] and the time t; nx is 8, or 10 with a pendulum.
+@njit(inline="always")
+def amounts(b, N):
+    """Write the amounts of oil in the four chambers to N."""
+    N[0], N[1], N[2], N[3] = b.c1.a.amount, b.c1.b.amount, b.c2.a.amount, b.c2.b.amount
 
-    A chamber at vapour pressure has no negative pressure rate. A pose that cannot be reached gives NaN.
-    """
-    free_rhs(x, w, t, P, E, out)
-    for k in range(4, 8):
-        if x[k] <= P[FLOOR] and out[k] < 0.0:
-            out[k] = 0.0
+
+@njit
+def pressure_rate(o, G, area, v):
+    """Return the rate of a state's pressure, (34): N_p y' = G - N_V A v, A v being the growth of the volume."""
+    return (G - o.by_volume * area * v) / o.by_pressure
 
 
 @njit
@@ -677,8 +850,8 @@ def held_pressures(c, s, F, less_loaded, P, E):
     until nothing changes.
     """
     i = CYLINDER + N_CYLINDER * c
-    Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
-    Ab = Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
+    Aa, Ab = piston_areas(i, P)
+    F += (1.0 - P[REFERENCE]) * P[AIR] * (Aa - Ab)
     own, pa, pb = 0.0, less_loaded, less_loaded
     for _ in range(50):
         rest = F - own
@@ -706,12 +879,7 @@ def pin_to_pin(cylinder, angle, P):
 def chamber_lengths(x, P, E, out):
     """Write the chamber lengths la, lb of the lift and the tilt cylinder (4,) to out; negative: beyond the stroke's end."""
     z = positions(x[0], x[1], P)
-    lift, tilt = lines(z, motion(z, 0.0, 0.0))
-    for c in range(2):
-        i = CYLINDER + N_CYLINDER * c
-        Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
-        Ab = Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
-        force = x[4 + 2 * c] * Aa - x[5 + 2 * c] * Ab
-        s = lift.s if c == 0 else tilt.s
-        out[2 * c] = s + hooks.series_compliance(E, c) * force - P[i + EMPTY]
-        out[2 * c + 1] = P[i + RANGE] - out[2 * c]
+    f = fluid(P)
+    out[0] = chambers_at(0, math.sqrt(square(z.G - z.F)), x[4], x[5], f, P, E).la
+    out[2] = chambers_at(1, math.sqrt(square(z.C - z.H)), x[6], x[7], f, P, E).la
+    out[1], out[3] = P[CYLINDER + RANGE] - out[0], P[CYLINDER + N_CYLINDER + RANGE] - out[2]

@@ -1,54 +1,99 @@
 """Implicit trapezoidal rule (21)-(26) on the equations of the crane, compiled: one step, a run, a batch.
 
-The primary variables of a step are positions and pressures; rates, accelerations and pressure rates follow from them by (22).
-Newton's method uses the numerical tangent (25), (26) and keeps it from step to step as long as it converges. A step that does not
-converge is cut into smaller ones. Compiled code raises nothing: it returns a status and the index of the step.
+The primary variables of a step are positions and amounts of oil; rates and accelerations follow from them by (22), pressures
+by the equation of state. So what flows into a chamber is what is in it more at the end, whatever the pressure does between:
 
-The vapour-pressure floor stands inside the step as a projection, p = max(floor, trapezoidal rule), so that Newton meets a
-continuous function.
+    z1 = z0 + h/2 (z0' + z1')     z1' = z0' + h/2 (z0'' + z1'')     N1 = N0 + h/2 (k0 Q0 + k1 Q1)
+
+Newton's method uses the numerical tangent (25), (26) and keeps it from step to step as long as it converges.
+
+Every step is compared with the fourth-order rule (Simpson's, with Hermite's midpoint): the defect h/3 (f0 + f1 - 2 fm) of the
+trapezoidal rule is the local error. A step whose error is beyond `ERROR_*`, or that does not converge, is halved. Compiled
+code raises nothing: it returns a status and the index of the step.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from crane_exudyn.compiled import njit
 
-from .equations import FLOOR, free_rhs, pin_to_pin, rhs
+from .equations import OIL, amounts, balance, balance_of_amounts, pin_to_pin, rates, settle_pressures
 
-__all__ = ["NOT_CONVERGED", "OK", "cylinder_lengths", "propagate_batch", "rhs", "simulate", "simulate_substeps"]
+__all__ = ["NOT_CONVERGED", "OK", "TOO_COARSE", "cylinder_lengths", "propagate_batch", "simulate"]
 
 #: status of a run
-OK, NOT_CONVERGED = 0, 1
-#: a step may be cut into at most this many pieces
-MAX_PIECES = 256
+OK, NOT_CONVERGED, TOO_COARSE = 0, 1, 2
+#: a step is halved so often at most
+MOST_HALVINGS = 14
 MAX_ITERATIONS = 16
-#: Newton stops when no position moves by more than this (rad) and no pressure by more than that (Pa): the oil's stiffness
-#: turns the one into about the other
-POSITION_TOLERANCE, PRESSURE_TOLERANCE = 1e-12, 1e-3
+#: amounts of oil are counted in this unit, m^3: about what 1 Pa more presses into a chamber
+AMOUNT = 1e-12
+#: Newton stops when no position moves by more than this (rad) and no amount by more than that (AMOUNT)
+POSITION_TOLERANCE, AMOUNT_TOLERANCE = 1e-13, 1e-4
 #: forward differences (25): large against rounding, small against the 2 bar and 2 mrad/s over which laws bend
-POSITION_EPSILON, PRESSURE_EPSILON = 1e-7, 1e2
+POSITION_EPSILON, AMOUNT_EPSILON = 1e-7, 1e2
+#: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the chamber without gas
+ERROR_POSITION, ERROR_RATE, ERROR_PRESSURE = 1e-8, 3e-6, 300.0
+
+
+class Point(NamedTuple):
+    """A crane at one instant: state x (nx,), amounts of oil N (4,), and g (nx,) the rates of positions, rates and amounts."""
+
+    x: np.ndarray
+    N: np.ndarray
+    g: np.ndarray
+
+
+class Work(NamedTuple):
+    """What stepping needs: indices of primary variables, tangents, scratch, and what it says.
+
+    Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the step size `made`
+    for which it was made (0: there is none), and the contraction `rate` that Newton's method had with it.
+    `said` holds how many steps were halved, the error of the last step in units of `ERROR_*`, and how many of these are allowed.
+    """
+
+    index: np.ndarray
+    A: np.ndarray
+    pivot: np.ndarray
+    made: np.ndarray
+    rate: np.ndarray
+    rows: np.ndarray
+    end: Point
+    moved: Point
+    w: np.ndarray
+    said: np.ndarray
+
+
+HALVED, ERROR, ALLOWED = range(3)
 
 
 @njit(cache=False)
 def primary_indices(nx):
-    """Return the places of the primary variables in x: positions (z1, z4, the pendulum's angle), then pressures."""
+    """Return the places of the primary variables in x: positions (z1, z4, the pendulum's angle), then amounts."""
     if nx == 8:
         return np.array([0, 1, 4, 5, 6, 7])
     return np.array([0, 1, 8, 4, 5, 6, 7])
 
 
 @njit(cache=False)
-def workspace(nx):
-    """Return the arrays that stepping needs: primary indices, tangent with its inverse permutation, vectors, notes.
+def point(nx):
+    """Return an empty Point."""
+    return Point(np.empty(nx), np.empty(4), np.empty(nx))
 
-    `notes` holds the step size for which the tangent was made; 0 means there is none.
-    """
-    index = primary_indices(nx)
+
+@njit(cache=False)
+def workspace(nx, n_inputs):
+    """Return the Work of a crane with nx states and n_inputs inputs."""
+    index, levels = primary_indices(nx), MOST_HALVINGS + 1
     n = index.size
-    return index, np.empty((n, n)), np.empty(n, np.int64), np.empty((4, n)), np.empty((5, nx)), np.zeros(1)
+    return Work(
+        index, np.empty((levels, n, n)), np.empty((levels, n), np.int64), np.zeros(levels), np.ones(levels),
+        np.empty((3, n)), point(nx), point(nx), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0]),
+    )  # fmt: skip
 
 
 @njit(cache=False)
@@ -89,58 +134,81 @@ def solve_factorised(A, pivot, b):
         b[k] /= A[k, k]
 
 
-@njit(cache=False)
-def residual(x0, f0, x1, f1, w1, t1, h, P, E, index, r):
-    """Write the residual (23) of the step to r, completing x1 and f1 from the primary variables in x1.
+@njit(inline="always")
+def rate_of(k):
+    """Return where the rate of position k stands."""
+    return k + 2 if k < 2 else k + 1
 
-    Positions: h/2 times the defect of the rates, which is (23) multiplied by the inverse mass matrix; pressures likewise.
-    Both are in the units of their variable.
+
+@njit(cache=False)
+def begin(p, w, t, P, E):
+    """Fill amounts and rates of a Point from its state."""
+    b = balance(p.x, w, t, P, E)
+    amounts(b, p.N)
+    rates(b, p.x, E, p.g)
+
+
+@njit(cache=False)
+def settle(p, w, t, P, E):
+    """Fill pressures and rates of a Point from its positions, rates and amounts; then the amounts as the pressures have them."""
+    b = balance_of_amounts(p.x, p.N, w, t, P, E)
+    amounts(b, p.N)
+    rates(b, p.x, E, p.g)
+
+
+@njit(cache=False)
+def residual(start, end, w1, t1, h, P, E, index, r):
+    """Write the residual (23) of the step to r, completing the end from its positions and amounts.
+
+    Positions: h/2 times the defect of the rates, which is (23) multiplied by the inverse mass matrix. Amounts in AMOUNT.
     """
     for i in range(index.size - 4):  # (22)
         k = index[i]
-        rate = k + 2 if k < 2 else k + 1
-        x1[rate] = 2.0 / h * (x1[k] - x0[k]) - x0[rate]
-    free_rhs(x1, w1, t1, P, E, f1)
+        end.x[rate_of(k)] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[rate_of(k)]
+    b = balance_of_amounts(end.x, end.N, w1, t1, P, E)
+    rates(b, end.x, E, end.g)
     for i in range(index.size):
         k = index[i]
         if 4 <= k < 8:
-            r[i] = x1[k] - max(P[FLOOR], x0[k] + 0.5 * h * (f0[k] + f1[k]))
+            r[i] = (end.N[k - 4] - start.N[k - 4] - 0.5 * h * (start.g[k] + end.g[k])) / AMOUNT
         else:
-            rate = k + 2 if k < 2 else k + 1
-            r[i] = 0.5 * h * (x1[rate] - x0[rate] - 0.5 * h * (f0[rate] + f1[rate]))
+            rate = rate_of(k)
+            r[i] = 0.5 * h * (end.x[rate] - start.x[rate] - 0.5 * h * (start.g[rate] + end.g[rate]))
 
 
 @njit(cache=False)
-def tangent(x0, f0, x1, w1, t1, h, P, E, work):
-    """Renew the factorised tangent matrix by forward differences (25), (26) around x1; False if it is singular."""
-    index, A, pivot, rows, states, notes = work
-    base, moved, x, f = rows[1], rows[2], states[2], states[3]
-    x[:] = x1
-    residual(x0, f0, x, f, w1, t1, h, P, E, index, base)
-    for j in range(index.size):
-        k = index[j]
-        step = PRESSURE_EPSILON if 4 <= k < 8 else POSITION_EPSILON
-        x[:] = x1
-        x[k] += step
-        residual(x0, f0, x, f, w1, t1, h, P, E, index, moved)
-        for i in range(index.size):
-            A[i, j] = (moved[i] - base[i]) / step
-    good = factorise(A, pivot)
-    notes[0] = h if good else 0.0
+def tangent(start, w1, t1, h, P, E, work, level):
+    """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step; False if it is singular."""
+    base, moved, to = work.rows[1], work.rows[2], work.moved
+    to.x[:], to.N[:] = work.end.x, work.end.N
+    residual(start, to, w1, t1, h, P, E, work.index, base)
+    for j in range(work.index.size):
+        k = work.index[j]
+        to.x[:], to.N[:] = work.end.x, work.end.N
+        if 4 <= k < 8:
+            to.N[k - 4] += AMOUNT_EPSILON * AMOUNT
+        else:
+            to.x[k] += POSITION_EPSILON
+        residual(start, to, w1, t1, h, P, E, work.index, moved)
+        step = AMOUNT_EPSILON if 4 <= k < 8 else POSITION_EPSILON
+        for i in range(work.index.size):
+            work.A[level, i, j] = (moved[i] - base[i]) / step
+    good = factorise(work.A[level], work.pivot[level])
+    work.made[level], work.rate[level] = (h if good else 0.0), 1.0
     return good
 
 
 @njit(cache=False)
-def predict(x0, f0, h, index, floor, x1):
-    """Write an explicit first guess of the primary variables to x1."""
-    x1[:] = x0
+def predict(start, h, index, end):
+    """Write an explicit first guess of the primary variables to the end of the step."""
+    end.x[:] = start.x
     for i in range(index.size):
         k = index[i]
         if 4 <= k < 8:
-            x1[k] = max(floor, x0[k] + h * f0[k])
+            end.N[k - 4] = start.N[k - 4] + h * start.g[k]
         else:
-            rate = k + 2 if k < 2 else k + 1
-            x1[k] = x0[k] + h * (x0[rate] + 0.5 * h * f0[rate])
+            rate = rate_of(k)
+            end.x[k] = start.x[k] + h * (start.x[rate] + 0.5 * h * start.g[rate])
 
 
 @njit(cache=False)
@@ -148,7 +216,7 @@ def change_size(index, r):
     """Return the largest change in units of its tolerance; NaN if any is not a number."""
     largest = 0.0
     for i in range(index.size):
-        size = abs(r[i]) / (PRESSURE_TOLERANCE if 4 <= index[i] < 8 else POSITION_TOLERANCE)
+        size = abs(r[i]) / (AMOUNT_TOLERANCE if 4 <= index[i] < 8 else POSITION_TOLERANCE)
         if not size <= largest:
             largest = size
         if math.isnan(size):
@@ -157,38 +225,117 @@ def change_size(index, r):
 
 
 @njit(cache=False)
-def newton(x0, f0, w1, t1, h, P, E, work, x1, f1):
-    """Solve one trapezoidal step from x0 (with f0 = rhs there) for x1 (24); False if it does not converge."""
-    index, A, pivot, rows, _, notes = work
-    r = rows[0]
-    predict(x0, f0, h, index, P[FLOOR], x1)
-    fresh, before = False, math.inf
+def newton(start, w1, t1, h, P, E, work, level):
+    """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not converge."""
+    index, r, end, made, rate = work.index, work.rows[0], work.end, work.made, work.rate
+    predict(start, h, index, end)
+    before = math.inf
     for _ in range(MAX_ITERATIONS):
-        if not abs(notes[0] - h) <= 1e-6 * h:
-            fresh = tangent(x0, f0, x1, w1, t1, h, P, E, work)
-            if not fresh:
-                return False
-        residual(x0, f0, x1, f1, w1, t1, h, P, E, index, r)
-        solve_factorised(A, pivot, r)
+        if not abs(made[level] - h) <= 1e-6 * h and not tangent(start, w1, t1, h, P, E, work, level):
+            return False
+        residual(start, end, w1, t1, h, P, E, index, r)
+        solve_factorised(work.A[level], work.pivot[level], r)
         size = change_size(index, r)
         if not size < 1e15:  # a pose that cannot be reached, or far out: smaller steps
-            notes[0] = 0.0
+            made[level] = 0.0
             return False
-        if size > 0.3 * before and size > 1.0:
-            notes[0] = 0.0  # too slow: a new tangent for the next iteration
+        if before < math.inf:
+            rate[level] = max(0.3 * rate[level], size / before)
+            if size > 0.3 * before and size > 1.0:
+                made[level] = 0.0  # too slow: a new tangent for the next iteration
         for i in range(index.size):
-            x1[index[i]] -= r[i]
-        if size <= 1.0:
+            if 4 <= index[i] < 8:
+                end.N[index[i] - 4] -= r[i] * AMOUNT
+            else:
+                end.x[index[i]] -= r[i]
+        if size * min(rate[level], 1.0) <= 1.0:  # what is left is the size of the last change times the contraction
             for i in range(index.size - 4):
                 k = index[i]
-                rate = k + 2 if k < 2 else k + 1
-                x1[rate] = 2.0 / h * (x1[k] - x0[k]) - x0[rate]
-            for k in range(4, 8):
-                x1[k] = max(x1[k], P[FLOOR])
+                end.x[rate_of(k)] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[rate_of(k)]
             return True
         before = size
-    notes[0] = 0.0
+    made[level] = 0.0
     return False
+
+
+@njit(cache=False)
+def local_error(start, w0, w1, t0, h, P, E, work, level):
+    """Return the local error of the step from `start` to `work.end` in units of `ERROR_*`.
+
+    It is the defect of the trapezoidal rule against Simpson's. Three ever better estimates, each only where the one before is not
+    enough: by the change of the rates over the step, which bounds the defect of rates that change one way; by the rates in the
+    middle; and after what the system's own stiffness makes of the defect, by one iteration of Newton's method.
+    """
+    index, end, middle, r = work.index, work.end, work.moved, work.rows[1]
+    for i in range(index.size):
+        k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
+        work.rows[2][i] = h / 3.0 * abs(start.g[k] - end.g[k])
+    worst = defect_size(work.rows[2], index, h, start, end, P)
+    if worst <= work.said[ALLOWED]:
+        return worst
+    middle_rates(start, w0, w1, t0, h, P, E, work)
+    for i in range(index.size):
+        k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
+        work.rows[2][i] = h / 3.0 * abs(start.g[k] + end.g[k] - 2.0 * middle.g[k])
+    worst = defect_size(work.rows[2], index, h, start, end, P)
+    if not worst > work.said[ALLOWED]:
+        return worst if worst == worst else math.inf
+    for i in range(index.size):
+        k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
+        defect = h / 3.0 * (start.g[k] + end.g[k] - 2.0 * middle.g[k])
+        r[i] = defect / AMOUNT if 4 <= k < 8 and index[i] == k else of_position(start, end, k, h) + 0.5 * h * defect
+    solve_factorised(work.A[level], work.pivot[level], r)
+    for i in range(index.size):
+        k = index[i]
+        work.rows[2][i] = abs(r[i]) * AMOUNT if 4 <= k < 8 else 2.0 / h * abs(r[i] - of_position(start, end, rate_of(k), h))
+    worst = defect_size(work.rows[2], index, h, start, end, P)
+    for i in range(index.size - 4):
+        worst = max(worst, abs(r[i]) / ERROR_POSITION)
+    return worst if worst == worst else math.inf
+
+
+@njit(inline="always")
+def of_position(start, end, rate, h):
+    """Return the defect h/3 (z0' + z1' - 2 zm') of a position, the rate in the middle being Hermite's."""
+    return -h * h / 12.0 * (start.g[rate] - end.g[rate])
+
+
+@njit(cache=False)
+def middle_rates(start, w0, w1, t0, h, P, E, work):
+    """Fill `work.moved` with the state in the middle of the step, by Hermite's interpolation, and its rates."""
+    index, end, middle, w = work.index, work.end, work.moved, work.w[2]
+    for i in range(w.size):
+        w[i] = 0.5 * (w0[i] + w1[i])
+    for i in range(middle.x.size):
+        middle.x[i] = 0.5 * (start.x[i] + end.x[i])
+    for k in range(4):
+        middle.N[k] = 0.5 * (start.N[k] + end.N[k]) + 0.125 * h * (start.g[4 + k] - end.g[4 + k])
+    for i in range(index.size - 4):
+        k, rate = index[i], rate_of(index[i])
+        middle.x[k] += 0.125 * h * (start.x[rate] - end.x[rate])
+        middle.x[rate] += 0.125 * h * (start.g[rate] - end.g[rate])
+    b = balance_of_amounts(middle.x, middle.N, w, t0 + 0.5 * h, P, E)
+    rates(b, middle.x, E, middle.g)
+
+
+@njit(cache=False)
+def defect_size(defects, index, h, start, end, P):
+    """Return the largest of the defects of rates and amounts, and of those of the positions, in units of `ERROR_*`.
+
+    An amount may be wrong by what ERROR_PRESSURE presses into the oil of its chamber.
+    """
+    worst = 0.0
+    for i in range(index.size):
+        k = index[i]
+        if 4 <= k < 8:
+            size = defects[i] * P[OIL] / (start.N[k - 4] * ERROR_PRESSURE)
+        else:
+            size = max(defects[i] / ERROR_RATE, abs(of_position(start, end, rate_of(k), h)) / ERROR_POSITION)
+        if not size <= worst:
+            worst = size
+        if math.isnan(size):
+            return math.nan
+    return worst
 
 
 @njit(cache=False)
@@ -198,98 +345,105 @@ def between(w0, w1, share, w):
 
 
 @njit(cache=False)
-def advance(x, f, w0, w1, t0, h, P, E, work, last):
-    """Move x by h in place, and f = rhs(x) with it; in pieces where one step does not converge. False if nothing helps.
+def try_step(now, wa, wb, t, h, P, E, work, level):
+    """Take one step from `now` to `work.end`, pressures left out; return OK or why it has to be halved."""
+    if not newton(now, wb, t + h, h, P, E, work, level):
+        work.said[ERROR] = math.inf
+        return NOT_CONVERGED
+    work.said[ERROR] = local_error(now, wa, wb, t, h, P, E, work, level)
+    return OK if work.said[ERROR] <= work.said[ALLOWED] else TOO_COARSE
 
-    With `last` nobody asks for f at the end any more, and it is not computed: a seventh of the cost of a single step.
+
+@njit(cache=False)
+def advance(now, w0, w1, t0, h, P, E, work, last):
+    """Move the Point `now` by h in place; a step that fails is halved, and its halves again. Return a status.
+
+    With `last` nobody asks for the rates at the end any more.
     """
-    states = work[4]
-    x1, f1, w = states[0], states[1], np.empty(w0.size)
-    done, pieces = 0.0, 1
+    done, level = 0.0, 0
     while done < 1.0:
-        share = min(1.0, done + 1.0 / pieces)
-        between(w0, w1, share, w)
-        if newton(x, f, w, t0 + share * h, (share - done) * h, P, E, work, x1, f1):
-            x[:] = x1
-            done = share
+        part = 0.5**level
+        wa, wb = work.w[0], work.w[1]
+        between(w0, w1, done, wa)
+        between(w0, w1, done + part, wb)
+        status = try_step(now, wa, wb, t0 + done * h, part * h, P, E, work, level)
+        if status == OK:
+            done += part
+            now.x[:], now.N[:] = work.end.x, work.end.N
             if done < 1.0 or not last:
-                rhs(x, w, t0 + share * h, P, E, f)
-        elif pieces < MAX_PIECES:
-            pieces *= 4
+                settle(now, wb, t0 + done * h, P, E)
+            else:
+                settle_pressures(now.x, now.N, P, E)
+            while level > 0 and (done * 2.0**level) % 2.0 == 0.0:
+                level -= 1
+        elif level < MOST_HALVINGS:
+            level += 1
+            work.said[HALVED] += 1.0
         else:
-            return False
-    return True
+            return status
+    return OK
 
 
 @njit
-def simulate(x0, W, h, t0, P, E):
-    """Return states X (N, nx) on the grid t0 + k h, the status and the index of the step that failed (-1 if none).
+def simulate(x0, W, time, step, P, E, allowed=1.0):
+    """Return states X (N, nx) at increasing times (N,), the status, the sample before the step that failed, and halved steps.
 
     Args:
-        x0: state (nx,) at t0; nx is 8, or 10 with a pendulum.
-        W: inputs [U1 U2 pp pt] (N, 4) on the grid, linear between; NaN in pp or pt: the crane's own.
-        h, t0: step and first time, s.
+        x0: state (nx,) at the first time; nx is 8, or 10 with a pendulum.
+        W: inputs [U1 U2 pp pt] (N, 4) at the times, linear between; NaN in pp or pt: the crane's own.
+        time, step: s; each interval is cut into equal steps of at most `step`.
         P, E: parameter and effect vectors.
+        allowed: local error of a step in units of `ERROR_*`; a step beyond it is halved.
     """
-    N, nx = W.shape[0], x0.size
-    X = np.full((N, nx), math.nan)
-    work = workspace(nx)
-    x, f = x0.copy(), np.empty(nx)
-    rhs(x, W[0], t0, P, E, f)
-    X[0] = x
-    for k in range(N - 1):
-        if not advance(x, f, W[k], W[k + 1], t0 + k * h, h, P, E, work, k == N - 2):
-            return X, NOT_CONVERGED, k
-        X[k + 1] = x
-    return X, OK, -1
-
-
-@njit
-def simulate_substeps(x0, W, time, step, P, E):
-    """Like `simulate` on any increasing `time` (N,): each interval is cut into equal steps of at most `step`."""
-    N, nx = W.shape[0], x0.size
-    X = np.full((N, nx), math.nan)
-    work = workspace(nx)
-    x, f, wa, wb = x0.copy(), np.empty(nx), np.empty(4), np.empty(4)
-    rhs(x, W[0], time[0], P, E, f)
-    X[0] = x
-    for k in range(N - 1):
+    n_times, nx = W.shape[0], x0.size
+    X = np.full((n_times, nx), math.nan)
+    work, now = workspace(nx, 4), point(nx)
+    work.said[ALLOWED] = allowed
+    wa, wb = np.empty(4), np.empty(4)
+    now.x[:] = x0
+    begin(now, W[0], time[0], P, E)
+    X[0] = x0
+    for k in range(n_times - 1):
         n = max(1, math.ceil((time[k + 1] - time[k]) / step - 1e-6))
         h = (time[k + 1] - time[k]) / n
         for i in range(n):
             between(W[k], W[k + 1], i / n, wa)
             between(W[k], W[k + 1], (i + 1) / n, wb)
-            if not advance(x, f, wa, wb, time[k] + i * h, h, P, E, work, False):
-                return X, NOT_CONVERGED, k
-        X[k + 1] = x
-    return X, OK, -1
+            status = advance(now, wa, wb, time[k] + i * h, h, P, E, work, False)
+            if status != OK:
+                X[k + 1] = now.x
+                return X, status, k, int(work.said[HALVED])
+        X[k + 1] = now.x
+    return X, OK, -1, int(work.said[HALVED])
 
 
 @njit
-def propagate_batch(states, W0, W1, t0, dt, n, P, E):
-    """Return states (rows, nx) one dt later, in n equal steps, the status and the row that failed.
+def propagate_batch(states, W0, W1, t0, dt, n, P, E, allowed=1.0):
+    """Return states (rows, nx) one dt later, in n equal steps, the status and the row that failed, and how many steps were halved.
 
     W0, W1 (rows or 1, 4 or 12): inputs at the start and the end; the last eight are disturbances, see `equations`.
     P, E (rows or 1, .): parameter and effect vectors. The tangent is shared by the rows: they are neighbours.
     """
     rows, nx = states.shape
     out = np.empty_like(states)
-    work = workspace(nx)
-    f, wa, wb = np.empty(nx), np.empty(W0.shape[1]), np.empty(W0.shape[1])
+    work, now = workspace(nx, W0.shape[1]), point(nx)
+    work.said[ALLOWED] = allowed
+    wa, wb = np.empty(W0.shape[1]), np.empty(W0.shape[1])
     h = dt / n
     for row in range(rows):
         a, b = W0[row % W0.shape[0]], W1[row % W1.shape[0]]
         p, e = P[row % P.shape[0]], E[row % E.shape[0]]
-        x = out[row]
-        x[:] = states[row]
-        rhs(x, a, t0, p, e, f)
+        now.x[:] = states[row]
+        begin(now, a, t0, p, e)
         for i in range(n):
             between(a, b, i / n, wa)
             between(a, b, (i + 1) / n, wb)
-            if not advance(x, f, wa, wb, t0 + i * h, h, p, e, work, i == n - 1):
-                x[:] = math.nan
-                return out, NOT_CONVERGED, row
-    return out, OK, -1
+            status = advance(now, wa, wb, t0 + i * h, h, p, e, work, i == n - 1)
+            if status != OK:
+                out[row] = now.x
+                return out, status, row, int(work.said[HALVED])
+        out[row] = now.x
+    return out, OK, -1, int(work.said[HALVED])
 
 
 @njit

@@ -1,12 +1,13 @@
 """Derivatives of a run with respect to its start and to any number of parameters, effects and inputs, in one sweep.
 
-The trapezoidal step x1 = x0 + h/2 [f(x0) + f(x1)] is differentiated as it stands (implicit differentiation):
+The trapezoidal step y(x1) - y(x0) = h/2 [g(x0) + g(x1)], y positions, rates and amounts of oil, is differentiated as it stands
+(implicit differentiation), with Y = dy/dx, G = dg/dx and, for a probe, c = [y(x; probe) - y(x; base)] / delta, b likewise of g:
 
-    (I - h/2 A1) S1 = (I + h/2 A0) S0 + h/2 (b0 + b1),     A = df/dx,     b = [f(x; probe) - f(x; base)] / delta
+    (Y1 - h/2 G1) S1 = (Y0 + h/2 G0) S0 + c0 - c1 + h/2 (b0 + b1)
 
-A column is a probe: another P, another E, other inputs, or several at once. Its b is the one-sided difference from the base to
-the probe, so an effect whose law is not smooth at its neutral value is probed at a finite size. A column with `own` tangent
-uses A of the probe instead of the base: the linear answer of the changed machine, for probes that alter its dynamics (a
+A column is a probe: another P, another E, other inputs, or several at once. Its b and c are one-sided differences from the base
+to the probe, so an effect whose law is not smooth at its neutral value is probed at a finite size. A column with `own` tangent
+uses Y and G of the probe instead of the base: the linear answer of the changed machine, for probes that alter its dynamics (a
 pendulum, a soft spring).
 
 A run may be cut into windows (multiple shooting): at each knot the state is set anew and the sensitivities begin again.
@@ -21,10 +22,12 @@ import numpy as np
 
 from crane_exudyn.compiled import njit
 
-from .equations import FLOOR, rhs
-from .kernel import MAX_PIECES, NOT_CONVERGED, OK, between, factorise, newton, workspace
+from .equations import settle_pressures
+from .kernel import ALLOWED, HALVED, MOST_HALVINGS, NOT_CONVERGED, OK, Point, begin, between, factorise, point, try_step, workspace
 
-POSITION_EPSILON, RATE_EPSILON, PRESSURE_EPSILON = 1e-7, 1e-6, 1e2
+POSITION_EPSILON, RATE_EPSILON, PRESSURE_EPSILON = 1e-7, 2e-7, 1e2
+#: amounts of oil are counted in this unit, m^3: an angle of 1 rad moves some of it
+AMOUNT = 1e-3
 
 
 class Sweep(NamedTuple):
@@ -35,8 +38,9 @@ class Sweep(NamedTuple):
         S: sensitivities (N, nx, M); at a knot identity and zeros.
         X_end, S_end: (K, nx), (K, nx, M): where each window arrives at the next knot (the last one: at the last sample).
         Phi: (N, nx, nx), Phi[k + 1] = dx_{k+1}/dx_k; empty unless asked for. Phi[0] is the identity.
-        status: 0, or 1 if some step did not converge; the rest of that window is NaN in X and 0 in S.
+        status: of the kernel; where a step failed, the rest of that window is NaN in X and 0 in S.
         failed: sample before the first step that failed, or -1.
+        halved: how many steps were halved.
     """
 
     X: np.ndarray
@@ -46,18 +50,27 @@ class Sweep(NamedTuple):
     Phi: np.ndarray
     status: int
     failed: int
+    halved: int
 
 
 @njit(cache=False)
-def jacobian(x, f, w, t, P, E, A, moved, g):
-    """Write A = df/dx (nx, nx) at x, where f = rhs(x), by forward differences; `moved` and `g` (nx,) are scratch."""
-    for j in range(x.size):
+def tangents_at(here, w, t, P, E, Y, G, moved):
+    """Write Y = dN/dx (4, nx) in AMOUNT and G = dg/dx (nx, nx) around a filled Point, by forward differences."""
+    for j in range(here.x.size):
         step = PRESSURE_EPSILON if 4 <= j < 8 else (RATE_EPSILON if j in (2, 3, 9) else POSITION_EPSILON)
-        moved[:] = x
-        moved[j] += step
-        rhs(moved, w, t, P, E, g)
-        for i in range(x.size):
-            A[i, j] = (g[i] - f[i]) / step
+        moved.x[:] = here.x
+        moved.x[j] += step
+        begin(moved, w, t, P, E)
+        for i in range(4):
+            Y[i, j] = (moved.N[i] - here.N[i]) / (step * AMOUNT)
+        for i in range(here.x.size):
+            G[i, j] = in_units(i, moved.g[i] - here.g[i]) / step
+
+
+@njit(inline="always")
+def in_units(i, rate):
+    """Return a rate in the unit of row i: amounts of oil are counted in AMOUNT."""
+    return rate / AMOUNT if 4 <= i < 8 else rate
 
 
 @njit(cache=False)
@@ -86,21 +99,25 @@ def solve_columns(A, pivot, R):
 
 
 @njit(cache=False)
-def right_side(S, A, h, R):
-    """Write (I + h/2 A) S to R."""
-    R[:] = S
-    for i in range(A.shape[0]):
-        for j in range(A.shape[0]):
-            add_rows(R[i], 0.5 * h * A[i, j], S[j])
+def right_side(S, Y, G, h, R):
+    """Write (dy/dx + h/2 G) S to R."""
+    for i in range(G.shape[0]):
+        if 4 <= i < 8:
+            R[i] = 0.0
+            for j in range(G.shape[0]):
+                add_rows(R[i], Y[i - 4, j] + 0.5 * h * G[i, j], S[j])
+        else:
+            R[i] = S[i]
+            for j in range(G.shape[0]):
+                add_rows(R[i], 0.5 * h * G[i, j], S[j])
 
 
 @njit(cache=False)
-def left_factors(A, h, L, pivot):
-    """Write the LU factors of I - h/2 A to L; False if singular."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[0]):
-            L[i, j] = -0.5 * h * A[i, j]
-        L[i, i] += 1.0
+def left_factors(Y, G, h, L, pivot):
+    """Write the LU factors of dy/dx - h/2 G to L; False if singular."""
+    for i in range(G.shape[0]):
+        for j in range(G.shape[0]):
+            L[i, j] = (Y[i - 4, j] if 4 <= i < 8 else (1.0 if i == j else 0.0)) - 0.5 * h * G[i, j]
     return factorise(L, pivot)
 
 
@@ -118,73 +135,90 @@ class Base(NamedTuple):
     h: float
     t0: float
     substeps: int
+    allowed: float  # local error of a step, in units of kernel.ERROR_*
 
 
 class Tangents(NamedTuple):
-    """A (nx, nx), b (nx, m) and the probes' own A (n_own, nx, nx) at one instant."""
+    """Y (4, nx), G (nx, nx), c (4, m), b (nx, m) and the probes' own Y (n_own, 4, nx), G (n_own, nx, nx) at one instant."""
 
-    A: np.ndarray
+    Y: np.ndarray
+    G: np.ndarray
+    c: np.ndarray
     b: np.ndarray
-    own: np.ndarray
+    own_Y: np.ndarray
+    own_G: np.ndarray
 
 
 class Moving(NamedTuple):
-    """State, its rate and sensitivities (nx, M) as they move along, tangents before and after a step, and scratch."""
+    """A Point and its sensitivities (nx, M) as they move along, tangents before and after a step, and scratch."""
 
-    x: np.ndarray
-    f: np.ndarray
+    now: Point
     S: np.ndarray
     before: Tangents
     after: Tangents
     R: np.ndarray
     L: np.ndarray
     pivot: np.ndarray
-    vectors: np.ndarray
+    probed: Point
+    moved: Point
     inputs: np.ndarray
 
 
 @njit(cache=False)
 def new_tangents(nx, m, n_own):
-    return Tangents(np.empty((nx, nx)), np.zeros((nx, m)), np.empty((n_own, nx, nx)))
+    return Tangents(
+        np.empty((4, nx)), np.empty((nx, nx)), np.zeros((4, m)), np.zeros((nx, m)), np.empty((n_own, 4, nx)), np.empty((n_own, nx, nx))
+    )  # fmt: skip
 
 
 @njit(cache=False)
 def new_moving(nx, m, n_own, columns, n_inputs):
     """Return the arrays of a sweep with `columns` sensitivities, of which the last may be transitions."""
     return Moving(
-        np.empty(nx), np.empty(nx), np.zeros((nx, columns)), new_tangents(nx, m, n_own), new_tangents(nx, m, n_own),
-        np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), np.empty((5, nx)), np.empty((2, n_inputs)),
+        point(nx), np.zeros((nx, columns)), new_tangents(nx, m, n_own), new_tangents(nx, m, n_own),
+        np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx), point(nx), np.empty((3, n_inputs)),
     )  # fmt: skip
 
 
 @njit(cache=False)
 def evaluate(base, v, k, share, t, into):
-    """Write f = rhs, A, b and the probes' own A at the state v.x and at `share` of the way from sample k to k + 1."""
-    x, f, w, g = v.x, v.f, v.inputs[1], v.vectors[0]
+    """Fill v.now from its state, and all tangents there, at `share` of the way from sample k to k + 1."""
+    now, w, probed = v.now, v.inputs[2], v.probed
     last = min(k + 1, base.W_all.shape[1] - 1)
     between(base.W_all[0, k], base.W_all[0, last], share, w)
-    rhs(x, w, t, base.P, base.E, f)
-    jacobian(x, f, w, t, base.P, base.E, into.A, v.vectors[1], v.vectors[2])
+    begin(now, w, t, base.P, base.E)
+    tangents_at(now, w, t, base.P, base.E, into.Y, into.G, v.moved)
     for j in range(base.delta.size):
         P, E, W = base.P_cols[j], base.E_cols[j], base.W_all[base.W_index[j]]
         between(W[k], W[last], share, w)
-        rhs(x, w, t, P, E, g)
-        for i in range(x.size):
-            into.b[i, j] = (g[i] - f[i]) / base.delta[j]
+        probed.x[:] = now.x
+        begin(probed, w, t, P, E)
+        for i in range(4):
+            into.c[i, j] = (probed.N[i] - now.N[i]) / (base.delta[j] * AMOUNT)
+        for i in range(now.x.size):
+            into.b[i, j] = in_units(i, probed.g[i] - now.g[i]) / base.delta[j]
         if base.own[j] >= 0:
-            jacobian(x, g, w, t, P, E, into.own[base.own[j]], v.vectors[1], v.vectors[2])
+            tangents_at(probed, w, t, P, E, into.own_Y[base.own[j]], into.own_G[base.own[j]], v.moved)
+
+
+@njit(cache=False)
+def add_probe(j, h, v, column):
+    """Add c0 - c1 + h/2 (b0 + b1) of probe j to a column (nx,)."""
+    for i in range(column.size):
+        column[i] += 0.5 * h * (v.before.b[i, j] + v.after.b[i, j])
+        if 4 <= i < 8:
+            column[i] += v.before.c[i - 4, j] - v.after.c[i - 4, j]
 
 
 @njit(cache=False)
 def own_column(j, q, h, v):
     """Write column nx + j of R with the tangent of the probe itself; False if its system is singular."""
-    nx = v.x.size
+    nx = v.now.x.size
     column = v.S[:, nx + j : nx + j + 1].copy()
     moved = np.empty((nx, 1))
-    right_side(column, v.before.own[q], h, moved)
-    for i in range(nx):
-        moved[i, 0] += 0.5 * h * (v.before.b[i, j] + v.after.b[i, j])
-    if not left_factors(v.after.own[q], h, v.L, v.pivot):
+    right_side(column, v.before.own_Y[q], v.before.own_G[q], h, moved)
+    add_probe(j, h, v, moved[:, 0])
+    if not left_factors(v.after.own_Y[q], v.after.own_G[q], h, v.L, v.pivot):
         return False
     solve_columns(v.L, v.pivot, moved)
     v.R[:, nx + j] = moved[:, 0]
@@ -194,56 +228,64 @@ def own_column(j, q, h, v):
 @njit(cache=False)
 def linear_step(base, h, v):
     """Move the sensitivities over one step between the tangents before and after; False if a system is singular."""
-    nx, m, R = v.x.size, base.delta.size, v.R
-    right_side(v.S, v.before.A, h, R)
-    for i in range(nx):
-        for j in range(m):
-            R[i, nx + j] += 0.5 * h * (v.before.b[i, j] + v.after.b[i, j])
-    if not left_factors(v.after.A, h, v.L, v.pivot):
+    nx, m, R = v.now.x.size, base.delta.size, v.R
+    right_side(v.S, v.before.Y, v.before.G, h, R)
+    for j in range(m):
+        add_probe(j, h, v, R[:, nx + j])
+    if not left_factors(v.after.Y, v.after.G, h, v.L, v.pivot):
         return False
     solve_columns(v.L, v.pivot, R)
     for j in range(m):
         if base.own[j] >= 0 and not own_column(j, base.own[j], h, v):
             return False
-    for k in range(4, 8):  # a pressure that is held at the floor depends on nothing
-        if v.x[k] <= base.P[FLOOR] and v.f[k] <= 0.0:
-            R[k] = 0.0
     v.S[:] = R
     return True
 
 
 @njit(cache=False)
+def copy_tangents(source, target):
+    target.Y[:], target.G[:], target.c[:], target.b[:] = source.Y, source.G, source.c, source.b
+    target.own_Y[:], target.own_G[:] = source.own_Y, source.own_G
+
+
+@njit(cache=False)
 def advance_sample(base, k, v, work):
-    """Move state and sensitivities from sample k to k + 1, in smaller pieces where needed; False if nothing helps."""
-    x1, f1, w = v.vectors[3], v.vectors[4], v.inputs[0]
-    done, pieces = 0.0, 1
+    """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a status."""
+    wa, wb = v.inputs[0], v.inputs[1]
+    done, level = 0.0, 0  # in steps
     while done < base.substeps:
-        until = min(float(base.substeps), done + 1.0 / pieces)
-        share, h = until / base.substeps, (until - done) / base.substeps * base.h
-        t = base.t0 + (k + share) * base.h
-        between(base.W_all[0, k], base.W_all[0, k + 1], share, w)
-        if newton(v.x, v.f, w, t, h, base.P, base.E, work, x1, f1):
-            v.x[:] = x1
-            evaluate(base, v, k, share, t, v.after)
+        part = 0.5**level
+        start, end = done / base.substeps, (done + part) / base.substeps
+        h, t = part * base.h / base.substeps, base.t0 + (k + start) * base.h
+        between(base.W_all[0, k], base.W_all[0, k + 1], start, wa)
+        between(base.W_all[0, k], base.W_all[0, k + 1], end, wb)
+        status = try_step(v.now, wa, wb, t, h, base.P, base.E, work, level)
+        if status == OK:
+            v.now.x[:] = work.end.x
+            settle_pressures(v.now.x, work.end.N, base.P, base.E)
+            evaluate(base, v, k, end, t + h, v.after)
             if not linear_step(base, h, v):
-                return False
-            v.before.A[:], v.before.b[:], v.before.own[:] = v.after.A, v.after.b, v.after.own
-            done = until
-        elif pieces < MAX_PIECES:
-            pieces *= 4
+                return NOT_CONVERGED
+            copy_tangents(v.after, v.before)
+            done += part
+            while level > 0 and (done * 2.0**level) % 2.0 == 0.0:
+                level -= 1
+        elif level < MOST_HALVINGS:
+            level += 1
+            work.said[HALVED] += 1.0
         else:
-            return False
-    return True
+            return status
+    return OK
 
 
 @njit(cache=False)
 def begin_window(base, k, start, v, work):
     """Set the state anew at sample k, sensitivities to identity and zeros, and forget the tangent of earlier windows."""
-    v.x[:] = start
+    v.now.x[:] = start
     v.S[:] = 0.0
     set_identity(v.S, 0)
     evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before)
-    work[5][0] = 0.0
+    work.made[:] = 0.0
 
 
 @njit(cache=False)
@@ -262,31 +304,34 @@ def _sweep(x0_knots, knot_index, base, want_phi):
     X, S = np.full((N, nx), math.nan), np.zeros((N, nx, M))
     X_end, S_end = np.full((K, nx), math.nan), np.zeros((K, nx, M))
     Phi = np.zeros((N if want_phi else 0, nx, nx))
-    v, work = new_moving(nx, m, n_own, M + (nx if want_phi else 0), base.W_all.shape[2]), workspace(nx)
+    v = new_moving(nx, m, n_own, M + (nx if want_phi else 0), base.W_all.shape[2])
+    work = workspace(nx, base.W_all.shape[2])
+    work.said[ALLOWED] = base.allowed
     status, failed, window, alive = OK, -1, -1, False
     for k in range(N):
         if window + 1 < K and knot_index[window + 1] == k:
             if alive:
-                X_end[window], S_end[window] = v.x, v.S[:, :M]
+                X_end[window], S_end[window] = v.now.x, v.S[:, :M]
             window += 1
             begin_window(base, k, x0_knots[window], v, work)
             alive = True
         if not alive:
             continue
-        X[k], S[k] = v.x, v.S[:, :M]
+        X[k], S[k] = v.now.x, v.S[:, :M]
         if k == N - 1:
-            X_end[window], S_end[window] = v.x, v.S[:, :M]
+            X_end[window], S_end[window] = v.now.x, v.S[:, :M]
             continue
         if want_phi:
             set_identity(v.S, M)
-        alive = advance_sample(base, k, v, work)
+        came = advance_sample(base, k, v, work)
+        alive = came == OK
         if want_phi and alive:
             Phi[k + 1] = v.S[:, M:]
         if not alive and failed < 0:
-            status, failed = NOT_CONVERGED, k
+            status, failed = came, k
     if want_phi:
         set_identity(Phi[0], 0)
-    return X, S, X_end, S_end, Phi, status, failed
+    return X, S, X_end, S_end, Phi, status, failed, int(work.said[HALVED])
 
 
 def sweep(
@@ -304,6 +349,7 @@ def sweep(
     *,
     own: np.ndarray | None = None,
     substeps: int = 1,
+    allowed: float = 1.0,
     want_phi: bool = False,
 ) -> Sweep:
     """Return states and sensitivities along a run in windows; see `Sweep` for the shapes. Releases the global lock.
@@ -320,6 +366,7 @@ def sweep(
         W_index: (m,) which input signal a probe has; the base's by default.
         own: (m,) bool, which probes use the tangent of their own.
         substeps: steps of the trapezoidal rule per sample interval.
+        allowed: local error of a step in units of `kernel.ERROR_*`; a step beyond it is halved.
         want_phi: whether to return the one-sample transition matrices.
     """
     m = len(delta)
@@ -330,5 +377,5 @@ def sweep(
     x0, W, P, E, P_cols, E_cols, delta = (
         np.ascontiguousarray(a, float) for a in (x0_knots, W_all, P, E, P_cols, E_cols, delta)
     )
-    base = Base(P, E, P_cols, E_cols, delta, owned, W, index, float(h), float(t0), int(substeps))
+    base = Base(P, E, P_cols, E_cols, delta, owned, W, index, float(h), float(t0), int(substeps), float(allowed))
     return Sweep(*_sweep(x0, np.ascontiguousarray(knot_index, np.int64), base, bool(want_phi)))
