@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress, write_json
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from validation.montecarlo import Series
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def command(
     runs: Annotated[int, typer.Option("--runs", "-n", metavar="N", help="How many runs.")] = 20,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="J", help="Processes on this machine.")] = 1,
+    jobs: JobsOption = 1,
     scheduler: Annotated[
         str | None,
         typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster; local for one made here."),
@@ -26,6 +27,7 @@ def command(
         typer.Option(
             "-o", "--output", metavar="FILE", help="Every finished run, a line each; a killed series goes on."
         ),
+        Writes(continues=True),
     ] = None,
     model_error: Annotated[
         float, typer.Option("--error", metavar="SHARE", help="Error of the filter's model; 0 for a perfect one.")
@@ -53,8 +55,10 @@ def command(
     settings = Settings(model_error, inputs, duration, step, engine, method, seed=seed)
     with progress(f"{runs} runs") as done:
         series = run_series(settings, runs, crane=chosen, jobs=jobs, scheduler=scheduler, file=file, progress=done)
-    write_json(json, series.document())
-    tell(Printer(json), series)
+    printer = Printer(json)
+    tell(printer, series)
+    with saving(printer) as save:
+        save.json(json, series.document())
     raise typer.Exit(0 if series.consistent else 1)
 
 

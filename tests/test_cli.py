@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from crane_exudyn import errors
 from crane_exudyn.errors import CraneError
 from patu import main, options, output
 
@@ -118,7 +120,7 @@ def test_loading_a_command_imports_no_engine() -> None:
         (("simulate", "--inputs", "{good}", "-o", "{folder}/nowhere/run.csv"), ["nowhere", "does not exist"]),
         (("simulate", "--inputs", "{good}", "-o", "{folder}/run.xlsx"), ["run.xlsx", ".csv"]),
         (("effects", "--json", "{folder}/nowhere/e.json"), ["nowhere", "does not exist"]),
-        (("effects", "--json", "{folder}"), ["irectory"]),
+        (("effects", "--json", "{folder}"), ["is a folder"]),
     ],
 )
 def test_bad_input_is_one_message_and_status_2(
@@ -156,18 +158,56 @@ def test_an_unreadable_file_is_bad_input(
     assert (done.status, done.err) == (2, f"{tmp_path / 'locked.csv'}: Permission denied.\n")
 
 
-def test_an_error_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only bad input becomes a message; a bug keeps its traceback."""
+def a_command(monkeypatch: pytest.MonkeyPatch, does: Callable[[], object]) -> None:
+    """Let `patu demo` do something else."""
 
-    def broken(name: str) -> Callable[..., None]:
-        def command() -> None:
-            raise ZeroDivisionError
+    def command() -> None:
+        does()
 
-        return command
+    monkeypatch.setattr(main, "load", lambda name: command)
 
-    monkeypatch.setattr(main, "load", broken)
-    with pytest.raises(ZeroDivisionError):
-        main.run(["demo"])
+
+def test_a_fault_of_the_program_is_one_message_that_names_the_file_with_its_traceback(
+    patu: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def fail() -> None:
+        with errors.doing("reading lift.csv"), output.progress("Filter"):
+            raise ZeroDivisionError("by nothing")
+
+    a_command(monkeypatch, fail)
+    done = patu("demo")
+    assert done.status == 2 and len(done.err.splitlines()) == 1
+    for part in ("patu demo failed (Filter, reading lift.csv)", "ZeroDivisionError: by nothing"):
+        assert part in done.err
+    (file,) = tmp_path.iterdir()
+    assert str(file) in done.err
+    assert "Traceback" in file.read_text() and "patu demo" in file.read_text()
+
+
+@pytest.mark.parametrize(
+    ("problem", "said"),
+    [
+        (OSError(28, "No space left on device", "run.csv"), "run.csv: No space left on device.\n"),
+        (OSError(5, "Input/output error"), "patu demo: Input/output error.\n"),
+        (MemoryError("Unable to allocate 7 TiB"), "patu demo: there is not enough memory. Unable to allocate 7 TiB\n"),
+    ],
+)
+def test_what_the_machine_refuses_is_one_message(
+    patu: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch, problem: Exception, said: str
+) -> None:
+    def fail() -> None:
+        raise problem
+
+    a_command(monkeypatch, fail)
+    assert (patu("demo").status, patu("demo").err) == (2, said)
+
+
+@pytest.mark.parametrize("words", [("--duration", "inf"), ("--error", "nan"), ("--jobs", "0"), ("--step", "inf")])
+def test_numbers_that_are_none_are_refused(patu: Callable[..., Ended], words: tuple[str, str]) -> None:
+    done = patu("montecarlo", *words)
+    assert done.status == 2 and words[0] in done.err and "Traceback" not in done.err
 
 
 # -- interruption ----------------------------------------------------------------------------------------------------
