@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import importlib
 import os
 import signal
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -89,6 +91,8 @@ def run(arguments: Sequence[str] | None = None) -> None:
             sys.stdout.flush()
         except BaseException as problem:
             status = _told(endings.cause_of(problem), words)
+    if endings.came and any(not t.daemon for t in threading.enumerate() if t is not threading.main_thread()):
+        os._exit(status)  # a thread is in compiled code, or compiling; Python would wait for it
     sys.exit(status)
 
 
@@ -96,15 +100,17 @@ class _Endings:
     """Turns the signals that end a program into `Leave`, so that temporary files go and half-written ones never were.
 
     An exception that a signal's handler raises inside a callback from compiled code comes out as another one, or not at all. So
-    the signal is kept, and `Leave` is raised again as long as the last one has vanished without ending the program.
+    the signal is kept, and `Leave` is raised again if the last one has vanished without ending the program, or has been stuck for
+    long where something is waited for.
     """
 
     _SAID: ClassVar = {signal.SIGINT: "Interrupted", signal.SIGTERM: "Terminated", signal.SIGHUP: "Hung up"}
-    _PATIENCE = 0.5  # s
+    _LOOK, _PATIENCE = 0.5, 2.0  # s
 
     def __init__(self) -> None:
         self._number = 0
         self._raised: Callable[[], Leave | None] = lambda: None
+        self._when = 0.0
         self._usual: dict[int, Any] = {}
         self._complain = sys.unraisablehook
 
@@ -123,26 +129,31 @@ class _Endings:
             signal.signal(number, usual)
         sys.unraisablehook = self._complain
 
+    @property
+    def came(self) -> bool:
+        """Whether a signal came."""
+        return self._number != 0
+
     def cause_of(self, problem: BaseException) -> BaseException:
         """Return what really ended the program: the signal, if one came, else the exception."""
-        return self._leave() if self._number else problem
+        return self._leave() if self.came else problem
 
     def _leave(self) -> Leave:
         return Leave(128 + self._number, f"{self._SAID[signal.Signals(self._number)]}; no file was left half-written.")
 
     def _arrived(self, number: int, _: object) -> None:
         self._number = number
-        signal.setitimer(signal.ITIMER_REAL, self._PATIENCE, self._PATIENCE)
+        signal.setitimer(signal.ITIMER_REAL, self._LOOK, self._LOOK)
         raise self._watched()
 
     def _again(self, *_: object) -> None:
-        if self._raised() is None:
+        if self._raised() is None or time.monotonic() > self._when + self._PATIENCE:
             raise self._watched()
 
     def _watched(self) -> Leave:
         """Return an exception of which is known when it has vanished; no frame of its traceback may hold it."""
         leaving = self._leave()
-        self._raised = weakref.ref(leaving)
+        self._raised, self._when = weakref.ref(leaving), time.monotonic()
         return leaving
 
     def _unraisable(self, what: Any) -> None:
@@ -164,7 +175,7 @@ def _told(problem: BaseException, words: Sequence[str]) -> int:
     if isinstance(problem, CraneError):
         return _complain(str(problem), BAD_INPUT)
     if isinstance(problem, OSError):
-        return _complain(f"{problem.filename or _place(words)}: {problem.strerror or problem}.", BAD_INPUT)
+        return _complain(f"{_place(problem, words)}: {problem.strerror or problem}.", BAD_INPUT)
     if isinstance(problem, MemoryError):
         return _complain(
             f"{_command(words)}: there is not enough memory{_while(problem)}. {problem}".strip(), BAD_INPUT
@@ -172,14 +183,12 @@ def _told(problem: BaseException, words: Sequence[str]) -> int:
     return _complain(_fault(problem, words), BAD_INPUT)
 
 
-def _place(words: Sequence[str]) -> str:
-    """Return where a failure without a file's name happened: standard output, if that takes no more."""
-    try:
-        sys.stdout.flush()
-    except OSError:
+def _place(problem: OSError, words: Sequence[str]) -> str:
+    """Return where a failure happened: a file, or standard output, since writing to anything else names its file."""
+    if problem.filename is None and problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF):
         _stop_writing()
         return "standard output"
-    return _command(words)
+    return str(problem.filename or _command(words))
 
 
 def _stop_writing() -> None:

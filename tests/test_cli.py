@@ -190,7 +190,7 @@ def test_a_fault_of_the_program_is_one_message_that_names_the_file_with_its_trac
     ("problem", "said"),
     [
         (OSError(28, "No space left on device", "run.csv"), "run.csv: No space left on device.\n"),
-        (OSError(5, "Input/output error"), "patu demo: Input/output error.\n"),
+        (OSError(12, "Cannot allocate memory"), "patu demo: Cannot allocate memory.\n"),
         (MemoryError("Unable to allocate 7 TiB"), "patu demo: there is not enough memory. Unable to allocate 7 TiB\n"),
     ],
 )
@@ -237,6 +237,65 @@ def test_an_interrupted_command_leaves_nothing_and_no_traceback(tmp_path: Path, 
     assert process.returncode == status
     assert "Traceback" not in err and "half-written" in err
     assert list(tmp_path.iterdir()) == []
+
+
+STUCK = {
+    # numba turns an exception that a signal's handler raised while compiled code is called into a SystemError
+    "changed": "    try: time.sleep(60)\n    except BaseException as problem: raise SystemError('result with an exception set') from problem\n",
+    "swallowed": "    try: time.sleep(60)\n    except BaseException: pass\n    time.sleep(60)\n",
+    "waiting": "    with ThreadPoolExecutor(1) as pool: pool.submit(time.sleep, 60)\n",
+}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", list(STUCK))
+def test_a_signal_ends_the_program_whatever_becomes_of_its_exception(how: str, number: signal.Signals) -> None:
+    code = (
+        "import patu.main as m, time, signal\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "def command():\n    print('ready', flush=True)\n"
+        + STUCK[how]
+        + "m.load = lambda name: command\nm.run(['demo'])"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    _, err = process.communicate(timeout=15)
+    assert (process.returncode, len(err.splitlines())) == (128 + number, 1), err
+
+
+def test_an_ignored_interrupt_stays_ignored() -> None:
+    """As a shell asks for what it starts in the background."""
+    code = (
+        "import patu.main as m, os, signal\n"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        "m.load = lambda name: lambda: os.kill(os.getpid(), signal.SIGINT)\nm.run(['demo'])"
+    )
+    assert as_process(code=code).returncode == 0
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_terminal_without_all_signs_gets_others(encoding: str, tmp_path: Path) -> None:
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(
+        [sys.executable, "-m", "patu", "effects", "sensor_lag", "--json", "-"],
+        capture_output=True, timeout=60, env=environment,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, b"")
+    json.loads(done.stdout.decode("utf-8"))
+    code = "import patu.main as m\nm.load = lambda name: lambda: print('ż1 ± 2° → … \\udcff 漢')\nm.run(['demo'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60, env=environment)
+    wanted = "dz1 +- 2deg -> ... ? ?" if encoding == "ascii" else "dz1 ± 2° -> ... ? ?"
+    assert (done.stderr, done.stdout.decode(encoding)) == (b"", wanted + "\n")
+
+
+def test_a_full_standard_output_is_one_message() -> None:
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "patu", "effects"], stdout=full, stderr=subprocess.PIPE, timeout=60
+        )
+    assert (done.returncode, done.stderr) == (2, b"standard output: No space left on device.\n")
 
 
 def test_a_reader_that_has_seen_enough_is_no_error() -> None:
