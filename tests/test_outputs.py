@@ -11,9 +11,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import get_type_hints
 
+import numpy as np
 import pytest
 
-from crane_exudyn import Crane, Recording, files
+from crane_exudyn import Crane, Recording, files, plots
 from crane_exudyn.errors import CraneError
 from patu import calls, main, outputs
 from patu.output import Printer
@@ -238,6 +239,14 @@ def test_a_crane_that_could_not_be_saved_is_printed(patu: Callable[..., SimpleNa
     assert done.status == 2 and "new.toml" in done.err
     Path("kept.toml").write_text(done.out)
     assert [e.key for e in Crane.load("kept.toml").effects] == ["dead_band@tilt"]
+
+
+def test_a_name_with_any_signs_is_drawn_as_it_is() -> None:
+    made = plots.figure()
+    plots.entitle(made, r"a$\x{b.csv against a$\x{b.csv")
+    plots.draw_lines(made.axes[0], np.arange(3.0), {r"$\x{$": np.arange(3.0)}, channel="z1")
+    plots.legend_above(made)
+    assert plots.png(made).startswith(b"\x89PNG")
 
 
 def test_a_figure_that_cannot_be_drawn_does_not_lose_the_rest(tmp_path: Path) -> None:
