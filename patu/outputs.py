@@ -208,21 +208,22 @@ class Saver:
 
         Args:
             path: file or folder; None writes nothing.
-            write: writes to a path.
+            write: writes to a path; may return the file or files that it has written there.
             text: the result as text, where it is one; printed if it cannot be written. Other results are then written to a
                 new folder among the temporary files.
         """
         if path is None:
             return False
         try:
-            write(path)
+            written = write(path)
         except (CraneError, OSError) as problem:
             self.failures.append(f"{_why(path, problem)} {self._instead(path, write, text)}".strip())
         except Exception as problem:  # a figure that cannot be drawn, say; told when the other results are safe
             problem.add_note(f"writing {path}")
             self.fault = self.fault or problem
         else:
-            self.printer.line(f"Written: {path}")
+            for file in written if isinstance(written, list) else [written or path]:
+                self.printer.line(f"Written: {file}")
             return True
         return False
 

@@ -107,7 +107,7 @@ def command(
     written = [str(p) for p in (output, save_solution) if p is not None]
     printer = Printer(json)
     for path in written:
-        printer.line(f"Written: {path}")
+        printer.line(f"wrote {path}")
     with saving(printer) as save:
         save.json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
 

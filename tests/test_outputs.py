@@ -18,6 +18,7 @@ from crane_exudyn import Crane, Recording, files, plots
 from crane_exudyn.errors import CraneError
 from patu import calls, main, outputs
 from patu.output import Printer
+from validation.search import fitted as fitting
 
 GOOD = "time[s],u1,u2,z1[deg],z4[deg]\n" + "".join(f"{0.01 * k:.2f},0,0,10,-40\n" for k in range(21))
 
@@ -266,3 +267,29 @@ def test_a_failing_writer_names_the_file_that_it_was_to_write(tmp_path: Path) ->
     ):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert list(tmp_path.iterdir()) == []
+
+
+# -- a fit that did not help -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("evidence", "after", "helped"),
+    [(-np.inf, 1.5, False), (120.0, 2.5, False), (np.nan, 1.0, False), (120.0, 1.5, True)],
+)
+def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch, evidence: float, after: float, helped: bool
+) -> None:
+    def fitted(crane: Crane, key: str, *_: object) -> tuple[Crane, dict[str, object]]:
+        return crane.with_effect(key, {"lower": 0.1}), {"evidence": evidence, "error_before": 2.0, "error_after": after}
+
+    monkeypatch.setattr(fitting, "fitted_effect", fitted)
+    words = ("add", "dead_band@tilt", "--fit", "l.csv", "-o", "new.toml", "--json", "new.json")
+    done = patu(*words)
+    assert done.status == (0 if helped else 1)
+    assert Path("new.toml").exists() == helped
+    assert json.loads(Path("new.json").read_text())["helped"] is helped
+    if not helped:
+        assert "did not help: error 2 before" in done.out and "--anyway" in done.out
+        assert patu(*words[:4]).out.count("[[effect]]") == 0
+        assert patu(*words, "--anyway").status == 1
+        assert Crane.load("new.toml").effect("dead_band@tilt") is not None
