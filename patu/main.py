@@ -205,7 +205,9 @@ def _fault(problem: BaseException, words: Sequence[str]) -> str:
 
     whole = "".join(traceback.format_exception(problem))
     text = f"crane-exudyn {__version__}, Python {sys.version}\npatu {' '.join(words)}\n\n{whole}"
-    named = f"{_command(words)} failed{_while(problem)}: {type(problem).__name__}: {problem}."
+    named = (
+        f"{_command(words)} failed{_while(problem)}: {type(problem).__name__}: {str(problem).partition(chr(10))[0]}."
+    )
     try:
         handle, name = tempfile.mkstemp(prefix="patu-fault-", suffix=".txt")
         with open(handle, "w", encoding="utf-8", errors="backslashreplace") as file:

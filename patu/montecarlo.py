@@ -14,6 +14,9 @@ from .outputs import Writes, saving
 if TYPE_CHECKING:
     from validation.montecarlo import Series
 
+#: more would not fit into the memory of one process, nor end in a day
+MOST_SAMPLES = 1e7
+
 
 def command(
     runs: Annotated[int, typer.Option("--runs", "-n", metavar="N", help="How many runs.")] = 20,
@@ -72,6 +75,8 @@ def _check(runs: int, inputs: int, duration: float, step: float, error: float, m
         raise CraneError(f"--inputs {inputs}: there are the input sets 1, 2 and 3.")
     if not (step > 0 and duration >= 10 * step):
         raise CraneError(f"--duration {duration:g} with --step {step:g}: a run needs at least ten samples.")
+    if duration > MOST_SAMPLES * step:
+        raise CraneError(f"--duration {duration:g} with --step {step:g}: a run may have {MOST_SAMPLES:g} samples.")
     if not 0.0 <= error < 1.0:
         raise CraneError(f"--error {error:g}: give a share between 0 and 1, such as 0.15 for 15 %.")
     if method not in methods:

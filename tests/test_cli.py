@@ -204,7 +204,9 @@ def test_what_the_machine_refuses_is_one_message(
     assert (patu("demo").status, patu("demo").err) == (2, said)
 
 
-@pytest.mark.parametrize("words", [("--duration", "inf"), ("--error", "nan"), ("--jobs", "0"), ("--step", "inf")])
+@pytest.mark.parametrize(
+    "words", [("--duration", "inf"), ("--error", "nan"), ("--jobs", "0"), ("--step", "inf"), ("--step", "1e-9")]
+)
 def test_numbers_that_are_none_are_refused(patu: Callable[..., Ended], words: tuple[str, str]) -> None:
     done = patu("montecarlo", *words)
     assert done.status == 2 and words[0] in done.err and "Traceback" not in done.err
