@@ -17,7 +17,7 @@ help:
 	@sed -n 's/^# //p' Makefile
 
 demo: $(VENV)/installed
-	$(BIN)/patu demo -o $(OUT)/demo
+	$(BIN)/patu demo --force -o $(OUT)/demo
 
 test: $(VENV)/installed-dev
 	$(BIN)/pytest --durations=10

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -90,13 +90,7 @@ class Crane:
     def __post_init__(self) -> None:
         for name in ("values", "voltage", "sensors", "uncertainty", "sources"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        check_values(self.name, self.values)
-        for acting in self.effects:
-            check_effect(self.name, acting)
-        keys = [e.key for e in self.effects]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise CraneError(f"{self.name}: effect {key!r} stands twice. Remove one of them.")
+        check(self.name, self.values, self.effects)
 
     # -- reading and writing -------------------------------------------------------------------------------------
 
@@ -112,6 +106,8 @@ class Crane:
             document = tomllib.loads(text)
         except tomllib.TOMLDecodeError as problem:
             raise CraneError(f"{where}: not a whole TOML file: {problem}.") from problem
+        except RecursionError:
+            raise CraneError(f"{where}: not a crane file: its lists or tables are nested too deep.") from None
         return crane_toml.from_document(document, where)
 
     def save(self, path: str | Path) -> None:
@@ -208,8 +204,10 @@ def _read(name_or_path: str | Path) -> tuple[str, str]:
     path = Path(name_or_path)
     if not path.is_file():
         raise CraneError(f"There is no crane {name!r}: neither a file nor built in.{nearest(name, built_in())}")
+    data = path.read_bytes()
+    marked = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"  # as editors on Windows write
     try:
-        return path.read_text(encoding="utf-8"), str(path)
+        return data.decode(marked), str(path)
     except UnicodeDecodeError as problem:
         raise CraneError(f"{path}: not a text file in UTF-8 ({problem.reason}). A crane file is TOML.") from problem
 
@@ -234,6 +232,17 @@ _LIMITS = {
     "hose_bulk_modulus": (0.0, False), "vapour_pressure": (0.0, True), "laminar_pressure": (0.0, False),
     "pump_pressure": (0.0, False), "tank_pressure": (0.0, True), "gravity": (0.0, True),
 }  # fmt: skip
+
+
+def check(where: str, values: Mapping[str, float], effects: Sequence[Acting]) -> None:
+    """Raise CraneError for numbers and effects that no crane can have; `where` begins the message."""
+    check_values(where, values)
+    for acting in effects:
+        check_effect(where, acting)
+    keys = [e.key for e in effects]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise CraneError(f"{where}: effect {key!r} stands twice. Remove one of them.")
 
 
 def check_values(where: str, values: Mapping[str, float]) -> None:

@@ -25,12 +25,14 @@ _SECTIONS = (
 
 def from_document(document: Mapping[str, Any], where: str) -> Crane:
     """Return the crane that a parsed TOML document describes; `where` names the file in errors."""
-    from .crane import Crane
+    from .crane import Crane, check
 
     for key in document:
         if key not in _SECTIONS:
             raise CraneError(f"{where}: unknown section {key!r}.{nearest(key, list(_SECTIONS))}")
     values = _values(document, where)
+    effects = tuple(_effect(table, where) for table in _tables(document, "effect", where))
+    check(where, values, effects)  # as every crane does, but here the message can name the file
     return Crane(
         name=str(document.get("name", where)),
         description=str(document.get("description", "")),
@@ -40,8 +42,8 @@ def from_document(document: Mapping[str, Any], where: str) -> Crane:
         sensors=_sensors(_table(document, "sensors", where), where),
         uncertainty=_uncertainties(_table(document, "uncertainty", where), values, where),
         sources={str(k): str(v) for k, v in _table(document, "sources", where).items()},
-        effects=tuple(_effect(table, where) for table in document.get("effect", [])),
-        history=tuple(MappingProxyType(dict(entry)) for entry in document.get("history", [])),
+        effects=effects,
+        history=tuple(MappingProxyType(dict(entry)) for entry in _tables(document, "history", where)),
     )
 
 
@@ -54,6 +56,13 @@ def _table(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, An
 
 #: what files of earlier versions do not say: their pressures are absolute, and no air presses on the rods
 _EARLIER = {"supply.air_pressure": 0.0, "supply.pressure_reference": 0.0}
+
+
+def _tables(document: Mapping[str, Any], key: str, where: str) -> list[Mapping[str, Any]]:
+    tables = document.get(key, [])
+    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
+        raise CraneError(f"{where}: {key} = {str(tables)[:60]} should be tables, each headed by [[{key}]].")
+    return tables
 
 
 def _values(document: Mapping[str, Any], where: str) -> dict[str, float]:
@@ -81,7 +90,9 @@ def _flatten(name: str, value: Any, where: str, values: dict[str, float]) -> Non
         values[name] = to_si(value, parameters.unit_of(name), f"{where}: {name}")
 
 
-def _read(table: Mapping[str, Any], units: Mapping[str, str], where: str) -> dict[str, float]:
+def _read(table: object, units: Mapping[str, str], where: str) -> dict[str, float]:
+    if not isinstance(table, Mapping):
+        raise CraneError(f"{where} = {str(table)[:60]} should be a table {{ {', '.join(units)} }}.")
     for key in table:
         if key not in units:
             raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, list(units))}")
@@ -176,10 +187,10 @@ def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty
     return Uncertainty(std, lower, upper)
 
 
-def _effect(table: Any, where: str) -> Acting:
+def _effect(table: Mapping[str, Any], where: str) -> Acting:
     from .crane import complete
 
-    if not isinstance(table, Mapping) or "name" not in table:
+    if "name" not in table:
         raise CraneError(f"{where}: an [[effect]] needs a name. `patu effects` lists them.")
     for key in table:
         if key not in ("name", "place", "parameters"):
@@ -192,7 +203,7 @@ def _effect(table: Any, where: str) -> Acting:
     except CraneError as problem:
         raise CraneError(f"{where}: {problem}") from problem
     units = {p.name: unit_at(p.unit, place) for p in effect.parameters}
-    numbers = _read(table.get("parameters", {}), units, f"{where}: effect {effect.name!r}")
+    numbers = _read(table.get("parameters", {}), units, f"{where}: effect {effect.name!r}: parameters")
     return Acting(effect.name, place, MappingProxyType(complete(effect, numbers)))
 
 

@@ -1,4 +1,9 @@
-"""The one exception class for input that a user can mend."""
+"""The one exception class for input that a user can mend, and what failures are told with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class CraneError(ValueError):
@@ -6,6 +11,16 @@ class CraneError(ValueError):
 
     The command line prints the message without a traceback and exits with status 2.
     """
+
+
+@contextmanager
+def doing(what: str) -> Iterator[None]:
+    """Let a failure of the block carry along what was being done, such as "reading lift.csv", for whoever tells it."""
+    try:
+        yield
+    except Exception as problem:
+        problem.add_note(what)
+        raise
 
 
 def nearest(word: str, known: list[str]) -> str:

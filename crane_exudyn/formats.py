@@ -268,20 +268,18 @@ def write_table(path: str | Path, columns: Mapping[str, np.ndarray], digits: int
         columns: "name[unit]" -> (n,) values, NaN is a missing sample; or (n,) texts.
         digits: significant digits in text files; by default as many as read back the same number.
     """
-    write = check_writable(path)
+    write = writer_of(path)
     with replacing(path) as temporary:
         write(temporary, columns, digits)
 
 
-def check_writable(path: str | Path) -> Writer:
-    """Return the writer for the ending of `path`; commands ask this before they begin to work.
+def writer_of(path: str | Path) -> Writer:
+    """Return the writer for the ending of `path`; commands ask for it before they begin to work.
 
     Raises:
-        CraneError: an ending without a writer, or a folder that does not exist.
+        CraneError: an ending without a writer.
     """
     target = Path(path)
-    if not target.parent.is_dir():
-        raise CraneError(f"{target}: the folder {target.parent} does not exist. Create it, or give another path.")
     for ending, write in _WRITERS.items():
         if target.name.lower().endswith(ending):
             return write

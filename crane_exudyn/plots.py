@@ -66,6 +66,7 @@ _STYLE: dict[str, Any] = {
     "legend.columnspacing": 1.4,
     "hatch.linewidth": 0.5,
     "svg.fonttype": "path",
+    "text.parse_math": False,  # names of files and cranes are no formulas, whatever signs they hold
 }
 #: width of a figure in inches: as wide as makes 10 point letters legible on a phone
 WIDTH = 5.4

@@ -12,6 +12,7 @@ import numpy as np
 
 from .channels import CHANNELS, COMMANDS, SUPPLY
 from .crane import Crane
+from .errors import CraneError
 from .recording import Recording
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 #: length of the paper's working cycle, s
 CYCLE = 25.0
+#: most time steps of a run: their inputs alone are half a gigabyte
+MOST_STEPS = 1e7
 PRESSURES = ("p1", "p2", "p3", "p4")
 
 
@@ -152,8 +155,17 @@ def initial_state(crane: Crane, engine: Any) -> np.ndarray:
 
 
 def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a grid with even steps of at most `step` between the instants of `time`, and where those stand in it."""
+    """Return a grid with even steps of at most `step` between the instants of `time`, and where those stand in it.
+
+    Raises:
+        CraneError: more steps than a computer could hold.
+    """
     spans = np.diff(time)
+    if spans.sum() > MOST_STEPS * step:
+        raise CraneError(
+            f"{spans.sum():g} s in steps of {step:g} s are {spans.sum() / step:.2g} steps, more than {MOST_STEPS:g}. "
+            "Give a larger step, or a shorter recording."
+        )
     parts = np.maximum(1, np.ceil(spans / step - 1e-6)).astype(int)
     rows = np.concatenate([[0], np.cumsum(parts)])
     share = np.arange(rows[-1]) - np.repeat(rows[:-1], parts)

@@ -32,7 +32,10 @@ def to_si(value: object, unit: str, where: str) -> float:
         raise CraneError(
             f"{where} = {value!r} is not a number. Write a number in SI, or text with a unit ({unit or '-'})."
         )
-    number = _from_text(value, unit, where) if isinstance(value, str) else float(value)
+    try:
+        number = _from_text(value, unit, where) if isinstance(value, str) else float(value)
+    except OverflowError:  # a whole number of more than 308 digits
+        number = math.inf
     if math.isnan(number):
         raise CraneError(f"{where} = {value!r} is not a number. Give a value in {unit or 'plain numbers'}.")
     return number

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from crane_exudyn.errors import CraneError
+from crane_exudyn.errors import CraneError, doing
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapOption, load_crane, load_recording
-from .output import Printer, announce_compilation, write_json
+from .output import Printer, announce_compilation, write_out
+from .outputs import Reads, Writes, saving
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
@@ -22,14 +23,18 @@ EffectArgument = Annotated[
 CraneOutput = Annotated[
     Path | None,
     typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file to write; standard output if absent."),
+    Writes(),
 ]
 
 
 def command(
     effect: EffectArgument,
     fit: Annotated[
-        Path | None, typer.Option("--fit", metavar="REC", help="Recording to fit its parameters to.")
+        Path | None, typer.Option("--fit", metavar="REC", help="Recording to fit its parameters to."), Reads()
     ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Write the crane even if the fit did not make its error smaller.")
+    ] = False,
     values: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter, with its unit.")
     ] = None,
@@ -39,19 +44,32 @@ def command(
     mapping: MapOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones."""
+    """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones.
+
+    After a fit that does not make the open-loop error smaller nothing is written, unless --anyway asks for it; exit status 1.
+    """
     chosen = load_crane(crane, effects)
+    values_given = _parse(effect, values or [])
     if fit is None:
         from validation.history import added, with_typical
 
-        result = added(chosen, with_typical(chosen, effect, _parse(effect, values or [])), recording="", evidence=0.0)
-        document: dict[str, object] = {}
-    else:
-        announce_compilation()
-        from validation.search.fitted import fitted_effect
+        result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
+        _write(result, output, json, {"effect": effect})
+        return
+    announce_compilation()
+    from validation.search.fitted import fitted_effect, helped
 
-        result, document = fitted_effect(chosen, effect, load_recording(fit, mapping), _parse(effect, values or []))
-    _write(result, output, json, {"effect": effect, **document})
+    with doing(f"fitting {effect} to {fit}"):
+        result, document = fitted_effect(chosen, effect, load_recording(fit, mapping), values_given)
+    better = helped(document)
+    if not better:
+        Printer(json).line(
+            f"The fit of {effect} to {fit} did not help: error {document['error_before']:.4g} before, "
+            f"{document['error_after']:.4g} after, in units of the sensors' noise."
+            + ("" if anyway else " Nothing was written; --anyway writes it all the same.")
+        )
+    _write(result if better or anyway else None, output, json, {"effect": effect, **document, "helped": better})
+    raise typer.Exit(0 if better else 1)
 
 
 def remove(
@@ -84,13 +102,14 @@ def _parse(key: str, entries: list[str]) -> dict[str, float]:
     return found
 
 
-def _write(crane: Crane, output: Path | None, json: str | None, document: dict[str, object]) -> None:
-    if output is not None:
-        crane.save(output)
-    elif json != "-":
-        sys.stdout.write(crane.to_toml())
-    write_json(
-        json, document | {"crane": str(output) if output else crane.name, "effects": [e.key for e in crane.effects]}
-    )
-    if output is not None:
-        Printer(json).line(f"{crane!r}\nWritten: {output}")
+def _write(crane: Crane | None, output: Path | None, json: str | None, document: dict[str, object]) -> None:
+    """Write the crane, if there is one to write, to its file or to standard output; and the JSON."""
+    printer = Printer(json)
+    with saving(printer) as save:
+        if crane is not None:
+            document |= {"crane": str(output) if output else crane.name, "effects": [e.key for e in crane.effects]}
+            if save(output, crane.save, crane.to_toml()):
+                printer.line(repr(crane))
+            elif output is None and not printer.quiet:
+                write_out(crane.to_toml(), sys.stdout)
+        save.json(json, document)

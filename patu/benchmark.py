@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress, write_json
+from .output import Printer, announce_compilation, progress
+from .outputs import saving
 
 
 def command(
@@ -32,6 +33,8 @@ def command(
     with progress("Measuring") as done:
         results = run(only, chosen, done)
     document = results.document()
-    write_json(json, document)
     rows = [(name, m["value"], m["unit"], m["ratio"], m["ratio_to"] or "") for name, m in document.items()]
-    Printer(json).table("", ("quantity", "value", "unit", "ratio", "to"), rows)
+    printer = Printer(json)
+    printer.table("", ("quantity", "value", "unit", "ratio", "to"), rows)
+    with saving(printer) as save:
+        save.json(json, document)

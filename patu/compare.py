@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,20 +21,31 @@ from .options import (
     load_crane,
     load_recording,
 )
-from .output import Printer, announce_compilation, progress, write_json
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from validation.compare import Comparison
 
 _COLUMNS = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²", "whiteness p")
 _SHOWN = 10
+_CAPTIONS = {
+    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, dark is bad.",
+    "open_loop": "The crane started as the recording starts and then saw only the commands.",
+    "balances": "Flow and moment that each balance lacks, with 95 % interval from the sensors' noise.",
+    "balances_by_work": "The same, averaged over each kind of work.",
+}
 
 
 def command(
     recording: RecordingArgument,
     crane: CraneOption = DEFAULT_CRANE,
     engine: EngineOption = "semi-recursive",
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write pictures there.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Write pictures there."),
+        Writes(files=tuple(f"{name}.png" for name in _CAPTIONS)),
+    ] = None,
     report: ReportOption = None,
     effects: EffectsOption = None,
     mapping: MapOption = None,
@@ -51,13 +63,12 @@ def command(
 
     with progress("Comparing", json) as step:
         result = compare(chosen, measured, engine, progress=step)
-    write_json(json, result.to_dict())
     printer = Printer(json)
     tell(printer, result)
-    for path in save_figures(result, output) if output is not None else ():
-        printer.line(f"Picture: {path}")
-    if report is not None:
-        printer.line(f"Report: {write(report, result)}")
+    with saving(printer) as save:
+        save.json(json, result.to_dict())
+        save(output, partial(save_figures, result))
+        save(report, partial(write, result))
 
 
 def tell(printer: Printer, result: Comparison) -> None:
@@ -127,15 +138,7 @@ def save_figures(result: Comparison, folder: Path) -> list[Path]:
     return paths
 
 
-_CAPTIONS = {
-    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, dark is bad.",
-    "open_loop": "The crane started as the recording starts and then saw only the commands.",
-    "balances": "Flow and moment that each balance lacks, with 95 % interval from the sensors' noise.",
-    "balances_by_work": "The same, averaged over each kind of work.",
-}
-
-
-def write(folder: Path, result: Comparison) -> Path:
+def write(result: Comparison, folder: Path) -> Path:
     """Write the report and return its path."""
     from validation.report import Mood, Picture, Section, Table, write_report
 

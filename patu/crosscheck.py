@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, ReportOption, load_crane
-from .output import Printer, announce_compilation, progress, write_json
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from validation.crosscheck import CrossCheck, Quantity
@@ -22,7 +24,11 @@ def command(
     seconds: Annotated[float, typer.Option(min=1.0, help="Length of the runs, s.")] = 25.0,
     quick: Annotated[bool, typer.Option("--quick", help="50 states and runs of 6 s.")] = False,
     seed: Annotated[int, typer.Option(help="Of the random states, cranes and joystick inputs.")] = 1,
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write pictures there.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Write pictures there."),
+        Writes(files=("crosscheck-*.png",)),
+    ] = None,
     report: ReportOption = None,
     effects: EffectsOption = None,
     json: JsonOption = None,
@@ -39,16 +45,15 @@ def command(
         states, seconds = min(states, 50), min(seconds, 6.0)
     with progress("Comparing the engines", json) as step:
         result = crosscheck(chosen, states=states, seconds=seconds, seed=seed, progress=step)
-    write_json(json, result.to_json())
     printer = Printer(json)
     printer.table(
         f"Cross-check of {chosen.name}: Exudyn and semi-recursive", _COLUMNS, [_row(q) for q in result.quantities]
     )
-    for path in save_figures(result, output) if output else ():
-        printer.line(f"Picture: {path}")
-    if report:
-        printer.line(f"Report: {_write_report(report, result, seed, states, seconds)}")
     printer.line(verdict(result))
+    with saving(printer) as save:
+        save.json(json, result.to_json())
+        save(output, partial(save_figures, result))
+        save(report, partial(_write_report, result, seed, states, seconds))
     raise typer.Exit(0 if result.ok else 1)
 
 
@@ -66,7 +71,7 @@ def _row(q: Quantity) -> tuple[object, ...]:
     return q.name, q.unit, f"{q.max_abs:.2e}", f"{q.relative:.1e}", f"{q.tolerance:.0e}", q.ok, why
 
 
-def _write_report(directory: Path, result: CrossCheck, seed: int, states: int, seconds: float) -> Path:
+def _write_report(result: CrossCheck, seed: int, states: int, seconds: float, directory: Path) -> Path:
     from validation.crosscheck import by_name, figure_of
     from validation.report import Picture, Table, write_report
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress, write_json
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +26,7 @@ def command(
     output: Annotated[
         Path,
         typer.Option("-o", "--output", metavar="DIR", help="Folder for plots, states and report; made if missing."),
+        Writes(files=("states.png", "errors.png", "states.csv", "report.html")),
     ] = Path("out/demo"),
     crane: CraneOption = DEFAULT_CRANE,
     engine: EngineOption = "exudyn",
@@ -39,17 +42,17 @@ def command(
     printer = Printer(json)
     begin = perf_counter()
     chosen = load_crane(crane, effects)
-    output.mkdir(parents=True, exist_ok=True)
     announce_compilation()
     from validation.paper import run_case
 
     printer.line(f"The paper's experiment on {chosen.name}, {engine} engine: 25 s at 1 kHz, 17 sigma points …")
     with progress("Filter") as done:
         case = run_case(MODEL_ERROR, engine=engine, seed=seed, crane=chosen, progress=done)
-    paths = save(case, output, seed)
     seconds = perf_counter() - begin
-    write_json(json, document(case, seconds))
-    tell(printer, case, seconds, paths)
+    tell(printer, case, seconds)
+    with saving(printer) as save:
+        save(output, partial(write, case, seed))
+        save.json(json, document(case, seconds))
 
 
 def document(case: Case, seconds: float) -> dict[str, Any]:
@@ -71,14 +74,11 @@ OWN_MEANS = (
 COLUMNS = ("state", "filter %", "published %", "model alone %", "inside 95 % interval, % of time")
 
 
-def tell(printer: Printer, case: Case, seconds: float, paths: list[Path]) -> None:
-    """Print the table, and where everything is."""
+def tell(printer: Printer, case: Case, seconds: float) -> None:
+    """Print the table, and what to make of it."""
     printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(case))
     printer.line(f"{verdict(case)} Filter at {case.realtime_factor:.2g} times real time; all in {seconds:.0f} s.")
     printer.line(OWN_MEANS)
-    printer.line("Written:")
-    for path in paths:
-        printer.line(f"  {path}")
 
 
 def verdict(case: Case) -> str:
@@ -88,11 +88,12 @@ def verdict(case: Case) -> str:
     return f"{len(better)} of {len(published)} states are at or below the published error."
 
 
-def save(case: Case, folder: Path, seed: int) -> list[Path]:
+def write(case: Case, seed: int, folder: Path) -> list[Path]:
     """Write plots, states and report to `folder`, and return the files."""
     from validation import paper_figures, plots
     from validation.report import Picture, Table, write_report
 
+    folder.mkdir(parents=True, exist_ok=True)
     figures = {"states.png": states_figure(case, columns=2), "errors.png": paper_figures.figure_7(case)}
     for name, figure in figures.items():
         plots.save(figure, folder / name)

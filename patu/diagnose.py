@@ -12,19 +12,20 @@ from .options import (
     CheckOption,
     CraneOption,
     EffectsOption,
+    JobsOption,
     JsonOption,
     MapOption,
     RecordingArgument,
     ReportOption,
     load_crane,
     load_recording,
+    picture,
 )
-from .output import Printer, announce_compilation, progress, write_json
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from validation.diagnosis import Diagnosis
-
-JobsOption = Annotated[int, typer.Option("--jobs", metavar="N", help="Processes to use.", min=1)]
 
 
 def command(
@@ -34,7 +35,9 @@ def command(
     effects: EffectsOption = None,
     mapping: MapOption = None,
     jobs: JobsOption = 2,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the weighing.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the weighing."), Writes(picture)
+    ] = None,
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
@@ -51,17 +54,16 @@ def command(
 
     with progress("Diagnose") as done:
         result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda text, share: done(share))
-    if plot is not None:
-        from validation.plots import save
+    from validation.plots import save as save_figure
+    from validation.search.reports import report_diagnosis
 
-        save(result.plot(), plot)
-    if report is not None:
-        from validation.search.reports import report_diagnosis
-
-        given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
-        report_diagnosis(result, report, given)
-    write_json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())
-    tell(Printer(json), result)
+    printer = Printer(json)
+    tell(printer, result)
+    given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
+    with saving(printer) as save:
+        save.json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())
+        save(plot, lambda path: save_figure(result.plot(), path))
+        save(report, lambda path: report_diagnosis(result, path, given))
 
 
 def tell(printer: Printer, d: Diagnosis) -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import EffectsOption, JsonOption
-from .output import Printer, write_json
+from .output import Printer
+from .outputs import saving
 
 if TYPE_CHECKING:
     from crane_exudyn.effects.base import Effect
@@ -26,7 +27,6 @@ def command(
     for file in effects or ():
         registry.load_file(file)
     chosen = [registry.find(name.partition("@")[0])] if name else list(registry.known())
-    write_json(json, [describe(effect) for effect in chosen])
     printer = Printer(json)
     if name:
         tell(printer, chosen[0])
@@ -34,6 +34,8 @@ def command(
         rows = [(e.name, _places(e), ", ".join(p.name for p in e.parameters), title(e)) for e in chosen]
         printer.table("", ("effect", "places", "parameters", "what it is"), rows)
         printer.line("`patu effects NAME` tells one of them whole.")
+    with saving(printer) as save:
+        save.json(json, [describe(effect) for effect in chosen])
 
 
 def title(effect: type[Effect]) -> str:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from crane_exudyn.errors import CraneError
+
 from .options import (
     DEFAULT_CRANE,
     CraneOption,
@@ -21,8 +23,10 @@ from .options import (
     ReportOption,
     load_crane,
     load_recording,
+    picture,
 )
-from .output import Printer, announce_compilation, progress, write_json
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
@@ -35,7 +39,9 @@ def command(
     recording: RecordingArgument,
     output: OutputOption = None,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the estimate: .png, .svg or .pdf.")
+        Path | None,
+        typer.Option("--plot", metavar="FILE", help="Picture of the estimate: .png, .svg or .pdf."),
+        Writes(picture),
     ] = None,
     report: ReportOption = None,
     engine: EngineOption = "exudyn",
@@ -62,7 +68,8 @@ def command(
     The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise of
     the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
     """
-    _check(output, plot, step)
+    if not step > 0.0:
+        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
     chosen = load_crane(crane, effects)
     measured = load_recording(recording, mapping).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
@@ -78,33 +85,19 @@ def command(
         result, noise_slack=slack, smoothed=result.smoothed and replace(result.smoothed, noise_slack=slack)
     )
     best = result.smoothed if result.smoothed is not None else result
-    if output is not None:
-        best.to_csv(output)
-    if plot is not None:
-        save_plot(best, plot)
-    page = None if report is None else save_report(result, measured.name, report, engine, std)
-    write_json(json, result.document() | {"recording": str(recording), "engine": engine})
-    tell(Printer(json), result, measured, [p for p in (output, plot, page) if p is not None])
+    from crane_exudyn.plots import save as save_figure
 
-
-def _check(output: Path | None, plot: Path | None, step: float) -> None:
-    """Refuse what could not work before the work is done."""
-    from crane_exudyn.errors import CraneError
-    from crane_exudyn.formats import check_writable
-
-    if not step > 0.0:
-        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
-    if output is not None:
-        check_writable(output)
-    if plot is not None and not str(plot).endswith((".png", ".svg", ".pdf")):
-        raise CraneError(f"{plot}: unknown ending. Use one of .png, .svg, .pdf.")
-    if plot is not None and not plot.resolve().parent.is_dir():
-        raise CraneError(f"{plot}: the folder {plot.resolve().parent} does not exist. Create it, or give another path.")
+    printer = Printer(json)
+    tell(printer, result, measured)
+    with saving(printer) as save:
+        save(output, best.to_csv)
+        save.json(json, result.document() | {"recording": str(recording), "engine": engine})
+        save(plot, lambda path: save_figure(best.plot(), path))
+        save(report, lambda path: save_report(result, measured.name, path, engine, std))
 
 
 def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
     """Return {channel: standard deviation} of the chosen sensors: the crane file's, else what the recording shows."""
-    from crane_exudyn.errors import CraneError
     from ukf.estimator import DEFAULT_STD
 
     for name in only or ():
@@ -136,15 +129,6 @@ def _tuned(
     if found.after > found.before:
         Printer(json).line(repr(found).strip("<>"))
     return found.noise
-
-
-def save_plot(estimate: Estimate, path: Path) -> None:
-    """Write the picture of an estimate, whole or not at all."""
-    from crane_exudyn.files import replacing
-
-    figure = estimate.plot()
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format=path.suffix.lstrip("."), dpi=130)
 
 
 def save_report(result: Estimate, name: str, directory: Path, engine: str, std: dict[str, float]) -> Path:
@@ -181,8 +165,8 @@ def rows(estimate: Estimate) -> list[tuple[object, ...]]:
     return [(f"{name} / {unit}" if unit else name, *numbers) for name, unit, *numbers in estimate.ranges()]
 
 
-def tell(printer: Printer, result: Estimate, recording: Any, paths: list[Path]) -> None:
-    """Print the final state with its interval, the consistency, what happened, and where the files are."""
+def tell(printer: Printer, result: Estimate, recording: Any) -> None:
+    """Print the final state with its interval, the consistency, and what happened."""
     printer.line(
         f"{result.crane}, {result.method}, {recording.name}: {result.time.size} instants, "
         f"{result.time[0]:g} to {result.time[-1]:g} s, sensors {', '.join(result.channel_names)}"
@@ -190,8 +174,6 @@ def tell(printer: Printer, result: Estimate, recording: Any, paths: list[Path]) 
     printer.table("", COLUMNS, rows(result.smoothed if result.smoothed is not None else result))
     for line in (consistency(result), verdict(result), *event_lines(result)):
         printer.line(line)
-    for path in paths:
-        printer.line(f"Written: {path}")
 
 
 def event_lines(result: Estimate) -> list[str]:

@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from crane_exudyn.errors import CraneError
-
-from .diagnose import JobsOption
 from .options import (
     DEFAULT_CRANE,
     CheckOption,
     CraneOption,
     EffectsOption,
+    JobsOption,
     JsonOption,
     MapOption,
     RecordingArgument,
     ReportOption,
     load_crane,
     load_recording,
+    picture,
 )
-from .output import Printer, announce_compilation, progress, write_json
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from validation.improvement import Step
@@ -30,14 +30,16 @@ if TYPE_CHECKING:
 
 def command(
     recording: RecordingArgument,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file to write.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file to write."), Writes()],
     check: CheckOption = None,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
     jobs: JobsOption = 2,
     most: Annotated[int, typer.Option("--most", metavar="N", help="At most so many steps.", min=1)] = 4,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the falling error.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the falling error."), Writes(picture)
+    ] = None,
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
@@ -46,10 +48,6 @@ def command(
     Every accepted step is confirmed on the Exudyn engine. The crane file keeps what was added, from which recording and with
     which evidence; `patu remove` undoes it.
     """
-    if not output.resolve().parent.is_dir():
-        raise CraneError(
-            f"{output}: the folder {output.resolve().parent} does not exist. Create it, or give another path."
-        )
     chosen = load_crane(crane, effects)
     measured = load_recording(recording, mapping)
     other = None if check is None else load_recording(check, mapping)
@@ -62,20 +60,18 @@ def command(
             chosen, measured, other, jobs=jobs, most=most,
             told=lambda step: tell(printer, step), progress=lambda text, share: done(share),
         )  # fmt: skip
-    result.crane.save(output)
-    if plot is not None:
-        from validation.plots import save
+    from validation.plots import save as save_figure
+    from validation.search.reports import report_improvement
 
-        save(result.plot(), plot)
-    if report is not None:
-        from validation.search.reports import report_improvement
-
-        given = {"check": other.name if other else None, "most steps": most, "crane file written": str(output)}
-        report_improvement(result, report, given)
-    write_json(json, {"recording": str(recording)} | result.to_dict(output))
     for note in result.notes:
         printer.line(f"{note}.")
-    printer.line(f"Left: {result.verdict}. Written: {output}")
+    printer.line(f"Left: {result.verdict}.")
+    given = {"check": other.name if other else None, "most steps": most, "crane file written": str(output)}
+    with saving(printer) as save:
+        save(output, result.crane.save, result.crane.to_toml())
+        save.json(json, {"recording": str(recording)} | result.to_dict(output))
+        save(plot, lambda path: save_figure(result.plot(), path))
+        save(report, lambda path: report_improvement(result, path, given))
 
 
 def tell(printer: Printer, step: Step) -> None:

@@ -1,16 +1,18 @@
-"""The command `patu`: finds the command asked for, imports only that one, and turns bad input into one message."""
+"""The command `patu`: finds the command asked for, imports only that one, and turns whatever fails into one message."""
 
 from __future__ import annotations
 
+import errno
 import functools
 import importlib
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any, NamedTuple
+import time
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -69,7 +71,7 @@ def help_text() -> str:
 
 
 class Leave(BaseException):
-    """Ends a command with a status, past typer, which would answer an interrupt with a status of its own."""
+    """Ends a command with a status and a message, past everything that catches exceptions."""
 
     def __init__(self, status: int, message: str = "") -> None:
         super().__init__(message)
@@ -78,57 +80,151 @@ class Leave(BaseException):
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
-    """Run one command line and leave with its exit status; bad input gives one message and no traceback."""
+    """Run one command line and leave with its exit status; whatever fails gives one message and no traceback."""
+    from .output import show_any_sign
+
     words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        with _terminations_clean_up():
-            status = _guarded(words)
+    show_any_sign()
+    with _Endings() as endings:
+        try:
+            status = _dispatch(words)
             sys.stdout.flush()
-    except (Leave, BrokenPipeError) as leaving:
-        status = _leave(leaving)
+        except BaseException as problem:
+            status = _told(endings.cause_of(problem), words)
+    if endings.came and any(not t.daemon for t in threading.enumerate() if t is not threading.main_thread()):
+        os._exit(status)  # a thread is in compiled code, or compiling; Python would wait for it
     sys.exit(status)
 
 
-@contextmanager
-def _terminations_clean_up() -> Iterator[None]:
-    """Let a termination end the block as an interrupt does, so that temporary files go and half-written ones never were."""
-    if threading.current_thread() is not threading.main_thread():  # only there signals can be set
-        yield
-        return
-    usual = signal.signal(signal.SIGTERM, _terminated)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, usual)
+class _Endings:
+    """Turns the signals that end a program into `Leave`, so that temporary files go and half-written ones never were.
+
+    An exception that a signal's handler raises inside a callback from compiled code comes out as another one, or not at all. So
+    the signal is kept, and `Leave` is raised again if the last one has vanished without ending the program, or has been stuck for
+    long where something is waited for.
+    """
+
+    _SAID: ClassVar = {signal.SIGINT: "Interrupted", signal.SIGTERM: "Terminated", signal.SIGHUP: "Hung up"}
+    _LOOK, _PATIENCE = 0.5, 2.0  # s
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._raised: Callable[[], Leave | None] = lambda: None
+        self._when = 0.0
+        self._usual: dict[int, Any] = {}
+        self._complain = sys.unraisablehook
+
+    def __enter__(self) -> _Endings:
+        sys.unraisablehook = self._unraisable
+        if threading.current_thread() is threading.main_thread():  # only there signals can be set
+            heard = [n for n in self._SAID if signal.getsignal(n) not in (signal.SIG_IGN, None)]
+            self._usual = {n: signal.signal(n, self._arrived) for n in heard}
+            self._usual[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._again)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._usual:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, usual in self._usual.items():
+            signal.signal(number, usual)
+        sys.unraisablehook = self._complain
+
+    @property
+    def came(self) -> bool:
+        """Whether a signal came."""
+        return self._number != 0
+
+    def cause_of(self, problem: BaseException) -> BaseException:
+        """Return what really ended the program: the signal, if one came, else the exception."""
+        return self._leave() if self.came else problem
+
+    def _leave(self) -> Leave:
+        return Leave(128 + self._number, f"{self._SAID[signal.Signals(self._number)]}; no file was left half-written.")
+
+    def _arrived(self, number: int, _: object) -> None:
+        self._number = number
+        signal.setitimer(signal.ITIMER_REAL, self._LOOK, self._LOOK)
+        raise self._watched()
+
+    def _again(self, *_: object) -> None:
+        if self._raised() is None or time.monotonic() > self._when + self._PATIENCE:
+            raise self._watched()
+
+    def _watched(self) -> Leave:
+        """Return an exception of which is known when it has vanished; no frame of its traceback may hold it."""
+        leaving = self._leave()
+        self._raised, self._when = weakref.ref(leaving), time.monotonic()
+        return leaving
+
+    def _unraisable(self, what: Any) -> None:
+        if not isinstance(what.exc_value, Leave):  # that one comes again
+            self._complain(what)
 
 
-def _terminated(number: int, _: object) -> None:
-    raise Leave(128 + number, "Terminated; no file was left half-written.")
-
-
-def _leave(leaving: BaseException) -> int:
-    if isinstance(leaving, Leave) and leaving.status:
-        return _complain(leaving.message, leaving.status)
-    # `patu effects | head`: the reader has seen enough, and Python must not complain when it flushes at its end
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
-
-
-def _guarded(words: list[str]) -> int:
+def _told(problem: BaseException, words: Sequence[str]) -> int:
+    """Say in one message why a command ended, and return its exit status."""
     from crane_exudyn.errors import CraneError
 
-    try:
-        return _dispatch(words)
-    except CraneError as problem:
+    if isinstance(problem, BrokenPipeError | Leave) and not getattr(problem, "status", 0):
+        _stop_writing()  # `patu effects | head`: the reader has seen enough
+        return 0
+    if isinstance(problem, Leave):
+        return _complain(problem.message, problem.status)
+    if isinstance(problem, KeyboardInterrupt):  # where no signals could be set
+        return _complain("Interrupted; no file was left half-written.", INTERRUPTED)
+    if isinstance(problem, CraneError):
         return _complain(str(problem), BAD_INPUT)
-    except KeyboardInterrupt:
-        raise Leave(INTERRUPTED, "Interrupted; no file was left half-written.") from None
-    except BrokenPipeError:
-        raise
-    except OSError as problem:
-        if problem.filename is None:
-            raise
-        return _complain(f"{problem.filename}: {problem.strerror}.", BAD_INPUT)
+    if isinstance(problem, OSError):
+        return _complain(f"{_place(problem, words)}: {problem.strerror or problem}.", BAD_INPUT)
+    if isinstance(problem, MemoryError):
+        return _complain(
+            f"{_command(words)}: there is not enough memory{_while(problem)}. {problem}".strip(), BAD_INPUT
+        )
+    return _complain(_fault(problem, words), BAD_INPUT)
+
+
+def _place(problem: OSError, words: Sequence[str]) -> str:
+    """Return where a failure happened: a file, or standard output, since writing to anything else names its file."""
+    if problem.filename is None and problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF):
+        _stop_writing()
+        return "standard output"
+    return str(problem.filename or _command(words))
+
+
+def _stop_writing() -> None:
+    """Send standard output to nowhere, or Python would complain when it flushes at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fault(problem: BaseException, words: Sequence[str]) -> str:
+    """Return what to say of a fault of the program; its traceback goes to a file."""
+    import tempfile
+    import traceback
+
+    from crane_exudyn import __version__
+
+    whole = "".join(traceback.format_exception(problem))
+    text = f"crane-exudyn {__version__}, Python {sys.version}\npatu {' '.join(words)}\n\n{whole}"
+    named = (
+        f"{_command(words)} failed{_while(problem)}: {type(problem).__name__}: {str(problem).partition(chr(10))[0]}."
+    )
+    try:
+        handle, name = tempfile.mkstemp(prefix="patu-fault-", suffix=".txt")
+        with open(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(text)
+    except OSError:
+        return f"{named} This is a fault of the program; please report it.\n{whole}"
+    return f"{named} This is a fault of the program, not of your input; please report it with {name}, which says where."
+
+
+def _while(problem: BaseException) -> str:
+    """Return what was being done when it happened, from the innermost to the outermost."""
+    notes = getattr(problem, "__notes__", [])
+    return f" ({', '.join(notes)})" if notes else ""
+
+
+def _command(words: Sequence[str]) -> str:
+    return " ".join(["patu", *words[:1]])
 
 
 def _complain(message: str, status: int) -> int:
@@ -155,12 +251,14 @@ def _dispatch(words: list[str]) -> int:
 def _invoke(name: str, words: list[str]) -> int:
     import typer
 
+    from .calls import checked
+
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.command(
         help=_help(name),
         epilog=f"Example: {COMMANDS[name].example}",
         context_settings={"help_option_names": ["--help", "-h"]},
-    )(_past_typer(load(name)))
+    )(_past_typer(checked(load(name))))
     try:
         app(words, prog_name=f"patu {name}")
     except SystemExit as leaving:  # typer ends every run, good or bad, this way
@@ -169,14 +267,12 @@ def _invoke(name: str, words: list[str]) -> int:
 
 
 def _past_typer(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with those exceptions turned into `Leave` that typer would answer itself."""
+    """Return the command with a closed pipe turned into `Leave`, since typer would answer it itself."""
 
     @functools.wraps(command)
-    def guarded(*args: Any, **options: Any) -> None:
+    def guarded(**options: Any) -> None:
         try:
-            command(*args, **options)
-        except KeyboardInterrupt:
-            raise Leave(INTERRUPTED, "Interrupted; no file was left half-written.") from None
+            command(**options)
         except BrokenPipeError:
             raise Leave(0) from None
 

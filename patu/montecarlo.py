@@ -7,16 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress, write_json
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from validation.montecarlo import Series
 
+#: more would not fit into the memory of one process, nor end in a day
+MOST_SAMPLES = 1e7
+
 
 def command(
     runs: Annotated[int, typer.Option("--runs", "-n", metavar="N", help="How many runs.")] = 20,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", metavar="J", help="Processes on this machine.")] = 1,
+    jobs: JobsOption = 1,
     scheduler: Annotated[
         str | None,
         typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster; local for one made here."),
@@ -26,6 +30,7 @@ def command(
         typer.Option(
             "-o", "--output", metavar="FILE", help="Every finished run, a line each; a killed series goes on."
         ),
+        Writes(continues=True),
     ] = None,
     model_error: Annotated[
         float, typer.Option("--error", metavar="SHARE", help="Error of the filter's model; 0 for a perfect one.")
@@ -53,8 +58,10 @@ def command(
     settings = Settings(model_error, inputs, duration, step, engine, method, seed=seed)
     with progress(f"{runs} runs") as done:
         series = run_series(settings, runs, crane=chosen, jobs=jobs, scheduler=scheduler, file=file, progress=done)
-    write_json(json, series.document())
-    tell(Printer(json), series)
+    printer = Printer(json)
+    tell(printer, series)
+    with saving(printer) as save:
+        save.json(json, series.document())
     raise typer.Exit(0 if series.consistent else 1)
 
 
@@ -68,6 +75,8 @@ def _check(runs: int, inputs: int, duration: float, step: float, error: float, m
         raise CraneError(f"--inputs {inputs}: there are the input sets 1, 2 and 3.")
     if not (step > 0 and duration >= 10 * step):
         raise CraneError(f"--duration {duration:g} with --step {step:g}: a run needs at least ten samples.")
+    if duration > MOST_SAMPLES * step:
+        raise CraneError(f"--duration {duration:g} with --step {step:g}: a run may have {MOST_SAMPLES:g} samples.")
     if not 0.0 <= error < 1.0:
         raise CraneError(f"--error {error:g}: give a share between 0 and 1, such as 0.15 for 15 %.")
     if method not in methods:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from crane_exudyn.errors import CraneError
+from crane_exudyn.errors import CraneError, doing
 
 from .output import announce_compilation
+from .outputs import Reads, Writes
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
@@ -18,13 +19,33 @@ if TYPE_CHECKING:
 
 DEFAULT_CRANE = "patu655"
 
-RecordingArgument = Annotated[Path, typer.Argument(metavar="REC", help="Recording: CSV, MAT, Parquet or MDF4.")]
+
+def table(path: Path) -> None:
+    """Refuse a file with an ending that no table can be written with."""
+    from crane_exudyn.formats import writer_of
+
+    writer_of(path)
+
+
+def picture(path: Path) -> None:
+    """Refuse a file with an ending that no figure can be written with."""
+    if path.suffix not in PICTURES:
+        raise CraneError(f"{path}: unknown ending. Use one of {', '.join(PICTURES)}.")
+
+
+PICTURES = (".png", ".svg", ".pdf")
+RecordingArgument = Annotated[
+    Path, typer.Argument(metavar="REC", help="Recording: CSV, MAT, Parquet or MDF4."), Reads()
+]
 CraneOption = Annotated[
-    str, typer.Option("--crane", metavar="NAME-or-FILE", help="Built-in crane or TOML file.", show_default=True)
+    str,
+    typer.Option("--crane", metavar="NAME-or-FILE", help="Built-in crane or TOML file.", show_default=True),
+    Reads(),
 ]
 EffectsOption = Annotated[
     list[Path] | None,
     typer.Option("--effects", metavar="FILE.py", help="Python file with effects of your own; may be repeated."),
+    Reads(),
 ]
 MapOption = Annotated[
     list[str] | None,
@@ -33,18 +54,27 @@ MapOption = Annotated[
     ),
 ]
 JsonOption = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON; - for standard output.")
+    str | None,
+    typer.Option("--json", metavar="FILE", help="Write the result as JSON; - for standard output."),
+    Writes(),
 ]
 OutputOption = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Result file: .csv, .csv.gz, .parquet or .mat.")
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE", help="Result file: .csv, .csv.gz, .parquet or .mat."),
+    Writes(table),
 ]
 ReportOption = Annotated[
-    Path | None, typer.Option("--report", metavar="DIR", help="Write one self-contained HTML report there.")
+    Path | None,
+    typer.Option("--report", metavar="DIR", help="Write one self-contained HTML report there."),
+    Writes(files=("report.html",)),
 ]
+JobsOption = Annotated[int, typer.Option("--jobs", "-j", metavar="N", help="Processes to use.", min=1)]
 EngineName = Literal["exudyn", "semi-recursive"]
 EngineOption = Annotated[EngineName, typer.Option("--engine", help="Which implementation of the crane runs.")]
 CheckOption = Annotated[
-    Path | None, typer.Option("--check", metavar="REC2", help="A recording that is only predicted, never fitted.")
+    Path | None,
+    typer.Option("--check", metavar="REC2", help="A recording that is only predicted, never fitted."),
+    Reads(),
 ]
 
 
@@ -60,7 +90,8 @@ def load_crane(crane: str, effects: Sequence[Path] | None = None) -> Crane:
         registry.load_file(file)
     from crane_exudyn.crane import Crane
 
-    return Crane.load(crane)
+    with doing(f"reading {crane}"):
+        return Crane.load(crane)
 
 
 def parse_map(entries: Sequence[str] | None) -> dict[str, str]:
@@ -84,7 +115,8 @@ def load_recording(path: Path, entries: Sequence[str] | None = None) -> Recordin
     """Return the recording at `path`, its columns mapped as `--map` says."""
     from crane_exudyn.recording import Recording
 
-    return Recording.load(path, mapping=parse_map(entries))
+    with doing(f"reading {path}"):
+        return Recording.load(path, mapping=parse_map(entries))
 
 
 def make_engine(name: EngineName, crane: Crane) -> Any:

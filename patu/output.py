@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import json
 import math
 import sys
+import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
+
+from crane_exudyn.errors import doing
 
 STANDARD_OUTPUT = "-"
 
@@ -36,16 +39,44 @@ def json_text(document: Any) -> str:
     return json.dumps(jsonable(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def write_json(destination: str | Path | None, document: Any) -> None:
-    """Write the machine-readable result to a file, whole or not at all; "-" is standard output, None writes nothing."""
-    if destination is None:
+def write_out(text: str, stream: TextIO) -> None:
+    """Write the text of a result, JSON or TOML, to standard output or error: always in UTF-8, as files of these kinds are."""
+    binary = getattr(stream, "buffer", None)
+    if binary is None:  # a program that calls this one has put text of its own in its place
+        stream.write(text)
         return
-    if str(destination) == STANDARD_OUTPUT:
-        sys.stdout.write(json_text(document))
-        return
-    from crane_exudyn.files import write_text
+    stream.flush()
+    binary.write(text.encode("utf-8", errors="backslashreplace"))
+    binary.flush()
 
-    write_text(destination, json_text(document))
+
+#: what stands for a sign that a terminal cannot show, where leaving its accents away does not do
+_PLAIN = {
+    "…": "...", "–": "-", "—": "-", "−": "-", "±": "+-", "→": "->", "≥": ">=", "≤": "<=", "×": "x", "°": "deg", "∞": "inf", "²": "^2", "³": "^3",
+    "ż": "dz", "θ": "theta", "µ": "u", "μ": "u", "χ": "chi", "·": "*", "’": "'", "“": '"', "”": '"', "│": "|", "─": "-", "━": "-",
+}  # fmt: skip
+
+
+def show_any_sign() -> None:
+    """Let standard output and error write what their encoding lacks in signs that it has, instead of failing."""
+    codecs.register_error("patu", _plain)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="patu")
+
+
+def _plain(problem: UnicodeError) -> tuple[str, int]:
+    if not isinstance(problem, UnicodeEncodeError):
+        raise problem
+    signs = problem.object[problem.start : problem.end]
+    return "".join(_PLAIN.get(sign) or _bare(sign) for sign in signs), problem.end
+
+
+def _bare(sign: str) -> str:
+    """Return a letter without its accents, or a question mark."""
+    if unicodedata.combining(sign):
+        return ""
+    return unicodedata.normalize("NFKD", sign).encode("ascii", "ignore").decode() or "?"
 
 
 class Printer:
@@ -103,9 +134,16 @@ def _cell(value: object) -> str:
 @contextmanager
 def progress(text: str, json: str | None = None) -> Iterator[Callable[[float], None]]:
     """Yield a function that takes the fraction done; shows a bar on standard error when that is a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda fraction: None
-        return
+    with doing(text):
+        if not sys.stderr.isatty():
+            yield lambda fraction: None
+            return
+        with _bar(text) as bar:
+            yield bar
+
+
+@contextmanager
+def _bar(text: str) -> Iterator[Callable[[float], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress, write_json
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
+from .output import Printer, announce_compilation, progress
+from .outputs import Writes, saving
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
@@ -24,6 +26,7 @@ def command(
         typer.Option(
             "-o", "--output", "--report", metavar="DIR", help="Folder for figures and report; made if missing."
         ),
+        Writes(files=("figure[567]_*.png", "report.html")),
     ] = Path("out/paper"),
     engine: EngineOption = "exudyn",
     model_error: Annotated[
@@ -39,7 +42,7 @@ def command(
         list[str] | None, typer.Option("--tuning", metavar="paper|own", help="Only this tuning; repeatable.")
     ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise.")] = 0,
-    jobs: Annotated[int, typer.Option("--jobs", "-j", help="Processes.")] = 1,
+    jobs: JobsOption = 1,
     filters: Annotated[
         bool, typer.Option("--filters", help="Also compare EKF, cubature, UKF and square-root UKF on the 15 % case.")
     ] = False,
@@ -53,7 +56,6 @@ def command(
     coordinates along with the state. Beside each the published row, where there is one, and the model without filter.
     """
     chosen = load_crane(crane, effects)
-    output.mkdir(parents=True, exist_ok=True)
     _check(model_error, inputs, tuning)
     announce_compilation()
     from validation.paper import INPUT_SETS, MODEL_ERRORS, reproduce
@@ -70,10 +72,12 @@ def command(
             progress=done,
         )
     compared = _compare(engine, seed, chosen) if filters else []
-    paths = save(result, output, seed, engine, compared, chosen)
     document = result.document() | ({"filters": [r.document() for r in compared]} if filters else {})
-    write_json(json, document)
-    tell(Printer(json), result, paths, compared)
+    printer = Printer(json)
+    tell(printer, result, compared)
+    with saving(printer) as save:
+        save(output, partial(write, result, seed, engine, compared, chosen))
+        save.json(json, document)
 
 
 def _compare(engine: str, seed: int, crane: Crane) -> list[Row]:
@@ -160,8 +164,8 @@ def coverage_rows(result: Reproduction) -> list[tuple[object, ...]]:
 COVERAGE_COLUMNS = (*COLUMNS[:2], "tuning", *COLUMNS[3:], "NEES", "NIS")
 
 
-def tell(printer: Printer, result: Reproduction, paths: list[Path], compared: list[Row]) -> None:
-    """Print the tables, what they say, and where everything is."""
+def tell(printer: Printer, result: Reproduction, compared: list[Row]) -> None:
+    """Print the tables, and what they say."""
     printer.table("PN-RMSE in % of the state's range", COLUMNS, rows(result))
     printer.table(
         "Inside the 95 % interval, % of the time; NEES (8 expected), NIS (4 expected)",
@@ -174,9 +178,7 @@ def tell(printer: Printer, result: Reproduction, paths: list[Path], compared: li
         )
     for line in findings(result):
         printer.line(line)
-    printer.line(f"All in {result.seconds:.0f} s. Written:")
-    for path in paths:
-        printer.line(f"  {path}")
+    printer.line(f"All in {result.seconds:.0f} s.")
 
 
 def findings(result: Reproduction) -> list[str]:
@@ -219,11 +221,12 @@ def _found(case: Case) -> str:
     return f"Found on the way: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: 100)."
 
 
-def save(result: Reproduction, folder: Path, seed: int, engine: str, compared: list[Row], crane: Crane) -> list[Path]:
+def write(result: Reproduction, seed: int, engine: str, compared: list[Row], crane: Crane, folder: Path) -> list[Path]:
     """Write figures and report to `folder`, and return the files."""
     from validation import paper_figures, plots
     from validation.report import Picture, Table, write_report
 
+    folder.mkdir(parents=True, exist_ok=True)
     paths: list[Path] = []
     sections: list[tuple[str, list[Any]]] = [
         ("PN-RMSE in %", [Table(COLUMNS, rows(result)), *findings(result)]),

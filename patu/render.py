@@ -10,7 +10,8 @@ import typer
 from crane_exudyn.errors import CraneError
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapOption, load_crane, load_recording
-from .output import Printer, progress, write_json
+from .output import Printer, progress
+from .outputs import Reads, Writes, saving
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,17 +23,34 @@ if TYPE_CHECKING:
 _GHOST_NAMES = ("simulated", "estimated", "third", "fourth")
 
 
+def picture_or_film(path: Path) -> None:
+    """Refuse a file with an ending that neither a picture nor a film can be written with."""
+    from crane_exudyn.film import kind_of
+
+    kind_of(path)
+
+
+def ghost_of(entry: str) -> tuple[str, str]:
+    """Return name, if there is one, and file of "[NAME=]FILE"."""
+    name, equals, path = entry.partition("=")
+    return (name, path) if equals else ("", entry)
+
+
 def command(
     recording: Annotated[
         Path | None,
         typer.Argument(metavar="REC", help="Recording or result with z1 and z4; none: the crane at its start."),
+        Reads(),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help=".png, .jpg, .gif or .mp4")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help=".png, .jpg, .gif or .mp4"),
+        Writes(picture_or_film),
     ] = None,
     ghost: Annotated[
         list[str] | None,
         typer.Option("--ghost", metavar="[NAME=]FILE", help="Another run in the same scene; repeatable."),
+        Reads(lambda entry: ghost_of(entry)[1]),
     ] = None,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
@@ -59,7 +77,9 @@ def command(
         typer.Option(help="Exudyn's ray tracer, or its OpenGL window (on Xvfb without a screen)."),
     ] = "raytracer",
     save_solution: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write an Exudyn solution file, as its SolutionViewer opens.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Write an Exudyn solution file, as its SolutionViewer opens."),
+        Writes(),
     ] = None,
     open_viewer: Annotated[bool, typer.Option("--open", help="Open Exudyn's SolutionViewer (needs a screen).")] = False,
     json: JsonOption = None,
@@ -85,9 +105,11 @@ def command(
             scene.save(output, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer, progress=done)
     _hand_over(scene, save_solution, open_viewer)
     written = [str(p) for p in (output, save_solution) if p is not None]
-    write_json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
+    printer = Printer(json)
     for path in written:
-        Printer(json).line(f"wrote {path}")
+        printer.line(f"wrote {path}")
+    with saving(printer) as save:
+        save.json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
 
 
 def _runs(
@@ -100,10 +122,8 @@ def _runs(
         return [Trajectory.at_rest(crane)]
     runs = [Trajectory.from_recording(load_recording(recording, mapping), label)]
     for entry, default in zip(ghosts, _GHOST_NAMES, strict=False):
-        name, equals, path = entry.partition("=")
-        if not equals:
-            name, path = default, entry
-        runs.append(Trajectory.from_recording(load_recording(Path(path), mapping), name))
+        name, path = ghost_of(entry)
+        runs.append(Trajectory.from_recording(load_recording(Path(path), mapping), name or default))
     if len(ghosts) > len(_GHOST_NAMES):
         raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(_GHOST_NAMES)}.")
     return runs

@@ -23,7 +23,8 @@ from .options import (
     load_recording,
     make_engine,
 )
-from .output import Printer, write_json
+from .output import Printer
+from .outputs import Reads, saving
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,7 +46,7 @@ _SHOWN = (
 
 def command(
     inputs: Annotated[
-        Path | None, typer.Option("--inputs", metavar="REC", help="Recording whose commands drive the crane.")
+        Path | None, typer.Option("--inputs", metavar="REC", help="Recording whose commands drive the crane."), Reads()
     ] = None,
     output: OutputOption = None,
     engine: EngineOption = "exudyn",
@@ -68,7 +69,6 @@ def command(
         raise CraneError("--start-from-recording wants a recording. Give one with --inputs REC.")
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
-    _check_output(output)
     chosen = load_crane(crane, effects)
     recording = None if inputs is None else load_recording(inputs, mapping).require(sensors=0)
     from crane_exudyn.simulation import simulate
@@ -79,10 +79,11 @@ def command(
     begin = perf_counter()
     run = simulate(chosen, recording, start=start, engine=holder, step=step)
     seconds = perf_counter() - begin
-    if output is not None:
-        run.to_csv(output)
-    write_json(json, summary(run, engine, seconds))
-    tell(Printer(json), run, recording, engine, seconds, output)
+    printer = Printer(json)
+    tell(printer, run, recording, engine, seconds)
+    with saving(printer) as save:
+        save(output, run.to_csv)
+        save.json(json, summary(run, engine, seconds))
 
 
 def _compile(crane: Crane, engine: Any) -> None:
@@ -93,14 +94,6 @@ def _compile(crane: Crane, engine: Any) -> None:
 
     closed = np.tile([0.0, 0.0, np.nan, np.nan], (2, 1))
     engine.simulate(initial_state(crane, engine), np.array([0.0, 1e-3]), closed)
-
-
-def _check_output(output: Path | None) -> None:
-    """Refuse a result file that could not be written, before the work is done."""
-    from crane_exudyn.formats import check_writable
-
-    if output is not None:
-        check_writable(output)
 
 
 def first_state(crane: Crane, engine: Any, recording: Recording) -> np.ndarray:
@@ -130,10 +123,8 @@ def summary(run: Simulation, engine: str, seconds: float) -> dict[str, Any]:
     }
 
 
-def tell(
-    printer: Printer, run: Simulation, recording: Recording | None, engine: str, seconds: float, output: Path | None
-) -> None:
-    """Print the range of each shown channel, and where the result is."""
+def tell(printer: Printer, run: Simulation, recording: Recording | None, engine: str, seconds: float) -> None:
+    """Print the range of each shown channel."""
     driven = "the paper's working cycle" if recording is None else recording.name
     printer.line(
         f"{run.crane.name} on {engine}, driven by {driven}: {run.time[-1] - run.time[0]:g} s in {seconds:.2f} s"
@@ -143,8 +134,6 @@ def tell(
     channels = run.channels()
     rows = [(f"{n} / {unit}", *(float(f(channels[n]) / si) for f in _RANGE)) for n, unit, si in _SHOWN]
     printer.table("", ("channel", "first", "last", "min", "max"), rows)
-    if output is not None:
-        printer.line(f"Written: {output}")
 
 
 _RANGE = (lambda v: v[0], lambda v: v[-1], lambda v: v.min(), lambda v: v.max())

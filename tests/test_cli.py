@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from crane_exudyn import errors
 from crane_exudyn.errors import CraneError
 from patu import main, options, output
 
@@ -118,7 +120,7 @@ def test_loading_a_command_imports_no_engine() -> None:
         (("simulate", "--inputs", "{good}", "-o", "{folder}/nowhere/run.csv"), ["nowhere", "does not exist"]),
         (("simulate", "--inputs", "{good}", "-o", "{folder}/run.xlsx"), ["run.xlsx", ".csv"]),
         (("effects", "--json", "{folder}/nowhere/e.json"), ["nowhere", "does not exist"]),
-        (("effects", "--json", "{folder}"), ["irectory"]),
+        (("effects", "--json", "{folder}"), ["is a folder"]),
     ],
 )
 def test_bad_input_is_one_message_and_status_2(
@@ -156,18 +158,58 @@ def test_an_unreadable_file_is_bad_input(
     assert (done.status, done.err) == (2, f"{tmp_path / 'locked.csv'}: Permission denied.\n")
 
 
-def test_an_error_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only bad input becomes a message; a bug keeps its traceback."""
+def a_command(monkeypatch: pytest.MonkeyPatch, does: Callable[[], object]) -> None:
+    """Let `patu demo` do something else."""
 
-    def broken(name: str) -> Callable[..., None]:
-        def command() -> None:
-            raise ZeroDivisionError
+    def command() -> None:
+        does()
 
-        return command
+    monkeypatch.setattr(main, "load", lambda name: command)
 
-    monkeypatch.setattr(main, "load", broken)
-    with pytest.raises(ZeroDivisionError):
-        main.run(["demo"])
+
+def test_a_fault_of_the_program_is_one_message_that_names_the_file_with_its_traceback(
+    patu: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def fail() -> None:
+        with errors.doing("reading lift.csv"), output.progress("Filter"):
+            raise ZeroDivisionError("by nothing")
+
+    a_command(monkeypatch, fail)
+    done = patu("demo")
+    assert done.status == 2 and len(done.err.splitlines()) == 1
+    for part in ("patu demo failed (Filter, reading lift.csv)", "ZeroDivisionError: by nothing"):
+        assert part in done.err
+    (file,) = tmp_path.iterdir()
+    assert str(file) in done.err
+    assert "Traceback" in file.read_text() and "patu demo" in file.read_text()
+
+
+@pytest.mark.parametrize(
+    ("problem", "said"),
+    [
+        (OSError(28, "No space left on device", "run.csv"), "run.csv: No space left on device.\n"),
+        (OSError(12, "Cannot allocate memory"), "patu demo: Cannot allocate memory.\n"),
+        (MemoryError("Unable to allocate 7 TiB"), "patu demo: there is not enough memory. Unable to allocate 7 TiB\n"),
+    ],
+)
+def test_what_the_machine_refuses_is_one_message(
+    patu: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch, problem: Exception, said: str
+) -> None:
+    def fail() -> None:
+        raise problem
+
+    a_command(monkeypatch, fail)
+    assert (patu("demo").status, patu("demo").err) == (2, said)
+
+
+@pytest.mark.parametrize(
+    "words", [("--duration", "inf"), ("--error", "nan"), ("--jobs", "0"), ("--step", "inf"), ("--step", "1e-9")]
+)
+def test_numbers_that_are_none_are_refused(patu: Callable[..., Ended], words: tuple[str, str]) -> None:
+    done = patu("montecarlo", *words)
+    assert done.status == 2 and words[0] in done.err and "Traceback" not in done.err
 
 
 # -- interruption ----------------------------------------------------------------------------------------------------
@@ -197,6 +239,65 @@ def test_an_interrupted_command_leaves_nothing_and_no_traceback(tmp_path: Path, 
     assert process.returncode == status
     assert "Traceback" not in err and "half-written" in err
     assert list(tmp_path.iterdir()) == []
+
+
+STUCK = {
+    # numba turns an exception that a signal's handler raised while compiled code is called into a SystemError
+    "changed": "    try: time.sleep(60)\n    except BaseException as problem: raise SystemError('result with an exception set') from problem\n",
+    "swallowed": "    try: time.sleep(60)\n    except BaseException: pass\n    time.sleep(60)\n",
+    "waiting": "    with ThreadPoolExecutor(1) as pool: pool.submit(time.sleep, 60)\n",
+}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", list(STUCK))
+def test_a_signal_ends_the_program_whatever_becomes_of_its_exception(how: str, number: signal.Signals) -> None:
+    code = (
+        "import patu.main as m, time, signal\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "def command():\n    print('ready', flush=True)\n"
+        + STUCK[how]
+        + "m.load = lambda name: command\nm.run(['demo'])"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    _, err = process.communicate(timeout=15)
+    assert (process.returncode, len(err.splitlines())) == (128 + number, 1), err
+
+
+def test_an_ignored_interrupt_stays_ignored() -> None:
+    """As a shell asks for what it starts in the background."""
+    code = (
+        "import patu.main as m, os, signal\n"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        "m.load = lambda name: lambda: os.kill(os.getpid(), signal.SIGINT)\nm.run(['demo'])"
+    )
+    assert as_process(code=code).returncode == 0
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_terminal_without_all_signs_gets_others(encoding: str, tmp_path: Path) -> None:
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(
+        [sys.executable, "-m", "patu", "effects", "sensor_lag", "--json", "-"],
+        capture_output=True, timeout=60, env=environment,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, b"")
+    json.loads(done.stdout.decode("utf-8"))
+    code = "import patu.main as m\nm.load = lambda name: lambda: print('ż1 ± 2° → … \\udcff 漢')\nm.run(['demo'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60, env=environment)
+    wanted = "dz1 +- 2deg -> ... ? ?" if encoding == "ascii" else "dz1 ± 2° -> ... ? ?"
+    assert (done.stderr, done.stdout.decode(encoding)) == (b"", wanted + "\n")
+
+
+def test_a_full_standard_output_is_one_message() -> None:
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "patu", "effects"], stdout=full, stderr=subprocess.PIPE, timeout=60
+        )
+    assert (done.returncode, done.stderr) == (2, b"standard output: No space left on device.\n")
 
 
 def test_a_reader_that_has_seen_enough_is_no_error() -> None:

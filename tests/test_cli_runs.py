@@ -157,6 +157,13 @@ def test_estimate_refuses_results_that_it_could_not_write_before_it_works(
     assert part in capsys.readouterr().err
 
 
+def test_steps_without_number_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main.run(["simulate", *FAST, "--step", "1e-9"])
+    assert leaving.value.code == 2
+    assert "2.5e+10 steps" in capsys.readouterr().err
+
+
 # -- demo ------------------------------------------------------------------------------------------------------------
 
 

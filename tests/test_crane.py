@@ -51,6 +51,42 @@ def test_a_crane_cannot_be_changed_in_place(crane):
     assert crane["payload.mass"] == 25.0
 
 
+def test_nothing_in_a_file_ends_in_anything_but_a_message_that_names_it(crane, tmp_path):
+    """Every key in turn gets values of every other kind; what is refused is refused with the file's name."""
+    lines = crane.with_effect("dead_band@tilt", {"lower": 0.1}).with_history({"n": 1}).to_toml().splitlines()
+    own = ("[sensors]", "[[effect]]", "[[history]]", "[initial]")
+    keys = [i for i, line in enumerate(lines) if "=" in line and (i % 9 == 0 or lines[i - 1] in own)]
+    changed = [[*lines[:i], f"{lines[i].split('=')[0]} = {v}", *lines[i + 1 :]] for i in keys for v in ODD]
+    whole = ("effect", "history", "bodies", "sensors", "initial", "uncertainty", "sources", "valves")
+    for name in whole:
+        rest = [line.replace(f"[[{name}]]", "[zz]").replace(f"[{name}]", "[zz]") for line in lines]
+        changed += [[f"{name} = {v}", *rest] for v in ODD]
+    file, refused = tmp_path / "odd.toml", 0
+    for text in changed:
+        file.write_text("\n".join(text))
+        try:
+            Crane.load(file)
+        except CraneError as refusal:
+            refused += 1
+            assert str(file) in str(refusal)
+    assert refused > len(changed) / 2
+
+
+ODD = ("5", "-1", "inf", "nan", "true", '"x"', "[]", "[1]", "[[1]]", "{}", "{ a = 1 }", "1979-05-27", "1" + "0" * 400)
+
+
+def test_lists_without_an_end_are_refused(tmp_path):
+    (tmp_path / "deep.toml").write_text("a = " + "[" * 20000)
+    with pytest.raises(CraneError, match=r"deep\.toml.*too deep"):
+        Crane.load(tmp_path / "deep.toml")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_files_of_editors_on_windows_are_read(crane, tmp_path, encoding):
+    (tmp_path / "crane.toml").write_text(crane.to_toml(), encoding=encoding, newline="\r\n")
+    assert Crane.load(tmp_path / "crane.toml") == crane
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
@@ -27,6 +26,7 @@ from .search.lean import leaner
 from .search.manoeuvre import best_manoeuvre
 from .search.screen import Score, screen
 from .search.weigh import Hypothesis, Weighed, at_bound, deviations, fitted_values, open_loop_error, weigh
+from .workers import results_of
 
 Verdict = str
 #: a model is good enough when its level is below LEVEL and at most this share of short windows stays unexplained
@@ -238,16 +238,7 @@ def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
     """Return the results of tasks (function, *arguments) from worker processes that know the user's own effects."""
     if jobs == 1 or len(tasks) < 2:
         return [function(*arguments) for function, *arguments in tasks]
-    files = registry.user_files()
-    return list(
-        Parallel(n_jobs=min(jobs, len(tasks)), max_nbytes=None)(delayed(_in_worker)(files, *task) for task in tasks)
-    )
-
-
-def _in_worker(files: Sequence[Path], function: Callable[..., Any], *arguments: Any) -> Any:
-    for file in files:
-        registry.load_file(file)
-    return function(*arguments)
+    return list(results_of(tasks, min(jobs, len(tasks))))
 
 
 def diagnose(

@@ -21,6 +21,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
+from crane_exudyn.files import write_text
 from crane_exudyn.inputs import SpoolPath
 from ukf.consistency import mean_bounds, nees
 from ukf.estimator import Estimator
@@ -31,6 +32,7 @@ from ukf.process import engine_of
 from ukf.signals import Signals
 
 from . import paper
+from .workers import results_of
 
 #: shares of the run at which NEES is compared over the runs: instants of one run are not independent
 CHECKPOINTS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
@@ -200,15 +202,13 @@ def run_series(
     Raises:
         CraneError: the file belongs to another series.
     """
-    from joblib import Parallel, delayed
-
     crane = crane if crane is not None else Crane.load("patu655")
     path = None if file is None else Path(file)
     done = {} if path is None else finished(path, settings, crane)
     missing = [k for k in range(runs) if k not in done]
     with backend(scheduler):
-        calls = (delayed(one_run)(settings, k, crane) for k in missing)
-        for result in Parallel(n_jobs=jobs if scheduler is None else -1, return_as="generator_unordered")(calls):
+        tasks, elsewhere = [(one_run, settings, k, crane) for k in missing], scheduler is not None
+        for result in results_of(tasks, -1 if elsewhere else jobs, "generator_unordered", elsewhere=elsewhere):
             done[result["run"]] = result
             if path is not None:
                 append(path, result)
@@ -242,13 +242,9 @@ def finished(path: Path, settings: Settings, crane: Crane) -> dict[int, dict[str
     """
     head = {"settings": asdict(settings), "crane": crane.to_toml()}
     if not path.exists():
-        if not path.resolve().parent.is_dir():
-            raise CraneError(
-                f"{path}: the folder {path.resolve().parent} does not exist. Create it, or give another path."
-            )
-        path.write_text(json.dumps(head) + "\n", encoding="utf-8")
+        write_text(path, json.dumps(head) + "\n")
         return {}
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
     found = [_parsed(line) for line in lines]
     if not found or found[0] != head:
         raise CraneError(
@@ -256,7 +252,7 @@ def finished(path: Path, settings: Settings, crane: Crane) -> dict[int, dict[str
         )
     whole = [line for line, value in zip(lines, found, strict=True) if value is not None]
     if len(whole) < len(lines):
-        path.write_text("".join(whole), encoding="utf-8")
+        write_text(path, "".join(whole))
     return {r["run"]: r for r in found[1:] if r is not None}
 
 
@@ -271,5 +267,10 @@ def _parsed(line: str) -> dict[str, Any] | None:
 
 def append(path: Path, result: dict[str, Any]) -> None:
     """Add one run to the file, as one write."""
-    with path.open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(result) + "\n")
+    try:
+        with path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(result) + "\n")
+    except OSError as problem:
+        raise CraneError(
+            f"{path}: run {result['run']} cannot be added: {problem.strerror}. Make room; the series goes on from there."
+        ) from problem

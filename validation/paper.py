@@ -30,6 +30,7 @@ from ukf.signals import Signals
 from ukf.tuning import cut
 
 from . import metrics
+from .workers import results_of
 
 STATES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
 #: PN-RMSE in %, 15 % case, first input set, as published
@@ -323,15 +324,13 @@ def reproduce(
     Args:
         jobs: processes; one input set is one piece of work, since its cases share the real system.
     """
-    from joblib import Parallel, delayed
-
     begin = clock.perf_counter()
     crane = crane if crane is not None else Crane.load("patu655")
     work = [(error, i) for i in inputs for error in model_errors]
-    calls = (delayed(_both_tunings)(error, i, engine, seed, tuple(tunings), crane) for error, i in work)
+    tasks = [(_both_tunings, error, i, engine, seed, tuple(tunings), crane) for error, i in work]
     documents: list[dict[str, Any]] = []
     shown: dict[str, Case] = {}
-    for k, (found, cases) in enumerate(Parallel(n_jobs=jobs, return_as="generator")(calls)):
+    for k, (found, cases) in enumerate(results_of(tasks, jobs)):
         documents += found
         shown |= cases
         if progress is not None:

@@ -103,6 +103,8 @@ def bars(labels: Sequence[str], groups: Mapping[str, Sequence[float]], *, axis: 
         axes.grid(axis="y", visible=False)
         if log:
             axes.set_xscale("log")
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter("")
     if len(groups) > 1:
         legend_above(made)
     return made

@@ -23,6 +23,7 @@ import numpy as np
 from crane_exudyn.errors import CraneError
 
 from .hidden import SEVERITIES, HiddenCase, hideable, make_case
+from .workers import results_of
 
 #: kinds of ten consecutive cases of a plan
 _PATTERN = ("effect", "none", "effect", "two", "effect", "parameters", "effect", "unknown", "effect", "effect")
@@ -142,11 +143,9 @@ def _folder_line(folder: Path, name: str) -> dict[str, Any]:
 
 def run(results: Path, tasks: Sequence[tuple[Any, ...]], *, jobs: int = 1) -> None:
     """Run tasks (name, function, arguments) that `results` does not hold yet; a line is added as each is done."""
-    from joblib import Parallel, delayed
-
     done = {line["name"] for line in read(results)} if results.exists() else set()
-    left = [(f, a) for name, f, a in tasks if name not in done]
-    for line in Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(f)(*a) for f, a in left):
+    left = [(f, *a) for name, f, a in tasks if name not in done]
+    for line in results_of(left, jobs, "generator_unordered"):
         with results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         print(told(line), file=sys.stderr, flush=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
@@ -17,6 +19,11 @@ from ..history import added
 from .candidates import scaled, starts
 from .screen import screen
 from .weigh import Hypothesis, at_bound, deviations, fitted_values, open_loop_error, weigh
+
+
+def helped(document: Mapping[str, Any]) -> bool:
+    """Return whether a fit, as `fitted_effect` tells of it, made the open-loop error smaller with a likelihood that exists."""
+    return bool(np.isfinite(document["evidence"]) and document["error_after"] < document["error_before"])
 
 
 def fitted_effect(

@@ -1,0 +1,97 @@
+"""One call of a command: its options are checked and its outputs planned before it begins."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, get_type_hints
+
+import typer
+
+from crane_exudyn.errors import CraneError
+from crane_exudyn.files import noting_written
+
+from .output import STANDARD_OUTPUT
+from .outputs import Reads, Target, Writes, plan, remember
+
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Replace files that are there already, also those that patu did not write.")
+]
+
+
+class Option(NamedTuple):
+    """An option or argument of a command: how it is typed, and what its file is for."""
+
+    flag: str
+    role: Reads | Writes | None
+
+
+def checked(command: Callable[..., None]) -> Callable[..., None]:
+    """Return the command for typer, with the option --force, and with everything checked before it is called."""
+    known = options_of(command)
+
+    def call(*, force: bool, **values: Any) -> None:
+        for name, value in values.items():
+            _check_finite(known[name].flag, value)
+        plan(_targets(known, values), _inputs(known, values), force=force)
+        with noting_written() as written:
+            try:
+                command(**values)
+            finally:
+                remember(written)
+
+    hints = get_type_hints(command, include_extras=True) | {"force": ForceOption}
+    parameters = [p.replace(annotation=hints[p.name]) for p in inspect.signature(command).parameters.values()]
+    force = inspect.Parameter("force", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=ForceOption)
+    call.__signature__ = inspect.Signature([*parameters, force])  # type: ignore[attr-defined]
+    call.__annotations__ = hints
+    return call
+
+
+def options_of(command: Callable[..., None]) -> dict[str, Option]:
+    """Return the options of a command by the name of their parameter."""
+    found = {}
+    for name, hint in get_type_hints(command, include_extras=True).items():
+        marks = getattr(hint, "__metadata__", ())
+        role = next((m for m in marks if isinstance(m, Reads | Writes)), None)
+        found[name] = Option(next((_flag(name, m) for m in marks if not isinstance(m, Reads | Writes)), name), role)
+    return found
+
+
+def _flag(name: str, information: Any) -> str:
+    """Return how an option is typed, in its short form where it has one, or the name of an argument."""
+    declared = [d for d in (information.default, *(information.param_decls or ())) if isinstance(d, str)]
+    usual = f"--{name.replace('_', '-')}"
+    return str(information.metavar or name) if _is_argument(information) else min(declared, key=len, default=usual)
+
+
+def _is_argument(information: Any) -> bool:
+    return isinstance(information, type(typer.Argument()))
+
+
+def _check_finite(flag: str, value: Any) -> None:
+    for number in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(number, float) and not math.isfinite(number):
+            raise CraneError(f"{flag} {number}: expected a finite number.")
+
+
+def _targets(known: Mapping[str, Option], values: Mapping[str, Any]) -> list[Target]:
+    """Return the outputs that one call asks for."""
+    return [
+        Target(known[name].flag, str(value), Path(os.path.realpath(value)), role)
+        for name, value in values.items()
+        if isinstance(role := known[name].role, Writes) and value is not None and str(value) != STANDARD_OUTPUT
+    ]
+
+
+def _inputs(known: Mapping[str, Option], values: Mapping[str, Any]) -> list[str]:
+    """Return the files that one call names for reading."""
+    found: list[str] = []
+    for name, value in values.items():
+        role = known[name].role
+        if isinstance(role, Reads) and value is not None:
+            found += [role.file(str(v)) for v in (value if isinstance(value, list | tuple) else [value])]
+    return found

@@ -1,0 +1,295 @@
+"""Outputs of commands: nothing is overwritten that is not the program's own, and no result is lost."""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import get_type_hints
+
+import numpy as np
+import pytest
+
+from crane_exudyn import Crane, Recording, files, plots
+from crane_exudyn.errors import CraneError
+from patu import calls, main, outputs
+from patu.output import Printer
+from validation.search import fitted as fitting
+
+GOOD = "time[s],u1,u2,z1[deg],z4[deg]\n" + "".join(f"{0.01 * k:.2f},0,0,10,-40\n" for k in range(21))
+
+
+@pytest.fixture
+def patu(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., SimpleNamespace]:
+    """Run one command line in an empty folder that holds the recording l.csv."""
+    monkeypatch.chdir(tmp_path)
+    Path("l.csv").write_text(GOOD)
+
+    def call(*words: str) -> SimpleNamespace:
+        with pytest.raises(SystemExit) as leaving:
+            main.run(words)
+        captured = capsys.readouterr()
+        return SimpleNamespace(status=leaving.value.code, out=captured.out, err=captured.err)
+
+    return call
+
+
+SIMULATE = ("simulate", "--inputs", "l.csv", "--engine", "semi-recursive")
+
+
+# -- an input is never an output -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (*SIMULATE, "-o", "l.csv"),
+        (*SIMULATE, "-o", "./x/../l.csv"),
+        (*SIMULATE, "-o", "soft.csv"),
+        (*SIMULATE, "-o", "hard.csv"),
+        (*SIMULATE, "--json", "l.csv"),
+        (*SIMULATE, "--crane", "own.toml", "--json", "own.toml"),
+        ("estimate", "l.csv", "-o", "l.csv"),
+        ("estimate", "l.csv", "--effects", "mine.py", "--json", "mine.py"),
+        ("compare", "l.csv", "--json", "l.csv"),
+        ("compare", "where.png", "-o", "."),
+        ("diagnose", "other.csv", "--check", "l.csv", "--json", "l.csv"),
+        ("improve", "l.csv", "-o", "l.csv"),
+        ("add", "dead_band@tilt", "--fit", "l.csv", "-o", "l.csv"),
+        ("add", "dead_band@tilt", "--crane", "own.toml", "-o", "own.toml"),
+        ("render", "other.csv", "--ghost", "a=l.csv", "--save-solution", "l.csv"),
+    ],
+)
+def test_an_input_is_never_an_output(patu: Callable[..., SimpleNamespace], words: tuple[str, ...]) -> None:
+    os.symlink("l.csv", "soft.csv")
+    os.link("l.csv", "hard.csv")
+    Path("x").mkdir()
+    for name in ("other.csv", "own.toml", "mine.py", "where.png"):
+        Path(name).write_text(GOOD)
+    done = patu(*words, "--force")
+    assert done.status == 2 and "read by this command" in done.err and len(done.err.splitlines()) == 1
+    assert all(Path(n).read_text() == GOOD for n in ("l.csv", "other.csv", "own.toml", "mine.py", "where.png"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (*SIMULATE, "-o", "run.csv", "--json", "./run.csv"),
+        ("estimate", "l.csv", "--json", "new/report.html", "--report", "new"),
+        ("estimate", "l.csv", "--json", "out", "--report", "out"),
+        ("estimate", "l.csv", "-o", "x.csv", "--report", "x.csv/r"),
+        ("compare", "l.csv", "--json", "new/where.png", "-o", "new"),
+        ("estimate", "l.csv", "-o", "to-l.csv", "--json", "to-l-too.csv"),
+    ],
+)
+def test_two_outputs_never_share_a_file(patu: Callable[..., SimpleNamespace], words: tuple[str, ...]) -> None:
+    Path("new").mkdir()
+    for name in ("to-l.csv", "to-l-too.csv"):
+        os.symlink("new/one.csv", name)
+    done = patu(*words, "--force")
+    assert done.status == 2 and "the same file" in done.err and list(Path("new").iterdir()) == []
+
+
+# -- files that stand there already ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz", "run.mat", "run.parquet"])
+def test_a_file_is_replaced_if_the_program_wrote_it_and_nobody_changed_it(
+    patu: Callable[..., SimpleNamespace], name: str
+) -> None:
+    file = Path(name)
+    assert patu(*SIMULATE, "-o", name).status == 0
+    assert patu(*SIMULATE, "-o", name).status == 0
+    file.rename(f"moved-{name}")
+    assert patu(*SIMULATE, "-o", f"moved-{name}").status == 0
+    file.write_bytes(Path(f"moved-{name}").read_bytes() + b"\n")
+    edited = file.read_bytes()
+    done = patu(*SIMULATE, "-o", name)
+    assert done.status == 2 and name in done.err and "--force" in done.err
+    assert file.read_bytes() == edited
+    assert patu(*SIMULATE, "-o", name, "--force").status == 0
+    assert file.read_bytes() != edited
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ("e.json", ("effects", "--json", "e.json")),
+        ("c.toml", ("add", "dead_band@tilt", "-o", "c.toml")),
+        ("out/report.html", ("demo", "-o", "out")),
+        ("out/states.csv", ("demo", "-o", "out")),
+        ("r/report.html", ("estimate", "l.csv", "--report", "r")),
+        ("out/figure5_own.png", ("paper", "-o", "out")),
+    ],
+)
+def test_what_somebody_else_wrote_is_not_replaced(
+    patu: Callable[..., SimpleNamespace], target: str, words: tuple[str, ...]
+) -> None:
+    file = Path(target)
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("# written by patu, or so it says\n")
+    done = patu(*words)
+    assert done.status == 2 and target in done.err and "--force" in done.err and done.out == ""
+    assert file.read_text() == "# written by patu, or so it says\n"
+
+
+def test_an_empty_file_holds_nothing_to_lose(patu: Callable[..., SimpleNamespace]) -> None:
+    Path("e.json").touch()
+    assert patu("effects", "--json", "e.json").status == 0
+
+
+def test_where_the_list_cannot_be_kept_it_is_said(
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(Path("l.csv").resolve()))
+    done = patu("effects", "--json", "e.json")
+    assert done.status == 0 and "--force" in done.err and json.loads(Path("e.json").read_text())
+    assert patu("effects", "--json", "e.json").status == 2
+
+
+@pytest.mark.parametrize("name", list(main.COMMANDS))
+def test_every_file_of_every_command_is_read_or_written(name: str) -> None:
+    """A new option that names a file must say what it does with it, or nothing would protect that file."""
+    command = main.load(name)
+    found = calls.options_of(command)
+    for parameter, hint in get_type_hints(command).items():
+        if "Path" in str(hint):
+            assert found[parameter].role is not None, f"patu {name}: {found[parameter].flag}"
+    assert found["json"].flag == "--json" and isinstance(found["json"].role, outputs.Writes)
+
+
+# -- places are checked before the work ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (("estimate", "l.csv", "--plot", "nodir/x.png"), "nodir"),
+        (("estimate", "l.csv", "--plot", "x.xyz"), ".png"),
+        (("estimate", "l.csv", "-o", "folder"), "folder"),
+        (("estimate", "l.csv", "--report", "l.csv"), "l.csv"),
+        (("estimate", "l.csv", "--report", "/proc/report"), "/proc"),
+        (("estimate", "l.csv", "--json", "x" * 300), "File name too long"),
+        (("diagnose", "l.csv", "--plot", "x.xyz"), ".svg"),
+        (("improve", "l.csv", "-o", "new.toml", "--plot", "nodir/x.png"), "nodir"),
+        (("improve", "l.csv", "-o", "folder"), "folder"),
+        (("add", "dead_band@tilt", "-o", "/dev/null"), "device"),
+        (("render", "l.csv", "-o", "film.avi"), ".gif"),
+        (("render", "l.csv", "--save-solution", "nodir/x.txt"), "nodir"),
+        (("montecarlo", "-o", "nodir/runs.jsonl"), "nodir"),
+        (("crosscheck", "--json", "/sys/x.json"), "/sys"),
+    ],
+)
+def test_a_place_that_cannot_be_written_to_is_refused_before_the_work(
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], part: str
+) -> None:
+    Path("folder").mkdir()
+    monkeypatch.setattr(Recording, "load", lambda *a, **k: pytest.fail("work has begun"))
+    done = patu(*words)
+    assert done.status == 2 and part in done.err and len(done.err.splitlines()) == 1
+    assert sorted(p.name for p in Path().iterdir()) == ["folder", "l.csv"]
+    assert not Path("/dev/null").is_file()
+
+
+def test_a_link_stays_a_link_and_long_names_are_written(tmp_path: Path) -> None:
+    os.symlink("real.txt", tmp_path / "link.txt")
+    files.write_text(tmp_path / "link.txt", "new")
+    assert (tmp_path / "real.txt").read_text() == "new" and (tmp_path / "link.txt").is_symlink()
+    files.write_text(tmp_path / ("x" * 250), "new")
+    with files.replacing(tmp_path / "run.csv.gz") as temporary:
+        assert temporary.name.endswith(".csv.gz")
+        temporary.write_bytes(gzip.compress(b""))
+
+
+# -- results that could not be saved ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Let every write into the working folder end as on a disk that is full."""
+    usual = files._beside
+
+    def beside(target: Path) -> Path:
+        if target.parent == tmp_path:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return usual(target)
+
+    monkeypatch.setattr(files, "_beside", beside)
+
+
+def test_a_result_that_could_not_be_saved_is_printed_or_saved_elsewhere(
+    patu: Callable[..., SimpleNamespace], full: None
+) -> None:
+    done = patu(*SIMULATE, "-o", "run.csv", "--json", "run.json")
+    assert done.status == 2 and "Traceback" not in done.err
+    first, second = done.err.splitlines()
+    assert first.startswith("run.csv: cannot be written: No space left on device. The result is in /")
+    assert second.startswith("run.json: cannot be written: No space left on device.")
+    assert Recording.load(first.split()[-2]).has("z1")
+    assert json.loads(done.out[done.out.index("{") :])["instants"] == 21
+
+
+def test_a_crane_that_could_not_be_saved_is_printed(patu: Callable[..., SimpleNamespace], full: None) -> None:
+    done = patu("add", "dead_band@tilt", "-o", "new.toml")
+    assert done.status == 2 and "new.toml" in done.err
+    Path("kept.toml").write_text(done.out)
+    assert [e.key for e in Crane.load("kept.toml").effects] == ["dead_band@tilt"]
+
+
+def test_a_name_with_any_signs_is_drawn_as_it_is() -> None:
+    made = plots.figure()
+    plots.entitle(made, r"a$\x{b.csv against a$\x{b.csv")
+    plots.draw_lines(made.axes[0], np.arange(3.0), {r"$\x{$": np.arange(3.0)}, channel="z1")
+    plots.legend_above(made)
+    assert plots.png(made).startswith(b"\x89PNG")
+
+
+def test_a_figure_that_cannot_be_drawn_does_not_lose_the_rest(tmp_path: Path) -> None:
+    def fail(path: Path) -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError), outputs.saving(Printer()) as save:
+        save(tmp_path / "x.png", fail)
+        save(tmp_path / "x.txt", lambda path: files.write_text(path, "kept"))
+    assert (tmp_path / "x.txt").read_text() == "kept"
+
+
+def test_a_failing_writer_names_the_file_that_it_was_to_write(tmp_path: Path) -> None:
+    with (
+        pytest.raises(CraneError, match=r"run\.csv: cannot be written: No space left"),
+        files.replacing(tmp_path / "run.csv"),
+    ):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- a fit that did not help -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("evidence", "after", "helped"),
+    [(-np.inf, 1.5, False), (120.0, 2.5, False), (np.nan, 1.0, False), (120.0, 1.5, True)],
+)
+def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch, evidence: float, after: float, helped: bool
+) -> None:
+    def fitted(crane: Crane, key: str, *_: object) -> tuple[Crane, dict[str, object]]:
+        return crane.with_effect(key, {"lower": 0.1}), {"evidence": evidence, "error_before": 2.0, "error_after": after}
+
+    monkeypatch.setattr(fitting, "fitted_effect", fitted)
+    words = ("add", "dead_band@tilt", "--fit", "l.csv", "-o", "new.toml", "--json", "new.json")
+    done = patu(*words)
+    assert done.status == (0 if helped else 1)
+    assert Path("new.toml").exists() == helped
+    assert json.loads(Path("new.json").read_text())["helped"] is helped
+    if not helped:
+        assert "did not help: error 2 before" in done.out and "--anyway" in done.out
+        assert patu(*words[:4]).out.count("[[effect]]") == 0
+        assert patu(*words, "--anyway").status == 1
+        assert Crane.load("new.toml").effect("dead_band@tilt") is not None

@@ -1,0 +1,75 @@
+"""Worker processes: they end with the process that started them, and one that dies is told in one message."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from crane_exudyn.errors import CraneError
+from validation.workers import results_of
+
+TIMEOUT = 20.0
+
+
+def note_and_sleep(folder: Path, number: int) -> None:
+    (folder / str(number)).write_text(str(os.getpid()))
+    time.sleep(60)
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def handles_interrupts() -> bool:
+    return signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+
+
+def alive(pid: int) -> bool:
+    """Return whether a process runs; one that has ended and that nobody has waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
+
+
+def wait_until(condition: object) -> None:
+    end = time.monotonic() + TIMEOUT
+    while not condition():  # type: ignore[operator]
+        assert time.monotonic() < end, "too long"
+        time.sleep(0.05)
+
+
+def test_one_after_the_other_or_in_processes() -> None:
+    assert list(results_of([(abs, -1), (abs, -2)], 1)) == [1, 2]
+    assert list(results_of([(abs, -1), (abs, -2)], 2)) == [1, 2]
+    assert list(results_of([(handles_interrupts,)] * 2, 2)) == [False, False]
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[2])\n"
+        "from pathlib import Path; from test_workers import note_and_sleep; from validation.workers import results_of\n"
+        "list(results_of([(note_and_sleep, Path(sys.argv[1]), k) for k in (0, 1)], 2))"
+    )
+    here = str(Path(__file__).parent)
+    parent = subprocess.Popen([sys.executable, "-c", code, str(tmp_path), here])
+    try:
+        wait_until(lambda: len([p for p in tmp_path.iterdir() if p.read_text()]) == 2)
+        workers = [int(p.read_text()) for p in tmp_path.iterdir()]
+        assert all(alive(pid) for pid in workers)
+    finally:
+        parent.kill()
+        parent.wait()
+    wait_until(lambda: not any(alive(pid) for pid in workers))
+
+
+@pytest.mark.filterwarnings("ignore")  # joblib complains of what the dead worker left behind
+def test_a_worker_that_was_killed_is_one_message() -> None:
+    with pytest.raises(CraneError, match="ended from outside"):
+        list(results_of([(die,), (die,)], 2))

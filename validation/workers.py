@@ -1,0 +1,88 @@
+"""Work for several processes of this machine, or of a Dask cluster, through joblib."""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+from crane_exudyn.effects import registry
+from crane_exudyn.errors import CraneError
+
+Task = tuple[Any, ...]
+_LOOK = 0.5  # s
+
+
+def results_of(
+    tasks: Sequence[Task],
+    jobs: int,
+    order: Literal["generator", "generator_unordered"] = "generator",
+    *,
+    elsewhere: bool = False,
+) -> Iterator[Any]:
+    """Yield the results of tasks (function, *arguments), which know the user's own effects.
+
+    Worker processes leave Ctrl-C to the process that started them, and end with it, however it ends.
+
+    Args:
+        tasks: functions of modules, with arguments that can be pickled.
+        jobs: processes; one task after the other in this process for 1, as many as there are for -1.
+        order: whether results come in the order of the tasks, or as they are done.
+        elsewhere: joblib has been told of a scheduler whose workers may be on other machines.
+
+    Raises:
+        CraneError: a worker process was ended from outside.
+    """
+    from joblib import Parallel, delayed
+
+    parent = None if elsewhere else os.getpid()
+    calls = [delayed(_in_worker)(parent, registry.user_files(), *task) for task in tasks]
+    try:
+        with _deaf_to_interrupts():
+            results = Parallel(n_jobs=jobs, return_as=order, max_nbytes=None)(calls)
+        yield from results
+    except BrokenProcessPool as problem:
+        raise CraneError(
+            f"A worker process was ended from outside, as the system does when memory runs out ({jobs} processes). "
+            "Run it again with a smaller --jobs."
+        ) from problem
+
+
+def _in_worker(parent: int | None, files: Sequence[Path], function: Callable[..., Any], *arguments: Any) -> Any:
+    if parent not in (None, os.getpid()):
+        _end_with(parent)
+    for file in files:
+        registry.load_file(file)
+    return function(*arguments)
+
+
+@functools.cache
+def _end_with(parent: int) -> None:
+    """Let this process end as soon as `parent` is no longer the one that it belongs to."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Ignore Ctrl-C for the moment in which processes are started: they inherit that, down to their first import."""
+    if threading.current_thread() is not threading.main_thread():  # only there signals can be set
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
