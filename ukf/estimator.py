@@ -8,7 +8,7 @@ estimate = estimator.run(recording)                            # the whole state
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,12 @@ from .channels import Channels
 from .estimate import Estimate, Recorder
 from .filter import Belief, FilterError
 from .methods import method_of
-from .monitor import ABSENT, USED, Monitor
+from .monitor import ABSENT, FASTEST, OUTLIER, USED, Monitor, leaps
 from .noise import ProcessNoise, measurement_noise
 from .process import Process, engine_of
-from .start import start_belief
+from .second_opinion import SecondOpinion
+from .signals import LONG_GAP, Plan, Signals
+from .start import ANGLE, RIVALS, start_belief, taken
 
 #: noise standard deviations where neither the user, the crane file nor the recording says any, SI
 DEFAULT_STD = {
@@ -33,6 +35,10 @@ DEFAULT_STD = {
     "p1": 5e4, "p2": 5e4, "p3": 5e4, "p4": 5e4, "s1": 1e-3, "s2": 1e-3,
 }  # fmt: skip
 SUPPLY = ("pp", "pt")
+#: in the first so many seconds of a recording a leap puts the start in doubt
+_EARLY = 1.0
+#: what a step of the filter may end in
+_FAILURES = (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError)
 
 
 @dataclass(frozen=True)
@@ -132,6 +138,7 @@ class Estimator:
         self.count = 0
         self.events: list[tuple[float, str, str]] = []
         self._monitor = Monitor(self._channels.names, self._std, self._gate)
+        self._opinion: SecondOpinion | None = None
         self._spool = None
         self._last_input: np.ndarray | None = None
         self._last_command: np.ndarray | None = None
@@ -237,21 +244,31 @@ class Estimator:
 
         `spread` is what the measurements may be off by, beside their noise, because the crane moves already.
         """
-        std = {n: float(np.hypot(s, (spread or {}).get(n, 0.0))) for n, s in self.std_of.items()}
-        start = self._start if self._start is not None else start_belief(self.crane, self.engine, first, std)
+        start = self._start if self._start is not None else self._shown(first, spread or {})
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
-        n = self._engine_states
-        mean[:n], covariance[:n, :n] = start.mean, start.covariance
-        for k, extra in enumerate(self._extras):
-            at = n + len(self._channels.lags) + k
-            mean[at], covariance[at, at] = extra.value, extra.std**2
-        for k, (row, _) in enumerate(self._channels.lags):
-            mean[n + k] = self._channels.read(mean[None])[0, row]
-            covariance[n + k, n + k] = self._std[row] ** 2
+        extras = slice(self._engine_states + len(self._channels.lags), None)
+        mean[extras] = [e.value for e in self._extras]
+        covariance[extras, extras] = np.diag([e.std**2 for e in self._extras])
+        self._set_states(start, mean, covariance)
         self._opened = covariance
         self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)))
         self.belief = self._method.begin(mean, covariance)
+        self._monitor.begin(time, taken(first) if self._start is None else ())
+        self._opinion = None
         self.time = time
+
+    def _shown(self, first: Mapping[str, float], spread: Mapping[str, float]) -> Belief:
+        """Return the belief (8, …) in which the sensors show `first`, give or take their noise and `spread`."""
+        std = {n: float(np.hypot(self.std_of.get(n, 0.0), spread.get(n, 0.0))) for n in {*self.std_of, *spread}}
+        return start_belief(self.crane, self.engine, first, std)
+
+    def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
+        """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n, n)."""
+        n = self._engine_states
+        mean[:n], covariance[:n, :n] = start.mean, start.covariance
+        for k, (row, _) in enumerate(self._channels.lags):
+            mean[n + k] = self._channels.read(mean[None])[0, row]
+            covariance[n + k, n + k] = self._std[row] ** 2
 
     def _advance(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None = None
@@ -262,15 +279,107 @@ class Estimator:
         """
         try:
             result = self._predict_and_correct(times, inputs, values, recorder)
-        except (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError) as problem:
+        except _FAILURES as problem:
             self._restart(float(times[-1]), str(problem))
-            unknown = np.full(values.size, np.nan)
-            result = unknown, unknown.copy(), np.full(values.size, ABSENT, np.uint8), float("nan"), 0.0
+            result = self._nothing(values.size)
             if recorder is not None and recorder.smooth:
                 recorder.cut(self.belief)
         self.time = float(times[-1])
         self.count += 1
+        if self._opinion is not None or (result[2] == OUTLIER).any():
+            self._doubt(times, inputs, values, result, recorder)
         return result
+
+    @staticmethod
+    def _nothing(sensors: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        """Return what a step tells that was corrected by no sensor."""
+        unknown = np.full(sensors, np.nan)
+        return unknown, unknown.copy(), np.full(sensors, ABSENT, np.uint8), float("nan"), 0.0
+
+    def _doubt(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        result: tuple[np.ndarray, np.ndarray, np.ndarray, float, float],
+        recorder: Recorder | None,
+    ) -> None:
+        """Let a second filter weigh whether a sensor that stays rejected is right, and go on with that one if it is."""
+        time, flags = float(times[-1]), result[2]
+        if self._opinion is None:
+            row = self._monitor.disputed(time, flags)
+            if row >= 0:
+                self._opinion = SecondOpinion(row, self._believing(row, values, flags), time, self._monitor.since(row))
+            return
+        row, rows = self._opinion.row, (flags == USED)
+        rows[row] = not np.isnan(values[row])
+        try:
+            prior = self._method.predict(
+                self._opinion.belief,
+                self._process.over(inputs, times),
+                self._process_noise(times[-1] - times[0]),
+                self.count,
+            )
+            second, innovation, variance = self._correct_some(prior, values, rows)
+        except _FAILURES:
+            right: bool | None = False
+        else:
+            self._opinion.belief = self._inside(prior if second is None else second)
+            self._opinion.weigh(time, result[:2], (innovation, variance), rows)
+            right = self._opinion.right(time)
+        if flags[row] == USED or right is False:
+            self._opinion = None
+            self._monitor.dismiss(time, row)
+        elif right:
+            self._overturn(time, innovation, recorder)
+
+    def _believing(self, row: int, values: np.ndarray, flags: np.ndarray) -> Any:
+        """Return a belief from what the believed sensors and the one in `row` read now."""
+        names = self._channels.names
+        rivals = RIVALS.get(names[row], ())
+        return self._anew(
+            {names[i]: float(values[i]) for i in (*np.flatnonzero(flags == USED), row) if names[i] not in rivals}
+        )
+
+    def _anew(self, first: Mapping[str, float], spread: Mapping[str, float] | None = None) -> Any:
+        """Return a belief from what the sensors read now; what they do not show of pose and motion, and the extras, stay."""
+        old = self.belief
+        kept = dict(zip(("z1", "z4", "dz1", "dz4"), old.mean[:4].tolist(), strict=True))
+        for name, others in (("z1", ("z1", "s1")), ("z4", ("z4", "z4_abs", "s2"))):
+            if any(n in first and np.isfinite(first[n]) for n in others):
+                del kept[name]
+        mean, covariance = old.mean.copy(), np.diag(np.diag(old.covariance))
+        self._set_states(
+            self._shown(kept | dict(first), dict.fromkeys(kept, ANGLE) | dict(spread or {})), mean, covariance
+        )
+        return self._method.begin(mean, covariance)
+
+    def _resume(
+        self, time: float, first: Mapping[str, float], spread: Mapping[str, float], recorder: Recorder | None = None
+    ) -> None:
+        """Go on after a gap that is too long to be predicted through."""
+        self.events.append(
+            (time, "filter", f"no sample for {time - (self.time or 0.0):.3g} s: went on anew from the sensors")
+        )
+        self.belief = self._anew(first, spread)
+        self._monitor.begin(time, taken(first))
+        self._opinion = None
+        if recorder is not None and recorder.smooth:
+            recorder.cut(self.belief)
+        self.time = time
+        self.count += 1
+
+    def _overturn(self, time: float, innovation: np.ndarray, recorder: Recorder | None) -> None:
+        """Go on with the second filter: the sensor that was rejected is right."""
+        assert self._opinion is not None
+        row, since, self.belief = self._opinion.row, self._opinion.since, self._opinion.belief
+        self._opinion = None
+        self._monitor.believe(time, row, innovation)
+        name = self._channels.names[row]
+        text = f"believed again: it was right since {since:.3f} s and the filter was not, which went on anew from the sensors"
+        self.events.append((time, name, text))
+        if recorder is not None and recorder.smooth:
+            recorder.cut(self.belief)
 
     def _predict_and_correct(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None
@@ -297,9 +406,14 @@ class Estimator:
         if result is None:
             self.belief = prior
             return innovation, variance, flags, float("nan"), 0.0
-        mean = self._limits.project(result.mean, result.covariance) if self._limits.broken(result.mean) else result.mean
-        self.belief = result if mean is result.mean else _moved(result, mean)
+        self.belief = self._inside(result)
         return innovation, variance, flags, result.nis, result.log_likelihood
+
+    def _inside(self, belief: Any) -> Any:
+        """Return a belief whose mean is physical."""
+        if not self._limits.broken(belief.mean):
+            return belief
+        return replace(belief, mean=self._limits.project(belief.mean, belief.covariance))
 
     def _correct_some(self, prior: Any, values: np.ndarray, rows: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
         """Return the correction by some sensors, or None for none, with innovation and variance (k,), NaN elsewhere."""
@@ -366,29 +480,75 @@ class Estimator:
         Raises:
             CraneError: the recording has none of the sensors, or no commands.
         """
-        from .signals import Signals
-
         signals = recording if isinstance(recording, Signals) else Signals.of(recording, self.crane)
         self.reset()
         plan = signals.plan(self.crane, self.channel_names, self.max_step)
+        since = self._agreed_start(plan)
+        self.reset()
         self.events.extend(plan.events)
-        self.start_at(float(plan.time[0]), plan.first, plan.spread)
+        for name, begin in since.items():
+            text = f"until {begin:.3f} s at odds with what it shows later and with the other sensors: left out"
+            self.events.append((float(plan.time[0]), name, text))
+        plan = plan.without(self.channel_names, since)
+        self.start_at(float(plan.time[0]), *plan.opening())
         recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
         recorder.start(self.belief)
         for k in range(1, plan.time.size):
-            i, j = plan.inner[k - 1], plan.inner[k] + 1
-            result = self._advance(plan.grid[i:j], plan.inputs[i:j], plan.values[k], recorder)
+            result = self._on_plan(plan, k, recorder)
             recorder.note(k, self.belief, *result)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
         return recorder.estimate(plan, self.events, self.crane.name, self._method_name)
 
+    def _on_plan(
+        self, plan: Plan, k: int, recorder: Recorder | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        """Go on to instant k of a plan: by prediction and correction, or anew from the sensors after a long gap."""
+        i, j = plan.inner[k - 1], plan.inner[k] + 1
+        if plan.time[k] - plan.time[k - 1] > LONG_GAP:
+            self._resume(float(plan.time[k]), *plan.opening(at=float(plan.time[k])), recorder)
+            return self._nothing(plan.values.shape[1])
+        return self._advance(plan.grid[i:j], plan.inputs[i:j], plan.values[k], recorder)
 
-def _moved(result: Any, mean: np.ndarray) -> Any:
-    """Return the same belief at another mean."""
-    from dataclasses import replace
+    def _agreed_start(self, plan: Plan) -> dict[str, float]:
+        """Return {channel: time} of the channels whose samples before that time the start must not be taken from.
 
-    return replace(result, mean=mean)
+        A channel that leaps early on was wrong before or is wrong after. The start is tried both ways, and the filter says with
+        which of them the first samples of all channels agree better.
+        """
+        since: dict[str, float] = {}
+        if self._start is not None:
+            return since
+        end = float(plan.time[0]) + _EARLY
+        groups: dict[float, list[str]] = {}
+        for name, (time, values) in plan.series.items():
+            early, std = time <= end, self.std_of[name]
+            at = leaps(time[early], values[early], std, FASTEST[name[0]], self._gate)
+            if at.size:
+                longest = at[np.argmax(np.diff([*at, early.sum()]))]
+                for begin in sorted({int(at[0]), int(longest)}):
+                    groups.setdefault(float(time[begin]), []).append(name)
+        best = self._disagreement(plan, since, end) if groups else 0.0
+        for begin, names in sorted(groups.items()):
+            trial = since | dict.fromkeys(names, begin)
+            score = self._disagreement(plan, trial, end)
+            if score < best:
+                best, since = score, trial
+        return since
+
+    def _disagreement(self, plan: Plan, since: Mapping[str, float], end: float) -> float:
+        """Return how badly the samples up to twice the time to `end` fit a start: Σ min(ν²/S, gate²) + log S."""
+        self.reset()
+        start, tried = float(plan.time[0]), plan.without(self.channel_names, since)
+        self.start_at(start, *tried.opening())
+        total, most = 0.0, self._gate**2
+        for k in range(1, plan.until(2.0 * end - start)):
+            innovation, variance, flags, _, _ = self._on_plan(tried, k)
+            used = flags == USED
+            size = variance[used] / self._variance.diagonal()[used]
+            total += float(np.sum(np.minimum(innovation[used] ** 2 / variance[used], most) + np.log(size)))
+            total += most * int((~used & ~np.isnan(plan.values[k])).sum())
+        return total
 
 
 def _number(value: float | None) -> float:
