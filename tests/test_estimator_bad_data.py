@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from ukf.estimator import Estimator
 from ukf.monitor import USED
 from ukf.noise import ProcessNoise
 from ukf.signals import Signals
 from ukf.tuning import cut
+from validation.semi_recursive import SemiRecursiveEngine
 
 CRANE = Crane.load("patu655")
 STD = {"z1": 9e-4, "z4": 9e-4, "p1": 3e4, "p2": 3e4, "p3": 3e4, "p4": 3e4}
@@ -96,3 +98,97 @@ def test_the_only_sensor_is_believed_again():
     running, now, rejected = live(450, {"z1": (slice(100, None), 0.3, True)}, {"z1": STD["z1"]})
     assert not now.rejected and 200 < rejected < 340
     assert "believed again" in running.events[-1][2]
+
+
+SAMPLE = {"z1": 0.2, "z4": -0.75, "p1": 50e5, "p2": 20e5, "p3": 20e5, "p4": 38e5}
+
+
+@pytest.mark.parametrize("stamp", [float("nan"), float("inf"), "soon", (0.0, 1.0)])
+def test_a_first_time_that_is_none_is_refused_and_forgotten(stamp):
+    running = estimator()
+    with pytest.raises(CraneError, match="time"):
+        running.step((0.0, 0.0), SAMPLE, stamp)
+    assert running.step((0.0, 0.0), SAMPLE, 0.0).time == 0.0
+
+
+@pytest.mark.parametrize("stamp", [float("nan"), float("inf"), -float("inf")])
+def test_a_later_time_that_is_none_is_left_out_and_told(stamp):
+    running = estimator()
+    running.step((0.0, 0.0), SAMPLE, 0.0)
+    running.step((0.0, 0.0), SAMPLE, stamp)
+    assert [e[1] for e in running.events] == ["time"]
+    assert running.step((0.0, 0.0), SAMPLE, 0.01).time == 0.01
+
+
+def test_a_long_pause_is_not_predicted_through():
+    """Ten minutes would be 120,000 steps; the estimator goes on from what the sensors show, and keeps what it found out."""
+    engine = SemiRecursiveEngine(CRANE)
+    running = Estimator(CRANE, engine, STD, QUIET, max_step=5e-3, augment=("payload.mass",))
+    running.step((0.0, 0.0), SAMPLE, 0.0)
+    mass = running.step((0.0, 0.0), SAMPLE, 0.01)["payload.mass"]
+    engine.propagate = None  # not asked again
+    now = running.step((0.0, 0.0), SAMPLE | {"z1": 0.5}, 600.0)
+    assert now.time == 600.0 and now["z1"] == pytest.approx(0.5) and now["payload.mass"] == mass
+    assert [e[1] for e in running.events] == ["filter"] and "600 s" in running.events[0][2]
+
+
+def test_a_clock_that_went_ahead_for_one_sample_does_not_end_the_estimate():
+    running = estimator()
+    for stamp in (0.0, 0.005, 1e9):
+        running.step((0.0, 0.0), SAMPLE, stamp)
+    for k in range(30):
+        now = running.step((0.0, 0.0), SAMPLE, 0.01 + 0.005 * k)
+    assert now.time == pytest.approx(0.155) and now.innovation
+
+
+def test_a_recording_with_a_long_gap_is_not_predicted_through_it():
+    part, later = spoilt(1.0), spoilt(1.0)
+    sensors = {n: (np.append(t, t + 3600.0), np.append(y, y)) for n, (t, y) in part.sensors.items()}
+    time = np.append(part.command_time, later.command_time + 3600.0)
+    estimate = estimator().run(Signals(time, np.vstack([part.commands, later.commands]), sensors))
+    assert [e.where for e in estimate.events] == ["filter"] and estimate.inputs.shape[0] == estimate.time.size
+    assert (estimate.flags == USED).sum() == 6 * (estimate.time.size - 2)
+    assert np.abs(estimate["z1"][-1] - part.sensors["z1"][1][-1]) < 5 * STD["z1"]
+
+
+def test_sensors_that_all_freeze_are_told_and_not_believed():
+    """Over three seconds in which the crane moves; noise forbids that all repeat one value."""
+    frozen = {n: (slice(100, 500), SOUND.sensors[n][1][500], False) for n in STD}
+    running, now, _ = live(480, frozen, begin=2.0)
+    assert set(now.rejected) == set(STD)
+    assert {e[1] for e in running.events if "frozen" in e[2]} == set(STD)
+
+
+@pytest.mark.parametrize(
+    ("commands", "measurements", "words"),
+    [
+        (0.5, SAMPLE, "commands: found 0.5"),
+        ((0.5,), SAMPLE, "commands"),
+        ((0.1, 0.2, 0.3), SAMPLE, "two numbers"),
+        (("left", 0.0), SAMPLE, "commands"),
+        ({"u1": 0.0, "u3": 0.0}, SAMPLE, "u3"),
+        ((0.0, 0.0), {"z1": [0.1, 0.2]}, "measurements: z1"),
+        ((0.0, 0.0), {"z1": "0.1"}, "measurements: z1"),
+        ((0.0, 0.0), [0.1, 0.2], "mapping"),
+    ],
+)
+def test_calls_of_a_wrong_shape_are_refused_by_name_and_change_nothing(commands, measurements, words):
+    running = estimator()
+    running.step((0.0, 0.0), SAMPLE, 0.0)
+    mean = running.belief.mean
+    with pytest.raises(CraneError, match=words):
+        running.step(commands, measurements, 0.01)
+    assert running.time == 0.0 and running.belief.mean is mean and not running.events
+
+
+def test_infinite_readings_are_missing_ones():
+    running = estimator()
+    running.step((0.0, 0.0), SAMPLE, 0.0)
+    now = running.step((0.0, 0.0), SAMPLE | {"z1": float("inf")}, 0.01)
+    assert "z1" not in now.innovation and np.isfinite(now.mean).all() and "infinite" in running.events[0][2]
+
+
+@pytest.mark.parametrize("options", [{"max_step": 0.0}, {"max_step": float("nan")}, {"gate": -1.0}])
+def test_options_that_cannot_work_are_refused(options):
+    with pytest.raises(CraneError, match=next(iter(options))):
+        Estimator(CRANE, "semi-recursive", STD, **options)

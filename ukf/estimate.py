@@ -16,7 +16,8 @@ from .smoother import smooth
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_WORDS = {OUTLIER: "leapt away: samples rejected", FROZEN: "frozen at one value: samples rejected"}
+#: flags of samples that are not believed, in words
+REJECTED = {OUTLIER: "leapt away: samples rejected", FROZEN: "frozen at one value: samples rejected"}
 
 
 @dataclass(frozen=True)
@@ -318,7 +319,7 @@ def flagged(time: np.ndarray, flags: np.ndarray, channels: Sequence[str]) -> lis
     """Return an event for every run of rejected samples of a channel; runs less than 50 ms apart are one."""
     found = []
     for column, name in enumerate(channels):
-        for flag, words in _WORDS.items():
+        for flag, words in REJECTED.items():
             at = np.flatnonzero(flags[:, column] == flag)
             if at.size:
                 runs = np.split(at, np.flatnonzero(np.diff(time[at]) > 0.05) + 1)

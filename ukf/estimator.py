@@ -19,12 +19,13 @@ from crane_exudyn.errors import CraneError, nearest
 from .augment import SENSORS, Augment, resolve
 from .bounds import Bounds, crane_bounds
 from .channels import Channels
-from .estimate import Estimate, Recorder
+from .estimate import REJECTED, Estimate, Recorder
 from .filter import Belief, FilterError
 from .methods import method_of
 from .monitor import ABSENT, FASTEST, OUTLIER, USED, Monitor, leaps
 from .noise import ProcessNoise, measurement_noise
 from .process import Process, engine_of
+from .samples import command_of, first_stamp, number, readings_of
 from .second_opinion import SecondOpinion
 from .signals import LONG_GAP, Plan, Signals
 from .start import ANGLE, RIVALS, start_belief, taken
@@ -37,6 +38,10 @@ DEFAULT_STD = {
 SUPPLY = ("pp", "pt")
 #: in the first so many seconds of a recording a leap puts the start in doubt
 _EARLY = 1.0
+#: after so many growing stamps that are not later than the last good one the clock has gone back
+_LATE_STAMPS = 10
+#: the last stamp that was not later than a good one, and how many of them grew in a row
+_IN_ORDER = (np.inf, 0)
 #: what a step of the filter may end in
 _FAILURES = (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError)
 
@@ -98,6 +103,10 @@ class Estimator:
         self.std_of = sensor_std(crane, sensors)
         self.noise = noise if noise is not None else ProcessNoise()
         self.max_step = float(max_step)
+        if not 0.0 < self.max_step < np.inf:
+            raise CraneError(f"max_step is {max_step}. Give a positive time in seconds, such as 1e-3.")
+        if gate is not None and not gate > 0.0:
+            raise CraneError(f"gate is {gate}. Give a positive number of standard deviations, or None for no gate.")
         self._std = np.array(list(self.std_of.values()))
         self._variance = measurement_noise(self._std)
         self._extras = resolve(crane, augment)
@@ -142,6 +151,8 @@ class Estimator:
         self._spool = None
         self._last_input: np.ndarray | None = None
         self._last_command: np.ndarray | None = None
+        self._late = _IN_ORDER
+        self._flags = np.zeros(len(self.std_of), np.uint8)
 
     # -- live ----------------------------------------------------------------------------------------------------
 
@@ -157,60 +168,84 @@ class Estimator:
             commands: spool commands u1, u2 in [-1, 1] at `time`; between two calls they are taken as linear.
             measurements: any of the sensors, SI; what is missing or NaN is missing. `pp`, `pt` go to the model as inputs.
             time: s; without it one `max_step` after the last call. A time that is not later than the last one is
-                not a new sample: the call changes nothing, and says so in `events`.
+                not a new sample: the call changes nothing, and says so in `events`. After more than `LONG_GAP` seconds, and when
+                the clock went back for good, the estimator goes on anew from the sensors.
 
         Raises:
-            CraneError: a command or measurement with an unknown name.
+            CraneError: a command or measurement with an unknown name or of a wrong shape, or a first time that is no number.
         """
         command, values, supply = self._sorted_out(commands, measurements)
         if self.time is None:
-            self._begin(0.0 if time is None else float(time), command, values, supply)
-            return self._now(np.full(values.size, np.nan), np.full(values.size, ABSENT, np.uint8), np.nan)
-        time = self.time + self.max_step if time is None else float(time)
-        if not time > self.time:
+            self._begin(0.0 if time is None else first_stamp(time), command, values, supply)
+            return self._unchanged()
+        time = self.time + self.max_step if time is None else number(time, "time")
+        if not (np.isfinite(time) and (time > self.time or self._went_back(time))):
             self.events.append((time, "time", "stamp not later than the last one: sample left out"))
-            return self._now(np.full(values.size, np.nan), np.full(values.size, ABSENT, np.uint8), np.nan)
+            return self._unchanged()
+        if not 0.0 < time - self.time <= LONG_GAP:
+            self._resume(time, dict(zip(self._channels.names, values, strict=True)), {})
+            self._set_inputs(command, supply)
+            self._late = _IN_ORDER
+            return self._unchanged()
+        self._late = _IN_ORDER
         times = inner_times(self.time, time, self.max_step)
         inputs = self._live_inputs(times, command, supply)
         innovation, _, flags, nis, _ = self._advance(times, inputs, values)
+        self._note_rejections(time, flags)
         return self._now(innovation, flags, nis)
 
     def _sorted_out(
         self, commands: Sequence[float] | Mapping[str, float], measurements: Mapping[str, float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        if isinstance(commands, Mapping):
-            missing = [n for n in ("u1", "u2") if n not in commands]
-            if missing:
-                raise CraneError(f"commands: {missing[0]} is missing. Give u1 and u2 in [-1, 1].")
-            commands = (commands["u1"], commands["u2"])
-        for name in measurements:
-            if name not in self.std_of and name not in SUPPLY:
-                known = [*self.std_of, *SUPPLY]
-                raise CraneError(f"measurements: {name!r} is no sensor of this estimator.{nearest(name, known)}")
-        values = np.array([_number(measurements.get(n)) for n in self._channels.names])
-        supply = np.array([_number(measurements.get(n)) for n in SUPPLY])
-        return self._usable(np.array(commands, float)), values, supply
+        command = self._usable(command_of(commands))
+        readings = readings_of(measurements, (*self.std_of, *SUPPLY))
+        if np.isinf(readings).any():
+            self.events.append((self._clock, "measurements", "infinite: taken as missing"))
+            readings[np.isinf(readings)] = np.nan
+        return command, readings[: -len(SUPPLY)], readings[-len(SUPPLY) :]
+
+    @property
+    def _clock(self) -> float:
+        """Time of the last sample, s; NaN before the first."""
+        return float("nan") if self.time is None else self.time
+
+    def _went_back(self, time: float) -> bool:
+        """Whether so many stamps in a row were not later than the last good one that it must be that one which was wrong."""
+        last, count = self._late
+        self._late = (time, count + 1 if time > last else 1)
+        return self._late[1] >= _LATE_STAMPS
+
+    def _note_rejections(self, time: float, flags: np.ndarray) -> None:
+        """Tell when a sensor begins to be rejected, and why."""
+        for row in np.flatnonzero((flags != self._flags) & (flags != ABSENT)):
+            if flags[row] in REJECTED:
+                self.events.append((time, self._channels.names[row], REJECTED[int(flags[row])]))
+            self._flags[row] = flags[row]
 
     def _usable(self, command: np.ndarray) -> np.ndarray:
         """Return a command that the valves can follow: a missing one stays as it was, one beyond ±1 is cut, both are told."""
-        time = float("nan") if self.time is None else self.time
         missing = ~np.isfinite(command)
         if missing.any():
-            self.events.append((time, "commands", "missing, the last one is held"))
+            self.events.append((self._clock, "commands", "missing, the last one is held"))
             command[missing] = 0.0 if self._last_command is None else self._last_command[missing]
         if (np.abs(command) > 1.0).any():
-            self.events.append((time, "commands", "beyond ±1, cut"))
+            self.events.append((self._clock, "commands", "beyond ±1, cut"))
             command = np.clip(command, -1.0, 1.0)
         return command
 
     def _begin(self, time: float, command: np.ndarray, values: np.ndarray, supply: np.ndarray) -> None:
+        self.start_at(time, dict(zip(self._channels.names, values, strict=True)))
+        self._set_inputs(command, supply)
+
+    def _set_inputs(self, command: np.ndarray, supply: np.ndarray) -> None:
+        """Take the spools to be at rest at this command."""
         from crane_exudyn.inputs import SpoolPath
 
+        assert self.time is not None
         self._spool = SpoolPath(self.crane)
-        spool = np.asarray(self._spool.step(time, command), float)
+        spool = np.asarray(self._spool.step(self.time, command), float)
         self._last_input = np.concatenate([spool, supply])
         self._last_command = command
-        self.start_at(time, dict(zip(self._channels.names, values, strict=True)))
 
     def _live_inputs(self, times: np.ndarray, command: np.ndarray, supply: np.ndarray) -> np.ndarray:
         assert self._last_command is not None and self._last_input is not None
@@ -223,6 +258,11 @@ class Estimator:
             inputs[k, 2:] = supply
         self._last_command, self._last_input = command, inputs[-1].copy()
         return inputs
+
+    def _unchanged(self) -> Now:
+        """Return what is known after a call that was corrected by no sensor."""
+        innovation, _, flags, nis, _ = self._nothing(len(self.std_of))
+        return self._now(innovation, flags, nis)
 
     def _now(self, innovation: np.ndarray, flags: np.ndarray, nis: float) -> Now:
         assert self.time is not None
@@ -358,9 +398,7 @@ class Estimator:
         self, time: float, first: Mapping[str, float], spread: Mapping[str, float], recorder: Recorder | None = None
     ) -> None:
         """Go on after a gap that is too long to be predicted through."""
-        self.events.append(
-            (time, "filter", f"no sample for {time - (self.time or 0.0):.3g} s: went on anew from the sensors")
-        )
+        self.events.append((time, "filter", f"clock went on by {time - self._clock:.3g} s: anew from the sensors"))
         self.belief = self._anew(first, spread)
         self._monitor.begin(time, taken(first))
         self._opinion = None
@@ -526,9 +564,9 @@ class Estimator:
             at = leaps(time[early], values[early], std, FASTEST[name[0]], self._gate)
             if at.size:
                 longest = at[np.argmax(np.diff([*at, early.sum()]))]
-                for begin in sorted({int(at[0]), int(longest)}):
-                    groups.setdefault(float(time[begin]), []).append(name)
-        best = self._disagreement(plan, since, end) if groups else 0.0
+                for k in sorted({int(at[0]), int(longest)}):
+                    groups.setdefault(float(time[k]), []).append(name)
+        best = self._disagreement(plan, since, end) if groups else np.inf
         for begin, names in sorted(groups.items()):
             trial = since | dict.fromkeys(names, begin)
             score = self._disagreement(plan, trial, end)
@@ -541,7 +579,8 @@ class Estimator:
         self.reset()
         start, tried = float(plan.time[0]), plan.without(self.channel_names, since)
         self.start_at(start, *tried.opening())
-        total, most = 0.0, self._gate**2
+        total: float = 0.0
+        most = self._gate**2
         for k in range(1, plan.until(2.0 * end - start)):
             innovation, variance, flags, _, _ = self._on_plan(tried, k)
             used = flags == USED
@@ -549,10 +588,6 @@ class Estimator:
             total += float(np.sum(np.minimum(innovation[used] ** 2 / variance[used], most) + np.log(size)))
             total += most * int((~used & ~np.isnan(plan.values[k])).sum())
         return total
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
 
 
 def inner_times(start: float, end: float, max_step: float) -> np.ndarray:
