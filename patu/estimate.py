@@ -85,6 +85,8 @@ def command(
     page = None if report is None else save_report(result, measured.name, report, engine, std)
     write_json(json, result.document() | {"recording": str(recording), "engine": engine})
     tell(Printer(json), result, measured, [p for p in (output, plot, page) if p is not None])
+    if result.failed:
+        raise typer.Exit(1)
 
 
 def _check(output: Path | None, plot: Path | None, step: float) -> None:
@@ -213,6 +215,13 @@ def consistency(result: Estimate) -> str:
 
 def verdict(result: Estimate) -> str:
     """Return what to make of the consistency, in plain words."""
+    if result.unjudged:
+        return f"Nothing can be said of the consistency: {result.unjudged}. The intervals are not confirmed."
+    if result.noiseless:
+        return (
+            "The recording has no noise, as a simulation has none. The model explains it to less than the noise that the filter "
+            "takes the sensors to have, so its intervals are on the safe side."
+        )
     if result.consistent:
         return "The filter is consistent with the recording: its intervals can be trusted."
     mend = "`patu compare` shows where it fails, --augment estimates what is unknown."

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.drive import spool_on
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.simulation import simulate
+from patu.estimate import sensor_noise, verdict
+from patu.main import run as command_line
 from ukf.estimator import Estimator
 from ukf.monitor import USED
 from ukf.noise import ProcessNoise
@@ -129,7 +134,7 @@ def test_a_long_pause_is_not_predicted_through():
     engine.propagate = None  # not asked again
     now = running.step((0.0, 0.0), SAMPLE | {"z1": 0.5}, 600.0)
     assert now.time == 600.0 and now["z1"] == pytest.approx(0.5) and now["payload.mass"] == mass
-    assert [e[1] for e in running.events] == ["filter"] and "600 s" in running.events[0][2]
+    assert [e[1] for e in running.events] == ["time"] and "600 s" in running.events[0][2]
 
 
 def test_a_clock_that_went_ahead_for_one_sample_does_not_end_the_estimate():
@@ -146,7 +151,7 @@ def test_a_recording_with_a_long_gap_is_not_predicted_through_it():
     sensors = {n: (np.append(t, t + 3600.0), np.append(y, y)) for n, (t, y) in part.sensors.items()}
     time = np.append(part.command_time, later.command_time + 3600.0)
     estimate = estimator().run(Signals(time, np.vstack([part.commands, later.commands]), sensors))
-    assert [e.where for e in estimate.events] == ["filter"] and estimate.inputs.shape[0] == estimate.time.size
+    assert [e.where for e in estimate.events] == ["time"] and estimate.inputs.shape[0] == estimate.time.size
     assert (estimate.flags == USED).sum() == 6 * (estimate.time.size - 2)
     assert np.abs(estimate["z1"][-1] - part.sensors["z1"][1][-1]) < 5 * STD["z1"]
 
@@ -192,3 +197,56 @@ def test_infinite_readings_are_missing_ones():
 def test_options_that_cannot_work_are_refused(options):
     with pytest.raises(CraneError, match=next(iter(options))):
         Estimator(CRANE, "semi-recursive", STD, **options)
+
+
+def test_a_simulation_of_the_model_is_explained_by_it():
+    """Free of noise and with channels that follow from each other; the same with another payload is not explained."""
+    for crane, explained in (
+        (CRANE, True),
+        (CRANE.with_parameters({"payload.mass": CRANE["payload.mass"] + 20.0}), False),
+    ):
+        commands = spoilt(3.0, begin=2.0)
+        given = Recording.from_arrays(
+            "c", commands.command_time[::2], dict(zip(("u1", "u2"), commands.commands[::2].T, strict=True))
+        )
+        run = simulate(crane, given, engine=SemiRecursiveEngine(crane)).recording()
+        std = sensor_noise(CRANE, run, None)
+        estimate = Estimator(CRANE, "semi-recursive", std, QUIET).run(run)
+        assert len(std) == 12 and estimate.noiseless == estimate.consistent == explained, repr(estimate)
+        assert explained == ("no noise" in verdict(estimate)) and not [e for e in estimate.events if "frozen" in e.text]
+
+
+def test_the_working_cycle_is_read_back_with_the_steps_that_were_simulated():
+    """The spool positions of a run are those that its own commands give when it is read as a recording."""
+    run = simulate(CRANE, engine=Still(CRANE))
+    time, commands = run.recording().commands()
+    np.testing.assert_allclose(spool_on(CRANE, run.time, time, commands), run.inputs[:, :2], atol=1e-12)
+
+
+class Still(SemiRecursiveEngine):
+    """An engine that stays where it is."""
+
+    def simulate(self, x0, time, inputs, *, step=1e-3):
+        return np.tile(x0, (len(time), 1))
+
+
+@pytest.mark.parametrize("samples", [2, 30])
+def test_a_few_samples_are_not_called_consistent(samples):
+    estimate = estimator().run(spoilt(5e-3 * (samples - 1)))
+    assert estimate.time.size == samples and min(estimate.nis_bounds) >= 0.0
+    assert not estimate.consistent and "too few samples" in estimate.verdict
+    assert "too few samples" in verdict(replace(estimate, noise_slack=2.0))
+
+
+def test_a_filter_that_fails_at_every_step_says_so_and_is_no_answer(monkeypatch, tmp_path, capsys):
+    def fails(*args, **options):
+        raise CraneError("the step did not converge")
+
+    monkeypatch.setattr(SemiRecursiveEngine, "propagate", fails)
+    rows = np.column_stack([0.01 * np.arange(60), np.zeros((60, 2)), np.tile([0.2, -0.75], (60, 1))])
+    file = tmp_path / "short.csv"
+    np.savetxt(file, rows, delimiter=",", header="time[s],u1[-],u2[-],z1[rad],z4[rad]", comments="")
+    with pytest.raises(SystemExit) as leaving:
+        command_line(["estimate", str(file), "--engine", "semi-recursive"])
+    said = capsys.readouterr().out
+    assert leaving.value.code == 1 and "restarted at 59 of 59 steps" in said and "did not converge" in said

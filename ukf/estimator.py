@@ -146,7 +146,7 @@ class Estimator:
         self.time: float | None = None
         self.count = 0
         self.events: list[tuple[float, str, str]] = []
-        self._monitor = Monitor(self._channels.names, self._std, self._gate)
+        self._monitor = Monitor(self._channels.names, self._std, self._gate, self.crane["fluid.vapour_pressure"])
         self._opinion: SecondOpinion | None = None
         self._spool = None
         self._last_input: np.ndarray | None = None
@@ -398,7 +398,7 @@ class Estimator:
         self, time: float, first: Mapping[str, float], spread: Mapping[str, float], recorder: Recorder | None = None
     ) -> None:
         """Go on after a gap that is too long to be predicted through."""
-        self.events.append((time, "filter", f"clock went on by {time - self._clock:.3g} s: anew from the sensors"))
+        self.events.append((time, "time", f"clock went on by {time - self._clock:.3g} s: anew from the sensors"))
         self.belief = self._anew(first, spread)
         self._monitor.begin(time, taken(first))
         self._opinion = None
@@ -536,7 +536,7 @@ class Estimator:
             recorder.note(k, self.belief, *result)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
-        return recorder.estimate(plan, self.events, self.crane.name, self._method_name)
+        return recorder.estimate(plan, self.events, self.crane.name, self._method_name, self._std)
 
     def _on_plan(
         self, plan: Plan, k: int, recorder: Recorder | None = None

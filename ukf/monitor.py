@@ -33,17 +33,23 @@ _VALUE, _CHANGE, _NOISE, _REPEATS, _LONGEST, _INNOVATION, _TIME, _SINCE, _BELIEV
 
 @dataclass
 class Monitor:
-    """Memory of the checks, one entry a channel. `gate` is in standard deviations; infinite switches the gate off."""
+    """Memory of the checks, one entry a channel.
+
+    `gate` is in standard deviations; infinite switches the gate off. A pressure at `floor` (Pa) or below is in vapour, and
+    may repeat itself.
+    """
 
     names: tuple[str, ...]
     std: np.ndarray
     gate: float = 6.0
+    floor: float = -np.inf
     memory: np.ndarray = field(init=False)
     fastest: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.std = np.asarray(self.std, float)
         self.fastest = np.array([FASTEST[n[0]] for n in self.names])
+        self._least = np.array([self.floor if n[0] == "p" else -np.inf for n in self.names])
         # last value and change; mean size of what changes from change to change; repeats and their longest run; last
         # innovation and time; off and in agreement with itself since; believed since; seconds and samples until it is disputed
         self.memory = np.full((len(self.names), 11), np.nan)
@@ -83,7 +89,9 @@ class Monitor:
 
         `variance` (k,) is the diagonal of the innovation covariance.
         """
-        flags, bad = _judge(self.memory, time, values, innovation, variance, self.std, self.fastest, self.gate)
+        flags, bad = _judge(
+            self.memory, time, values, innovation, variance, self.std, self.fastest, self._least, self.gate
+        )
         return flags, int(bad)
 
 
@@ -95,7 +103,7 @@ def leaps(time: np.ndarray, values: np.ndarray, std: float, fastest: float, gate
 
 
 @njit()
-def _judge(memory, time, values, innovation, variance, std, fastest, gate):  # type: ignore[no-untyped-def]
+def _judge(memory, time, values, innovation, variance, std, fastest, least, gate):  # type: ignore[no-untyped-def]
     count = values.size
     flags = np.zeros(count, np.uint8)
     present, repeating, frozen, leaping, bad = 0, 0, 0, 0, 0
@@ -108,7 +116,7 @@ def _judge(memory, time, values, innovation, variance, std, fastest, gate):  # t
         _note_agreement(row, time, values[k], std[k], fastest[k], gate)
         _note_change(row, values[k])
         repeating += row[_REPEATS] > 0
-        stuck = _is_frozen(row, std[k])
+        stuck = _is_frozen(row, std[k], least[k])
         frozen += stuck
         if not stuck and np.isnan(row[_SINCE]) and _leaps(row, time, innovation[k], variance[k], fastest[k], gate):
             leaping += 1
@@ -121,7 +129,7 @@ def _judge(memory, time, values, innovation, variance, std, fastest, gate):  # t
         if not np.isnan(row[_SINCE]) and (together or abs(innovation[k]) <= gate * np.sqrt(variance[k])):
             row[_SINCE], row[_BELIEVED] = np.nan, time
         # where all repeat it may be a machine at rest, unless all have noise that forbids it
-        if _is_frozen(row, std[k]) and (repeating < present or frozen == present):
+        if _is_frozen(row, std[k], least[k]) and (repeating < present or frozen == present):
             flags[k] = FROZEN
             row[_INNOVATION] = np.nan  # what it shows when it thaws is no leap
         elif not np.isnan(row[_SINCE]):
@@ -167,6 +175,6 @@ def _leaps(row, time, innovation, variance, fastest, gate):  # type: ignore[no-u
 
 
 @njit()
-def _is_frozen(row, std):  # type: ignore[no-untyped-def]
+def _is_frozen(row, std, least):  # type: ignore[no-untyped-def]
     noisy = row[_NOISE] > 0.25 * std  # what changes from change to change is noise, so equal values are no accident
-    return noisy and row[_REPEATS] >= max(_FROZEN_AFTER, 4.0 * row[_LONGEST])
+    return noisy and row[_VALUE] > least and row[_REPEATS] >= max(_FROZEN_AFTER, 4.0 * row[_LONGEST])

@@ -55,6 +55,8 @@ class Plan:
 
     def without(self, channels: Sequence[str], since: Mapping[str, float]) -> Plan:
         """Return the plan without what the channels (the columns of `values`) in `since` showed before those times."""
+        if not since:
+            return self
         values, series = self.values.copy(), dict(self.series)
         for name, begin in since.items():
             values[self.time < begin, channels.index(name)] = np.nan
@@ -167,7 +169,8 @@ def clean(time: np.ndarray, values: np.ndarray, name: str, events: list[tuple[fl
     """Return the known samples in increasing order of time; repeated and backward stamps are left out and told."""
     time, values = np.asarray(time, float), np.asarray(values, float)
     known = np.isfinite(time) & np.isfinite(values)
-    time, values = time[known], values[known]
+    if not known.all():
+        time, values = time[known], values[known]
     if time.size == 0:
         events.append((float("nan"), name, "no sample at all"))
         return time, values
@@ -175,7 +178,7 @@ def clean(time: np.ndarray, values: np.ndarray, name: str, events: list[tuple[fl
     late = np.concatenate([[False], time[1:] <= latest[:-1]])
     for stamp in time[late]:
         events.append((float(stamp), name, "stamp not later than the last one: sample left out"))
-    return time[~late], values[~late]
+    return (time[~late], values[~late]) if late.any() else (time, values)
 
 
 def instants(series: Mapping[str, Series]) -> np.ndarray:
