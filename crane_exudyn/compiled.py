@@ -8,9 +8,13 @@ others alone, except that all build on crane_exudyn.
 
 from __future__ import annotations
 
+import atexit
 import functools
 import hashlib
 import os
+import shutil
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,9 +27,34 @@ _ROOT = Path(__file__).resolve().parent.parent
 _FOUNDATION = "crane_exudyn"
 
 
+@functools.cache
 def _base() -> Path:
-    base = os.environ.get("CRANE_EXUDYN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "crane-exudyn"
+    """Return the folder of all compiled code; one for this run alone where the usual one cannot be written.
+
+    numba would then look for a place of its own beside the sources, where compiled code of other sets of effects stands.
+    """
+    usual = os.environ.get("CRANE_EXUDYN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    base = Path(usual) / "crane-exudyn"
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=base).close()
+    except OSError as problem:
+        print(
+            f"{base}: compiled code cannot be kept there ({problem.strerror}); it is compiled for this run alone. Set CRANE_EXUDYN_CACHE to "
+            "a folder that can be written.",
+            file=sys.stderr,
+        )
+        alone = tempfile.mkdtemp(prefix="crane-exudyn-")
+        atexit.register(_remove, alone, os.getpid())
+        os.environ["CRANE_EXUDYN_CACHE"] = alone  # for worker processes
+        return Path(alone) / "crane-exudyn"
+    return base
+
+
+def _remove(folder: str, owner: int) -> None:
+    """Remove a folder, in the process that made it."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @functools.cache
@@ -35,7 +64,7 @@ def cache_folder(package: str = _FOUNDATION) -> Path:
     for name in sorted({_FOUNDATION, package}):
         for source in sorted((_ROOT / name).rglob("*.py")):
             text = source.read_bytes()
-            law = source.parent.name == "effects" and source.stem not in ("registry", "__init__")
+            law = source.parent.name == "effects" and source.stem not in ("registry", "checks", "__init__")
             if b"njit" in text or law or source.name == "parameters.py":
                 digest.update(str(source.relative_to(_ROOT)).encode() + b"\0" + text)
     return _base() / digest.hexdigest()[:16]

@@ -175,14 +175,13 @@ def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _driven(crane: Crane, inputs: Recording | None, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return commands (n, 2) and w (n, 4) = [U1 U2 pp pt] on the grid: spool positions behind the lag (16), supply pressures."""
-    from .drive import spool_on
+    from .drive import spool_on, with_steps
     from .inputs import paper_cycle
 
-    if inputs is None:
-        commands, supply = paper_cycle(grid), np.full((len(grid), 2), math.nan)
-        spool = spool_on(crane, grid, grid, commands)
+    if inputs is None:  # its steps are steps here as they are to whoever reads the run back
+        (time, given), supply = with_steps(grid, paper_cycle(grid)), np.full((len(grid), 2), math.nan)
     else:
-        time, recorded = inputs.commands(crane)
-        commands, supply = np.column_stack([np.interp(grid, time, u) for u in recorded.T]), inputs.supply(grid)
-        spool = spool_on(crane, grid, time, recorded)
+        (time, given), supply = inputs.commands(crane), inputs.supply(grid)
+    commands = np.column_stack([np.interp(grid, time, u) for u in given.T])
+    spool = spool_on(crane, grid, time, given)
     return commands, np.ascontiguousarray(np.column_stack([spool, supply]))

@@ -94,6 +94,8 @@ def command(
         save.json(json, result.document() | {"recording": str(recording), "engine": engine})
         save(plot, lambda path: save_figure(best.plot(), path))
         save(report, lambda path: save_report(result, measured.name, path, engine, std))
+    if result.failed:
+        raise typer.Exit(1)
 
 
 def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
@@ -195,6 +197,13 @@ def consistency(result: Estimate) -> str:
 
 def verdict(result: Estimate) -> str:
     """Return what to make of the consistency, in plain words."""
+    if result.unjudged:
+        return f"Nothing can be said of the consistency: {result.unjudged}. The intervals are not confirmed."
+    if result.noiseless:
+        return (
+            "The recording has no noise, as a simulation has none. The model explains it to less than the noise that the filter "
+            "takes the sensors to have, so its intervals are on the safe side."
+        )
     if result.consistent:
         return "The filter is consistent with the recording: its intervals can be trusted."
     mend = "`patu compare` shows where it fails, --augment estimates what is unknown."

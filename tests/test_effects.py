@@ -1,6 +1,7 @@
 """Effects: neutral means off, bit for bit; laws as the formulas; a user's own effect takes part."""
 
 import math
+import os
 import subprocess
 import sys
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, CraneError
-from crane_exudyn.effects import registry
+from crane_exudyn.effects import checks, registry
 from crane_exudyn.effects.base import HOOKS
 
 
@@ -109,3 +110,74 @@ def test_a_bad_effect_file_is_refused(tmp_path, text, words):
     with pytest.raises(CraneError) as refusal:
         registry.load_file(file)
     assert all(word in str(refusal.value) for word in [*words, "bad_effect"])
+
+
+def _spoilt(old, new, text=USER_EFFECT):
+    assert old in text
+    return text.replace(old, new)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (_spoilt("(c, v, pa, pb, la, lb)", "(c, v)"), ["cylinder_force(c, v)", "cylinder_force(c, v, pa, pb, la, lb) -> F"]),
+        (_spoilt("(c, v, pa, pb, la, lb)", "(c, v, *rest)"), ["cylinder_force(c, v, *rest)", "line 14"]),
+        (_spoilt("return -c", "return -drag"), ["cylinder_force", "drag", "Expected cylinder_force(c, v, pa, pb, la, lb) -> F"]),
+        (_spoilt("return -c * v * abs(v)", "return 'much'"), ["cylinder_force", "'much'"]),
+        (_spoilt("return -c * v * abs(v)", "return -c * v, 0.0"), ["cylinder_force", "-> F"]),
+        (_spoilt("return -c * v * abs(v)", "return -c * v + {}['a']"), ["cylinder_force cannot be compiled"]),
+        (_spoilt("return -c * v * abs(v)", "return -c * v - 5.0"), ["cylinder_force returns -5", "at the neutral values"]),
+        (_spoilt("return -c * v * abs(v)", "return -c * v ** 0.5"), ["cylinder_force returns nan at c = ", "v = -0.5"]),
+        (_spoilt("places = CYLINDERS", 'places = ("O",)'), ["cylinder_force cannot act at 'O'", "lift, tilt"]),
+        (_spoilt("places = CYLINDERS", 'places = "lift"'), ["places is 'lift'"]),
+        (_spoilt("0.0, 0.0, 1e7, 1e5", "0.0, '0', 1e7, 1e5"), ["parameter 'c': lower is '0'"]),
+        (_spoilt("0.0, 0.0, 1e7, 1e5", "0.0, 0.0, 1e3, 1e5"), ["parameter 'c': typical is 100000", "upper = 1000"]),
+        (_spoilt('(Parameter("c", "N*s^2/m^2", 0.0, 0.0, 1e7, 1e5, "drag"),)', '("c",)'), ["Expected a Parameter"]),
+        ("import sys\nsys.exit(3)\n", ["cannot be imported", "SystemExit"]),
+    ],
+)  # fmt: skip
+def test_a_law_that_does_not_fit_is_refused_in_one_line(tmp_path, text, words):
+    file = tmp_path / "bad_effect.py"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(CraneError) as refusal:
+        registry.load_file(file)
+    said = str(refusal.value)
+    assert all(word in said for word in [*words, str(file)]) and "\n" not in said
+    assert not registry.user_files()
+
+
+@pytest.mark.parametrize(
+    "name", ["internal_leakage", "external_leakage", "entrained_air", "spool_creep", "pressure_compensation"]
+)
+def test_effects_of_the_package_pass_the_checks_of_a_users_own(name):
+    checks.checked(registry.find(name), name)
+
+
+def test_without_a_cache_folder_effects_still_act_and_leave_nothing_for_later_runs(tmp_path):
+    """A file where the folder should be: neither ignored nor kept where another set of effects would find it."""
+    file, nowhere = tmp_path / "mine.py", tmp_path / "file"
+    file.write_text(USER_EFFECT, encoding="utf-8")
+    nowhere.touch()
+    environment = os.environ | {"CRANE_EXUDYN_CACHE": str(nowhere), "TMPDIR": str(tmp_path)}
+    run = subprocess.run(
+        [sys.executable, "-c", USE, str(file)], capture_output=True, text=True, check=True, env=environment
+    )
+    assert [float(x) for x in run.stdout.split()] == pytest.approx([-4000.0, 0.0])
+    assert "CRANE_EXUDYN_CACHE" in run.stderr and str(nowhere) in run.stderr
+    assert {p.name for p in tmp_path.iterdir()} == {"mine.py", "file"}
+
+
+def test_the_same_law_from_another_file_does_not_find_code_that_refers_to_the_first(tmp_path):
+    for name in ("one.py", "two.py"):
+        (tmp_path / name).write_text(USER_EFFECT, encoding="utf-8")
+    code = (
+        "import sys\nfrom crane_exudyn.effects import registry\nregistry.load_file(sys.argv[1])\n"
+        "from crane_exudyn.compiled import cache_folder\nprint(cache_folder())"
+    )
+    folders = {
+        subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path / n)], capture_output=True, text=True, check=True
+        ).stdout
+        for n in ("one.py", "two.py")
+    }
+    assert len(folders) == 2

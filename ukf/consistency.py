@@ -11,6 +11,9 @@ from collections.abc import Iterable
 import numpy as np
 from scipy import stats
 
+#: lags over which whiteness is judged; a series needs twice as many values
+LAGS = 20
+
 
 def nis(innovations: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     """Return νᵀ S⁻¹ ν (N,) from innovations (N, k) and their covariances (N, k, k): χ² with k degrees of freedom."""
@@ -57,7 +60,7 @@ def autocorrelation(series: np.ndarray, lags: int) -> np.ndarray:
     return np.array([float(series[k:] @ series[:-k]) / energy for k in range(1, lags + 1)])
 
 
-def persistence(series: np.ndarray, lags: int = 20) -> float:
+def persistence(series: np.ndarray, lags: int = LAGS) -> float:
     """Return Σ r_k over the first lags of a series (N,): positive where it keeps its sign for a while, 0 for white noise.
 
     A model that lacks something makes innovations that persist; process noise that is too large, ones that swing back.
@@ -67,7 +70,7 @@ def persistence(series: np.ndarray, lags: int = 20) -> float:
     return float(autocorrelation(values, lags).sum()) if values.size >= 2 * lags else 0.0
 
 
-def ljung_box(series: np.ndarray, lags: int = 20) -> float:
+def ljung_box(series: np.ndarray, lags: int = LAGS) -> float:
     """Return the p-value of whiteness of a series (N,) by Ljung and Box; NaN with fewer than 2·lags values.
 
     Q = N (N + 2) Σ r_k²/(N - k) is χ²(lags) for white noise of zero mean.

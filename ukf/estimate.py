@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,12 @@ from .smoother import smooth
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_WORDS = {OUTLIER: "leapt away: samples rejected", FROZEN: "frozen at one value: samples rejected"}
+#: shares of a sensor's noise below which its innovations are small, and below which they cannot hold that noise
+_SMALL, _NO_NOISE = 0.5, 0.25
+#: share of the steps at which a filter may fail and still be judged
+_FEW_FAILURES = 0.01
+#: flags of samples that are not believed, in words
+REJECTED = {OUTLIER: "leapt away: samples rejected", FROZEN: "frozen at one value: samples rejected"}
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,7 @@ class Estimate:
         log_likelihood: sum over all samples.
         events: what happened on the way.
         inputs: (N, 4) spool positions and supply pressures.
+        sensor_std: (k,) noise that the filter took the sensors to have.
         covariance: (N, n, n) if it was kept.
         noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed (`consistency.guessed_noise`).
         smoothed: the smoothed estimate if it was asked for.
@@ -66,6 +73,7 @@ class Estimate:
     inputs: np.ndarray
     crane: str = ""
     method: str = "ukf"
+    sensor_std: np.ndarray | None = None
     covariance: np.ndarray | None = None
     noise_slack: float = 0.0
     smoothed: Estimate | None = None
@@ -95,13 +103,13 @@ class Estimate:
             return 0.0, 0.0
         low, high = consistency.mean_bounds(float(self.dof[known].mean()), int(known.sum()), 0.99)
         middle, half = 0.5 * (low + high), float(np.hypot(0.5 * (high - low), 2.576 * self.noise_slack))
-        return middle - half, middle + half
+        return max(middle - half, 0.0), middle + half
 
     @property
     def _normalised(self) -> np.ndarray:
         return np.where(self.flags == USED, self.innovation / self.innovation_std, np.nan)
 
-    @property
+    @cached_property
     def whiteness(self) -> dict[str, float]:
         """p-value of whiteness (Ljung-Box) of the normalised innovations of each sensor."""
         used = self._normalised
@@ -116,15 +124,61 @@ class Estimate:
 
     @property
     def persistent(self) -> tuple[str, ...]:
-        """Those of the coloured sensors whose innovations keep their sign for a while, which is an error of the model."""
+        """Those of the coloured sensors whose innovations keep their sign for a while, which is an error of the model.
+
+        An error that is small beside the noise of the sensor is none that a sensor could show.
+        """
         used = dict(zip(self.channel_names, self._normalised.T, strict=True))
-        return tuple(n for n in self.coloured if consistency.persistence(used[n]) > 0.0)
+        large = dict(zip(self.channel_names, self._over_noise > _SMALL, strict=True))
+        return tuple(n for n in self.coloured if large[n] and consistency.persistence(used[n]) > 0.0)
+
+    @cached_property
+    def _over_noise(self) -> np.ndarray:
+        """RMS innovation (k,) of the samples used in units of the sensor's noise; infinite where that is not known."""
+        if self.sensor_std is None:
+            return np.full(len(self.channel_names), np.inf)
+        used = np.where(self.flags == USED, self.innovation / self.sensor_std, 0.0)
+        return np.asarray(np.sqrt((used**2).sum(axis=0) / np.maximum((self.flags == USED).sum(axis=0), 1)))
+
+    @property
+    def noiseless(self) -> bool:
+        """Whether all that is left of the recording is far below the noise that the filter takes its sensors to have.
+
+        Then it has next to no noise, as a simulation, and the model explains it. Statistics of noise say nothing of it.
+        """
+        return bool((self._over_noise < _NO_NOISE).all())
+
+    @property
+    def failures(self) -> int:
+        """Number of steps at which the filter failed and was restarted."""
+        return sum(e.count for e in self.events if e.where == "filter")
+
+    @property
+    def failed(self) -> bool:
+        """Whether the filter failed so often that what it says is no estimate."""
+        return self.failures > _FEW_FAILURES * (self.time.size - 1)
+
+    @property
+    def unjudged(self) -> str:
+        """Why nothing can be said of the consistency, in words; "" where it can."""
+        if self.failed:
+            return f"the filter failed and was restarted at {self.failures} of {self.time.size - 1} steps"
+        if not np.isfinite(self.nis).any():
+            return "no sample was used"
+        if self.nis_mean <= self.nis_bounds[1] and not any(np.isfinite(p) for p in self.whiteness.values()):
+            return f"too few samples; {2 * consistency.LAGS} of a sensor are the least"
+        return ""
 
     @property
     def consistent(self) -> bool:
-        """Whether innovations have the size that the filter states (NIS) and are white, at the 1 % level each."""
+        """Whether innovations have the size that the filter states (NIS) and are white, at the 1 % level each.
+
+        Of a recording without noise: whether they are small.
+        """
+        if self.unjudged:
+            return False
         low, high = self.nis_bounds
-        return bool(low <= self.nis_mean <= high and not self.coloured)
+        return self.noiseless or bool(low <= self.nis_mean <= high and not self.coloured)
 
     @property
     def verdict(self) -> str:
@@ -133,8 +187,10 @@ class Estimate:
         Innovations that keep their sign are an error of the model, whatever their size: noise that was widened until the size
         fits does not make them random, and what no sensor measures follows the model.
         """
+        if self.unjudged:
+            return f"cannot be judged: {self.unjudged}"
         if self.consistent:
-            return "consistent"
+            return "consistent; the recording has no noise" if self.noiseless else "consistent"
         if self.nis_mean > self.nis_bounds[1]:
             return "not consistent: intervals too narrow"
         if self.persistent:
@@ -164,6 +220,7 @@ class Estimate:
                 "nis_bounds": list(self.nis_bounds),
                 "whiteness": self.whiteness,
                 "consistent": self.consistent,
+                "verdict": self.verdict,
                 "log_likelihood": self.log_likelihood,
             },
             "used": {n: int((self.flags[:, i] == USED).sum()) for i, n in enumerate(self.channel_names)},
@@ -276,17 +333,19 @@ class Recorder:
         if self._keeps:
             self.covariance[k] = covariance
 
-    def estimate(self, plan: Any, events: list[tuple[float, str, str]], crane: str, method: str) -> Estimate:
-        """Return what was collected."""
+    def estimate(
+        self, plan: Any, events: list[tuple[float, str, str]], crane: str, method: str, sensor_std: np.ndarray
+    ) -> Estimate:
+        """Return what was collected; `sensor_std` (k,) is the noise that the filter took the sensors to have."""
         result = Estimate(
             time=plan.time,
             state_names=self.states,
             channel_names=self.channels,
             mean=self.mean,
-            std=np.sqrt(np.maximum(self.std, 0.0)),
+            std=_root_of(self.std),
             measured=plan.values,
             innovation=self.innovation,
-            innovation_std=np.sqrt(self.spread),
+            innovation_std=_root_of(self.spread),
             flags=self.flags,
             nis=self.nis,
             dof=(self.flags == USED).sum(axis=1).astype(float),
@@ -295,6 +354,7 @@ class Recorder:
             inputs=plan.inputs[plan.inner],
             crane=crane,
             method=method,
+            sensor_std=sensor_std,
             covariance=self.covariance if self._keeps else None,
             units={n: unit_of(n) for n in (*self.states, *self.channels)},
         )
@@ -304,6 +364,11 @@ class Recorder:
         mean, covariance = smooth(self.mean, self.covariance, self._prior_mean, self._prior_covariance, self._cross)
         std = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0))
         return replace(filtered, mean=mean, std=std, covariance=covariance, method=filtered.method + " + RTS smoother")
+
+
+def _root_of(variance: np.ndarray) -> np.ndarray:
+    """Return the standard deviations of variances, in their place: they are as long as the recording."""
+    return np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
 
 
 def merged(events: Sequence[tuple[float, str, str]]) -> list[Event]:
@@ -318,7 +383,7 @@ def flagged(time: np.ndarray, flags: np.ndarray, channels: Sequence[str]) -> lis
     """Return an event for every run of rejected samples of a channel; runs less than 50 ms apart are one."""
     found = []
     for column, name in enumerate(channels):
-        for flag, words in _WORDS.items():
+        for flag, words in REJECTED.items():
             at = np.flatnonzero(flags[:, column] == flag)
             if at.size:
                 runs = np.split(at, np.flatnonzero(np.diff(time[at]) > 0.05) + 1)

@@ -8,7 +8,7 @@ estimate = estimator.run(recording)                            # the whole state
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,13 +19,16 @@ from crane_exudyn.errors import CraneError, nearest
 from .augment import SENSORS, Augment, resolve
 from .bounds import Bounds, crane_bounds
 from .channels import Channels
-from .estimate import Estimate, Recorder
+from .estimate import REJECTED, Estimate, Recorder
 from .filter import Belief, FilterError
 from .methods import method_of
-from .monitor import ABSENT, USED, Monitor
+from .monitor import ABSENT, FASTEST, OUTLIER, USED, Monitor, leaps
 from .noise import ProcessNoise, measurement_noise
 from .process import Process, engine_of
-from .start import start_belief
+from .samples import command_of, first_stamp, number, readings_of
+from .second_opinion import SecondOpinion
+from .signals import LONG_GAP, Plan, Signals
+from .start import ANGLE, RIVALS, start_belief, taken
 
 #: noise standard deviations where neither the user, the crane file nor the recording says any, SI
 DEFAULT_STD = {
@@ -33,6 +36,14 @@ DEFAULT_STD = {
     "p1": 5e4, "p2": 5e4, "p3": 5e4, "p4": 5e4, "s1": 1e-3, "s2": 1e-3,
 }  # fmt: skip
 SUPPLY = ("pp", "pt")
+#: in the first so many seconds of a recording a leap puts the start in doubt
+_EARLY = 1.0
+#: after so many growing stamps that are not later than the last good one the clock has gone back
+_LATE_STAMPS = 10
+#: the last stamp that was not later than a good one, and how many of them grew in a row
+_IN_ORDER = (np.inf, 0)
+#: what a step of the filter may end in
+_FAILURES = (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError)
 
 
 @dataclass(frozen=True)
@@ -92,6 +103,10 @@ class Estimator:
         self.std_of = sensor_std(crane, sensors)
         self.noise = noise if noise is not None else ProcessNoise()
         self.max_step = float(max_step)
+        if not 0.0 < self.max_step < np.inf:
+            raise CraneError(f"max_step is {max_step}. Give a positive time in seconds, such as 1e-3.")
+        if gate is not None and not gate > 0.0:
+            raise CraneError(f"gate is {gate}. Give a positive number of standard deviations, or None for no gate.")
         self._std = np.array(list(self.std_of.values()))
         self._variance = measurement_noise(self._std)
         self._extras = resolve(crane, augment)
@@ -131,10 +146,13 @@ class Estimator:
         self.time: float | None = None
         self.count = 0
         self.events: list[tuple[float, str, str]] = []
-        self._monitor = Monitor(self._channels.names, self._std, self._gate)
+        self._monitor = Monitor(self._channels.names, self._std, self._gate, self.crane["fluid.vapour_pressure"])
+        self._opinion: SecondOpinion | None = None
         self._spool = None
         self._last_input: np.ndarray | None = None
         self._last_command: np.ndarray | None = None
+        self._late = _IN_ORDER
+        self._flags = np.zeros(len(self.std_of), np.uint8)
 
     # -- live ----------------------------------------------------------------------------------------------------
 
@@ -150,60 +168,84 @@ class Estimator:
             commands: spool commands u1, u2 in [-1, 1] at `time`; between two calls they are taken as linear.
             measurements: any of the sensors, SI; what is missing or NaN is missing. `pp`, `pt` go to the model as inputs.
             time: s; without it one `max_step` after the last call. A time that is not later than the last one is
-                not a new sample: the call changes nothing, and says so in `events`.
+                not a new sample: the call changes nothing, and says so in `events`. After more than `LONG_GAP` seconds, and when
+                the clock went back for good, the estimator goes on anew from the sensors.
 
         Raises:
-            CraneError: a command or measurement with an unknown name.
+            CraneError: a command or measurement with an unknown name or of a wrong shape, or a first time that is no number.
         """
         command, values, supply = self._sorted_out(commands, measurements)
         if self.time is None:
-            self._begin(0.0 if time is None else float(time), command, values, supply)
-            return self._now(np.full(values.size, np.nan), np.full(values.size, ABSENT, np.uint8), np.nan)
-        time = self.time + self.max_step if time is None else float(time)
-        if not time > self.time:
+            self._begin(0.0 if time is None else first_stamp(time), command, values, supply)
+            return self._unchanged()
+        time = self.time + self.max_step if time is None else number(time, "time")
+        if not (np.isfinite(time) and (time > self.time or self._went_back(time))):
             self.events.append((time, "time", "stamp not later than the last one: sample left out"))
-            return self._now(np.full(values.size, np.nan), np.full(values.size, ABSENT, np.uint8), np.nan)
+            return self._unchanged()
+        if not 0.0 < time - self.time <= LONG_GAP:
+            self._resume(time, dict(zip(self._channels.names, values, strict=True)), {})
+            self._set_inputs(command, supply)
+            self._late = _IN_ORDER
+            return self._unchanged()
+        self._late = _IN_ORDER
         times = inner_times(self.time, time, self.max_step)
         inputs = self._live_inputs(times, command, supply)
         innovation, _, flags, nis, _ = self._advance(times, inputs, values)
+        self._note_rejections(time, flags)
         return self._now(innovation, flags, nis)
 
     def _sorted_out(
         self, commands: Sequence[float] | Mapping[str, float], measurements: Mapping[str, float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        if isinstance(commands, Mapping):
-            missing = [n for n in ("u1", "u2") if n not in commands]
-            if missing:
-                raise CraneError(f"commands: {missing[0]} is missing. Give u1 and u2 in [-1, 1].")
-            commands = (commands["u1"], commands["u2"])
-        for name in measurements:
-            if name not in self.std_of and name not in SUPPLY:
-                known = [*self.std_of, *SUPPLY]
-                raise CraneError(f"measurements: {name!r} is no sensor of this estimator.{nearest(name, known)}")
-        values = np.array([_number(measurements.get(n)) for n in self._channels.names])
-        supply = np.array([_number(measurements.get(n)) for n in SUPPLY])
-        return self._usable(np.array(commands, float)), values, supply
+        command = self._usable(command_of(commands))
+        readings = readings_of(measurements, (*self.std_of, *SUPPLY))
+        if np.isinf(readings).any():
+            self.events.append((self._clock, "measurements", "infinite: taken as missing"))
+            readings[np.isinf(readings)] = np.nan
+        return command, readings[: -len(SUPPLY)], readings[-len(SUPPLY) :]
+
+    @property
+    def _clock(self) -> float:
+        """Time of the last sample, s; NaN before the first."""
+        return float("nan") if self.time is None else self.time
+
+    def _went_back(self, time: float) -> bool:
+        """Whether so many stamps in a row were not later than the last good one that it must be that one which was wrong."""
+        last, count = self._late
+        self._late = (time, count + 1 if time > last else 1)
+        return self._late[1] >= _LATE_STAMPS
+
+    def _note_rejections(self, time: float, flags: np.ndarray) -> None:
+        """Tell when a sensor begins to be rejected, and why."""
+        for row in np.flatnonzero((flags != self._flags) & (flags != ABSENT)):
+            if flags[row] in REJECTED:
+                self.events.append((time, self._channels.names[row], REJECTED[int(flags[row])]))
+            self._flags[row] = flags[row]
 
     def _usable(self, command: np.ndarray) -> np.ndarray:
         """Return a command that the valves can follow: a missing one stays as it was, one beyond ±1 is cut, both are told."""
-        time = float("nan") if self.time is None else self.time
         missing = ~np.isfinite(command)
         if missing.any():
-            self.events.append((time, "commands", "missing, the last one is held"))
+            self.events.append((self._clock, "commands", "missing, the last one is held"))
             command[missing] = 0.0 if self._last_command is None else self._last_command[missing]
         if (np.abs(command) > 1.0).any():
-            self.events.append((time, "commands", "beyond ±1, cut"))
+            self.events.append((self._clock, "commands", "beyond ±1, cut"))
             command = np.clip(command, -1.0, 1.0)
         return command
 
     def _begin(self, time: float, command: np.ndarray, values: np.ndarray, supply: np.ndarray) -> None:
+        self.start_at(time, dict(zip(self._channels.names, values, strict=True)))
+        self._set_inputs(command, supply)
+
+    def _set_inputs(self, command: np.ndarray, supply: np.ndarray) -> None:
+        """Take the spools to be at rest at this command."""
         from crane_exudyn.inputs import SpoolPath
 
+        assert self.time is not None
         self._spool = SpoolPath(self.crane)
-        spool = np.asarray(self._spool.step(time, command), float)
+        spool = np.asarray(self._spool.step(self.time, command), float)
         self._last_input = np.concatenate([spool, supply])
         self._last_command = command
-        self.start_at(time, dict(zip(self._channels.names, values, strict=True)))
 
     def _live_inputs(self, times: np.ndarray, command: np.ndarray, supply: np.ndarray) -> np.ndarray:
         assert self._last_command is not None and self._last_input is not None
@@ -216,6 +258,11 @@ class Estimator:
             inputs[k, 2:] = supply
         self._last_command, self._last_input = command, inputs[-1].copy()
         return inputs
+
+    def _unchanged(self) -> Now:
+        """Return what is known after a call that was corrected by no sensor."""
+        innovation, _, flags, nis, _ = self._nothing(len(self.std_of))
+        return self._now(innovation, flags, nis)
 
     def _now(self, innovation: np.ndarray, flags: np.ndarray, nis: float) -> Now:
         assert self.time is not None
@@ -237,21 +284,31 @@ class Estimator:
 
         `spread` is what the measurements may be off by, beside their noise, because the crane moves already.
         """
-        std = {n: float(np.hypot(s, (spread or {}).get(n, 0.0))) for n, s in self.std_of.items()}
-        start = self._start if self._start is not None else start_belief(self.crane, self.engine, first, std)
+        start = self._start if self._start is not None else self._shown(first, spread or {})
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
-        n = self._engine_states
-        mean[:n], covariance[:n, :n] = start.mean, start.covariance
-        for k, extra in enumerate(self._extras):
-            at = n + len(self._channels.lags) + k
-            mean[at], covariance[at, at] = extra.value, extra.std**2
-        for k, (row, _) in enumerate(self._channels.lags):
-            mean[n + k] = self._channels.read(mean[None])[0, row]
-            covariance[n + k, n + k] = self._std[row] ** 2
+        extras = slice(self._engine_states + len(self._channels.lags), None)
+        mean[extras] = [e.value for e in self._extras]
+        covariance[extras, extras] = np.diag([e.std**2 for e in self._extras])
+        self._set_states(start, mean, covariance)
         self._opened = covariance
         self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)))
         self.belief = self._method.begin(mean, covariance)
+        self._monitor.begin(time, taken(first) if self._start is None else ())
+        self._opinion = None
         self.time = time
+
+    def _shown(self, first: Mapping[str, float], spread: Mapping[str, float]) -> Belief:
+        """Return the belief (8, …) in which the sensors show `first`, give or take their noise and `spread`."""
+        std = {n: float(np.hypot(self.std_of.get(n, 0.0), spread.get(n, 0.0))) for n in {*self.std_of, *spread}}
+        return start_belief(self.crane, self.engine, first, std)
+
+    def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
+        """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n, n)."""
+        n = self._engine_states
+        mean[:n], covariance[:n, :n] = start.mean, start.covariance
+        for k, (row, _) in enumerate(self._channels.lags):
+            mean[n + k] = self._channels.read(mean[None])[0, row]
+            covariance[n + k, n + k] = self._std[row] ** 2
 
     def _advance(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None = None
@@ -262,15 +319,105 @@ class Estimator:
         """
         try:
             result = self._predict_and_correct(times, inputs, values, recorder)
-        except (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError) as problem:
+        except _FAILURES as problem:
             self._restart(float(times[-1]), str(problem))
-            unknown = np.full(values.size, np.nan)
-            result = unknown, unknown.copy(), np.full(values.size, ABSENT, np.uint8), float("nan"), 0.0
+            result = self._nothing(values.size)
             if recorder is not None and recorder.smooth:
                 recorder.cut(self.belief)
         self.time = float(times[-1])
         self.count += 1
+        if self._opinion is not None or (result[2] == OUTLIER).any():
+            self._doubt(times, inputs, values, result, recorder)
         return result
+
+    @staticmethod
+    def _nothing(sensors: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        """Return what a step tells that was corrected by no sensor."""
+        unknown = np.full(sensors, np.nan)
+        return unknown, unknown.copy(), np.full(sensors, ABSENT, np.uint8), float("nan"), 0.0
+
+    def _doubt(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        result: tuple[np.ndarray, np.ndarray, np.ndarray, float, float],
+        recorder: Recorder | None,
+    ) -> None:
+        """Let a second filter weigh whether a sensor that stays rejected is right, and go on with that one if it is."""
+        time, flags = float(times[-1]), result[2]
+        if self._opinion is None:
+            row = self._monitor.disputed(time, flags)
+            if row >= 0:
+                self._opinion = SecondOpinion(row, self._believing(row, values, flags), time, self._monitor.since(row))
+            return
+        row, rows = self._opinion.row, (flags == USED)
+        rows[row] = not np.isnan(values[row])
+        try:
+            prior = self._method.predict(
+                self._opinion.belief,
+                self._process.over(inputs, times),
+                self._process_noise(times[-1] - times[0]),
+                self.count,
+            )
+            second, innovation, variance = self._correct_some(prior, values, rows)
+        except _FAILURES:
+            right: bool | None = False
+        else:
+            self._opinion.belief = self._inside(prior if second is None else second)
+            self._opinion.weigh(time, result[:2], (innovation, variance), rows)
+            right = self._opinion.right(time)
+        if flags[row] == USED or right is False:
+            self._opinion = None
+            self._monitor.dismiss(time, row)
+        elif right:
+            self._overturn(time, innovation, recorder)
+
+    def _believing(self, row: int, values: np.ndarray, flags: np.ndarray) -> Any:
+        """Return a belief from what the believed sensors and the one in `row` read now."""
+        names = self._channels.names
+        rivals = RIVALS.get(names[row], ())
+        return self._anew(
+            {names[i]: float(values[i]) for i in (*np.flatnonzero(flags == USED), row) if names[i] not in rivals}
+        )
+
+    def _anew(self, first: Mapping[str, float], spread: Mapping[str, float] | None = None) -> Any:
+        """Return a belief from what the sensors read now; what they do not show of pose and motion, and the extras, stay."""
+        old = self.belief
+        kept = dict(zip(("z1", "z4", "dz1", "dz4"), old.mean[:4].tolist(), strict=True))
+        for name, others in (("z1", ("z1", "s1")), ("z4", ("z4", "z4_abs", "s2"))):
+            if any(n in first and np.isfinite(first[n]) for n in others):
+                del kept[name]
+        mean, covariance = old.mean.copy(), np.diag(np.diag(old.covariance))
+        self._set_states(
+            self._shown(kept | dict(first), dict.fromkeys(kept, ANGLE) | dict(spread or {})), mean, covariance
+        )
+        return self._method.begin(mean, covariance)
+
+    def _resume(
+        self, time: float, first: Mapping[str, float], spread: Mapping[str, float], recorder: Recorder | None = None
+    ) -> None:
+        """Go on after a gap that is too long to be predicted through."""
+        self.events.append((time, "time", f"clock went on by {time - self._clock:.3g} s: anew from the sensors"))
+        self.belief = self._anew(first, spread)
+        self._monitor.begin(time, taken(first))
+        self._opinion = None
+        if recorder is not None and recorder.smooth:
+            recorder.cut(self.belief)
+        self.time = time
+        self.count += 1
+
+    def _overturn(self, time: float, innovation: np.ndarray, recorder: Recorder | None) -> None:
+        """Go on with the second filter: the sensor that was rejected is right."""
+        assert self._opinion is not None
+        row, since, self.belief = self._opinion.row, self._opinion.since, self._opinion.belief
+        self._opinion = None
+        self._monitor.believe(time, row, innovation)
+        name = self._channels.names[row]
+        text = f"believed again: it was right since {since:.3f} s and the filter was not, which went on anew from the sensors"
+        self.events.append((time, name, text))
+        if recorder is not None and recorder.smooth:
+            recorder.cut(self.belief)
 
     def _predict_and_correct(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None
@@ -297,9 +444,14 @@ class Estimator:
         if result is None:
             self.belief = prior
             return innovation, variance, flags, float("nan"), 0.0
-        mean = self._limits.project(result.mean, result.covariance) if self._limits.broken(result.mean) else result.mean
-        self.belief = result if mean is result.mean else _moved(result, mean)
+        self.belief = self._inside(result)
         return innovation, variance, flags, result.nis, result.log_likelihood
+
+    def _inside(self, belief: Any) -> Any:
+        """Return a belief whose mean is physical."""
+        if not self._limits.broken(belief.mean):
+            return belief
+        return replace(belief, mean=self._limits.project(belief.mean, belief.covariance))
 
     def _correct_some(self, prior: Any, values: np.ndarray, rows: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
         """Return the correction by some sensors, or None for none, with innovation and variance (k,), NaN elsewhere."""
@@ -366,33 +518,76 @@ class Estimator:
         Raises:
             CraneError: the recording has none of the sensors, or no commands.
         """
-        from .signals import Signals
-
         signals = recording if isinstance(recording, Signals) else Signals.of(recording, self.crane)
         self.reset()
         plan = signals.plan(self.crane, self.channel_names, self.max_step)
+        since = self._agreed_start(plan)
+        self.reset()
         self.events.extend(plan.events)
-        self.start_at(float(plan.time[0]), plan.first, plan.spread)
+        for name, begin in since.items():
+            text = f"until {begin:.3f} s at odds with what it shows later and with the other sensors: left out"
+            self.events.append((float(plan.time[0]), name, text))
+        plan = plan.without(self.channel_names, since)
+        self.start_at(float(plan.time[0]), *plan.opening())
         recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
         recorder.start(self.belief)
         for k in range(1, plan.time.size):
-            i, j = plan.inner[k - 1], plan.inner[k] + 1
-            result = self._advance(plan.grid[i:j], plan.inputs[i:j], plan.values[k], recorder)
+            result = self._on_plan(plan, k, recorder)
             recorder.note(k, self.belief, *result)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
-        return recorder.estimate(plan, self.events, self.crane.name, self._method_name)
+        return recorder.estimate(plan, self.events, self.crane.name, self._method_name, self._std)
 
+    def _on_plan(
+        self, plan: Plan, k: int, recorder: Recorder | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        """Go on to instant k of a plan: by prediction and correction, or anew from the sensors after a long gap."""
+        i, j = plan.inner[k - 1], plan.inner[k] + 1
+        if plan.time[k] - plan.time[k - 1] > LONG_GAP:
+            self._resume(float(plan.time[k]), *plan.opening(at=float(plan.time[k])), recorder)
+            return self._nothing(plan.values.shape[1])
+        return self._advance(plan.grid[i:j], plan.inputs[i:j], plan.values[k], recorder)
 
-def _moved(result: Any, mean: np.ndarray) -> Any:
-    """Return the same belief at another mean."""
-    from dataclasses import replace
+    def _agreed_start(self, plan: Plan) -> dict[str, float]:
+        """Return {channel: time} of the channels whose samples before that time the start must not be taken from.
 
-    return replace(result, mean=mean)
+        A channel that leaps early on was wrong before or is wrong after. The start is tried both ways, and the filter says with
+        which of them the first samples of all channels agree better.
+        """
+        since: dict[str, float] = {}
+        if self._start is not None:
+            return since
+        end = float(plan.time[0]) + _EARLY
+        groups: dict[float, list[str]] = {}
+        for name, (time, values) in plan.series.items():
+            early, std = time <= end, self.std_of[name]
+            at = leaps(time[early], values[early], std, FASTEST[name[0]], self._gate)
+            if at.size:
+                longest = at[np.argmax(np.diff([*at, early.sum()]))]
+                for k in sorted({int(at[0]), int(longest)}):
+                    groups.setdefault(float(time[k]), []).append(name)
+        best = self._disagreement(plan, since, end) if groups else np.inf
+        for begin, names in sorted(groups.items()):
+            trial = since | dict.fromkeys(names, begin)
+            score = self._disagreement(plan, trial, end)
+            if score < best:
+                best, since = score, trial
+        return since
 
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
+    def _disagreement(self, plan: Plan, since: Mapping[str, float], end: float) -> float:
+        """Return how badly the samples up to twice the time to `end` fit a start: Σ min(ν²/S, gate²) + log S."""
+        self.reset()
+        start, tried = float(plan.time[0]), plan.without(self.channel_names, since)
+        self.start_at(start, *tried.opening())
+        total: float = 0.0
+        most = self._gate**2
+        for k in range(1, plan.until(2.0 * end - start)):
+            innovation, variance, flags, _, _ = self._on_plan(tried, k)
+            used = flags == USED
+            size = variance[used] / self._variance.diagonal()[used]
+            total += float(np.sum(np.minimum(innovation[used] ** 2 / variance[used], most) + np.log(size)))
+            total += most * int((~used & ~np.isnan(plan.values[k])).sum())
+        return total
 
 
 def inner_times(start: float, end: float, max_step: float) -> np.ndarray:

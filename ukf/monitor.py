@@ -5,10 +5,14 @@ rejected only when its innovation *leaps* from one sample to the next by more th
 rejected until the innovation is back inside the gate. When most sensors leap together it is the machine (or a gap in the
 recording) and not the sensors, and all are believed. A sensor is frozen when it repeats one value although its
 noise should make that impossible.
+
+A sensor that leapt may have been wrong before it and be right since. Once it has agreed with itself for as long as it had been
+believed before (a second at most), it is *disputed*: the estimator then asks for a second opinion (`second_opinion`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,26 +23,64 @@ USED, ABSENT, OUTLIER, FROZEN = 0, 1, 2, 3
 #: fastest change that physics allows, by the first letter of the channel: rad/s, rad/s², Pa/s, m/s
 FASTEST = {"z": 3.0, "d": 100.0, "p": 2e8, "s": 1.0}
 _FROZEN_AFTER = 25
-_MEMORY = 0.5  # s, of the running means
+#: two samples further apart than this, s, may differ by anything
+_APART = 0.1
+#: a rejected sensor is disputed after so many samples and so many seconds at the latest in which it agreed with itself
+_AGREEING, _PATIENCE = 10, 1.0
+# columns of the memory
+_VALUE, _CHANGE, _NOISE, _REPEATS, _LONGEST, _INNOVATION, _TIME, _SINCE, _BELIEVED, _PATIENT, _COUNT = range(11)
 
 
 @dataclass
 class Monitor:
-    """Memory of the checks, one entry a channel. `gate` is in standard deviations; infinite switches the gate off."""
+    """Memory of the checks, one entry a channel.
+
+    `gate` is in standard deviations; infinite switches the gate off. A pressure at `floor` (Pa) or below is in vapour, and
+    may repeat itself.
+    """
 
     names: tuple[str, ...]
     std: np.ndarray
     gate: float = 6.0
+    floor: float = -np.inf
     memory: np.ndarray = field(init=False)
     fastest: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.std = np.asarray(self.std, float)
         self.fastest = np.array([FASTEST[n[0]] for n in self.names])
-        # columns: last value, last innovation, last time, repeats, longest run, mean |change|, off since, mean ν²/S
-        self.memory = np.zeros((len(self.names), 8))
-        self.memory[:, [0, 1, 2, 6]] = np.nan
-        self.memory[:, 7] = 1.0
+        self._least = np.array([self.floor if n[0] == "p" else -np.inf for n in self.names])
+        # last value and change; mean size of what changes from change to change; repeats and their longest run; last
+        # innovation and time; off and in agreement with itself since; believed since; seconds and samples until it is disputed
+        self.memory = np.full((len(self.names), 11), np.nan)
+        self.memory[:, [_NOISE, _REPEATS, _LONGEST, _COUNT]] = 0.0
+
+    def begin(self, time: float, taken: Collection[str]) -> None:
+        """Note that the belief was set at `time` from these channels: their next samples may not leap away from it."""
+        for row, name in enumerate(self.names):
+            self.memory[row, _BELIEVED] = time
+            self.memory[row, _SINCE] = np.nan
+            self.memory[row, _INNOVATION] = 0.0 if name in taken else np.nan
+            self.memory[row, _TIME] = time
+
+    def disputed(self, time: float, flags: np.ndarray) -> int:
+        """Return the row of the rejected channel that has agreed with itself long enough, the first to have leapt; else -1."""
+        off = time - self.memory[:, _SINCE]
+        ripe = (flags == OUTLIER) & (off >= self.memory[:, _PATIENT]) & (self.memory[:, _COUNT] >= _AGREEING)
+        return int(np.argmax(np.where(ripe, off, -1.0))) if ripe.any() else -1
+
+    def since(self, row: int) -> float:
+        """Return the time since which a rejected channel has agreed with itself."""
+        return float(self.memory[row, _SINCE])
+
+    def dismiss(self, time: float, row: int) -> None:
+        """Note that a channel was heard in vain: it is disputed again when it has agreed with itself for twice as long."""
+        self.memory[row, _PATIENT] = 2.0 * (time - self.memory[row, _SINCE])
+
+    def believe(self, time: float, row: int, innovation: np.ndarray) -> None:
+        """Note that a channel was right and the belief wrong: it is replaced by one with these innovations (k,), NaN: none."""
+        self.memory[row, _SINCE], self.memory[row, _BELIEVED] = np.nan, time
+        self.memory[:, _INNOVATION] = innovation
 
     def judge(
         self, time: float, values: np.ndarray, innovation: np.ndarray, variance: np.ndarray
@@ -47,91 +89,92 @@ class Monitor:
 
         `variance` (k,) is the diagonal of the innovation covariance.
         """
-        flags, bad = _judge(self.memory, time, values, innovation, variance, self.std, self.fastest, self.gate)
+        flags, bad = _judge(
+            self.memory, time, values, innovation, variance, self.std, self.fastest, self._least, self.gate
+        )
         return flags, int(bad)
 
 
+def leaps(time: np.ndarray, values: np.ndarray, std: float, fastest: float, gate: float) -> np.ndarray:
+    """Return the indices at which a series (n,) begins anew: the sample leaps from the one before by more than is possible."""
+    apart = np.diff(time)
+    possible = gate * np.sqrt(2.0) * std + fastest * apart
+    return np.flatnonzero((np.abs(np.diff(values)) > possible) & (apart <= _APART)) + 1
+
+
 @njit()
-def _judge(memory, time, values, innovation, variance, std, fastest, gate):  # type: ignore[no-untyped-def]
+def _judge(memory, time, values, innovation, variance, std, fastest, least, gate):  # type: ignore[no-untyped-def]
     count = values.size
     flags = np.zeros(count, np.uint8)
-    present, repeating, leaping, bad = 0, 0, 0, 0
+    present, repeating, frozen, leaping, bad = 0, 0, 0, 0, 0
     for k in range(count):
         if np.isnan(values[k]):
             flags[k] = ABSENT
             continue
+        row = memory[k]
         present += 1
-        _note_change(memory[k], values[k])
-        if memory[k, 3] > 0:
-            repeating += 1
-        frozen = _is_frozen(memory[k], std[k])
-        if (
-            not frozen
-            and np.isnan(memory[k, 6])
-            and _leaps(memory[k], time, innovation[k], variance[k], fastest[k], gate)
-        ):
+        _note_agreement(row, time, values[k], std[k], fastest[k], gate)
+        _note_change(row, values[k])
+        repeating += row[_REPEATS] > 0
+        stuck = _is_frozen(row, std[k], least[k])
+        frozen += stuck
+        if not stuck and np.isnan(row[_SINCE]) and _leaps(row, time, innovation[k], variance[k], fastest[k], gate):
             leaping += 1
-            memory[k, 6] = time
+            row[_PATIENT], row[_SINCE], row[_COUNT] = min(time - row[_BELIEVED], _PATIENCE), time, 0.0
     together = leaping > 1 and 2 * leaping > present
     for k in range(count):
         if flags[k] == ABSENT:
             continue
-        if together or abs(innovation[k]) <= gate * np.sqrt(variance[k]) or _lost(memory, k, time):
-            memory[k, 6] = np.nan
-        if _is_frozen(memory[k], std[k]) and repeating < present:
+        row = memory[k]
+        if not np.isnan(row[_SINCE]) and (together or abs(innovation[k]) <= gate * np.sqrt(variance[k])):
+            row[_SINCE], row[_BELIEVED] = np.nan, time
+        # where all repeat it may be a machine at rest, unless all have noise that forbids it
+        if _is_frozen(row, std[k], least[k]) and (repeating < present or frozen == present):
             flags[k] = FROZEN
-            memory[k, 1] = np.nan  # what it shows when it thaws is no leap
-        elif not np.isnan(memory[k, 6]):
+            row[_INNOVATION] = np.nan  # what it shows when it thaws is no leap
+        elif not np.isnan(row[_SINCE]):
             flags[k] = OUTLIER
+            row[_COUNT] += 1.0
         else:
-            _note_used(memory[k], time, innovation[k], variance[k])
-        memory[k, 2] = time
+            row[_INNOVATION] = innovation[k]
+        row[_TIME] = time
         bad += flags[k] != USED
     return flags, bad
 
 
 @njit()
+def _note_agreement(row, time, value, std, fastest, gate):  # type: ignore[no-untyped-def]
+    """Begin to count anew where a sensor that is off leaps away from itself."""
+    if np.isnan(row[_SINCE]):
+        return
+    if abs(value - row[_VALUE]) > gate * np.sqrt(2.0) * std + fastest * (time - row[_TIME]):
+        row[_SINCE], row[_COUNT] = time, 0.0
+
+
+@njit()
 def _note_change(row, value):  # type: ignore[no-untyped-def]
-    change = abs(value - row[0])
-    row[0] = value
+    change = value - row[_VALUE]
+    row[_VALUE] = value
     if change == 0.0:
-        row[3] += 1.0
-    elif change > 0.0:  # not NaN: there was a value before
-        if row[3] < _FROZEN_AFTER:  # a run that was called frozen says nothing about the sensor's resolution
-            row[4] = max(row[4], row[3])
-        row[3] = 0.0
-        row[5] = change if row[5] == 0.0 else 0.95 * row[5] + 0.05 * change
+        row[_REPEATS] += 1.0
+    elif change == change:  # not NaN: there was a value before
+        if row[_REPEATS] < _FROZEN_AFTER:  # a run that was called frozen says nothing about the sensor's resolution
+            row[_LONGEST] = max(row[_LONGEST], row[_REPEATS])
+        row[_REPEATS] = 0.0
+        bend = abs(change - row[_CHANGE]) if row[_CHANGE] == row[_CHANGE] else 0.0
+        row[_NOISE] = bend if row[_NOISE] == 0.0 else 0.95 * row[_NOISE] + 0.05 * bend
+        row[_CHANGE] = change
 
 
 @njit()
 def _leaps(row, time, innovation, variance, fastest, gate):  # type: ignore[no-untyped-def]
-    apart = time - row[2]
-    if not apart <= 0.1:  # the first sample, or the first after a gap
+    apart = time - row[_TIME]
+    if not apart <= _APART:  # the first sample, or the first after a gap
         return False
-    return abs(innovation - row[1]) > gate * np.sqrt(2.0 * variance) + fastest * apart
+    return abs(innovation - row[_INNOVATION]) > gate * np.sqrt(2.0 * variance) + fastest * apart
 
 
 @njit()
-def _lost(memory, k, time):  # type: ignore[no-untyped-def]
-    """Whether a channel has been off for a second while the believed ones do not fit either: then it is the filter."""
-    if not time - memory[k, 6] > 1.0:
-        return False
-    worst = 0.0
-    for j in range(memory.shape[0]):
-        if j != k and np.isnan(memory[j, 6]):
-            worst = max(worst, memory[j, 7])
-    return worst > 9.0
-
-
-@njit()
-def _is_frozen(row, std):  # type: ignore[no-untyped-def]
-    noisy = row[5] > 0.25 * std  # its changes show the noise, so equal values are no accident
-    return noisy and row[3] >= max(_FROZEN_AFTER, 4.0 * row[4])
-
-
-@njit()
-def _note_used(row, time, innovation, variance):  # type: ignore[no-untyped-def]
-    apart = time - row[2]
-    share = 1.0 - np.exp(-apart / _MEMORY) if apart > 0.0 else 0.0
-    row[1] = innovation
-    row[7] += share * (innovation * innovation / variance - row[7])
+def _is_frozen(row, std, least):  # type: ignore[no-untyped-def]
+    noisy = row[_NOISE] > 0.25 * std  # what changes from change to change is noise, so equal values are no accident
+    return noisy and row[_VALUE] > least and row[_REPEATS] >= max(_FROZEN_AFTER, 4.0 * row[_LONGEST])

@@ -8,7 +8,7 @@ running backwards, gaps.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,8 @@ from .augment import SENSORS
 Series = tuple[np.ndarray, np.ndarray]
 _SAME = 1e-7  # s: stamps of different clocks that are closer than this are one instant
 _FIRST = 5  # samples of a sensor that the start is taken from, so that a single bad one does no harm
+#: s without any sample beyond which nothing can be predicted that is worth its time
+LONG_GAP = 10.0
 _GLANCE = 0.1  # s, in which the angles must show a rate for it to be believed
 
 
@@ -29,8 +31,7 @@ _GLANCE = 0.1  # s, in which the angles must show a rate for it to be believed
 class Plan:
     """Instants `time` (N,), measurements `values` (N, k) with NaN, inner `grid` (G,) with `inputs` (G, 4).
 
-    `inner[k]` is where instant k stands in the grid; `first` are the measurements to start from, with rates as the angles show
-    them, and `spread` is how far they may be from the very first instant because the crane moves.
+    `inner[k]` is where instant k stands in the grid; `series` are the known samples of each sensor.
     """
 
     time: np.ndarray
@@ -38,9 +39,34 @@ class Plan:
     grid: np.ndarray
     inputs: np.ndarray
     inner: np.ndarray
-    first: Mapping[str, float]
-    spread: Mapping[str, float]
+    series: Mapping[str, Series]
     events: list[tuple[float, str, str]]
+
+    def opening(self, at: float = -np.inf) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the measurements to start from at `at`, and how far they may be from that instant because the crane moves.
+
+        Rates are given where the angles show them.
+        """
+        begins = {name: int(np.searchsorted(time, at)) for name, (time, _) in self.series.items()}
+        shown = {n: (t[begins[n] :], y[begins[n] :]) for n, (t, y) in self.series.items() if begins[n] < t.size}
+        first = {c: float(np.median(y[:_FIRST])) for c, (_, y) in shown.items()} | _rates(shown)
+        spread = {c: float(np.subtract(*np.percentile(y[:_FIRST], [75, 25]))) for c, (_, y) in shown.items()}
+        return first, spread
+
+    def without(self, channels: Sequence[str], since: Mapping[str, float]) -> Plan:
+        """Return the plan without what the channels (the columns of `values`) in `since` showed before those times."""
+        if not since:
+            return self
+        values, series = self.values.copy(), dict(self.series)
+        for name, begin in since.items():
+            values[self.time < begin, channels.index(name)] = np.nan
+            time, own = series[name]
+            series[name] = time[time >= begin], own[time >= begin]
+        return replace(self, values=values, series=series)
+
+    def until(self, time: float) -> int:
+        """Return how many instants there are up to `time`, the one that follows included."""
+        return min(int(np.searchsorted(self.time, time, side="right")) + 1, self.time.size)
 
 
 @dataclass(frozen=True)
@@ -99,19 +125,24 @@ class Signals:
                 t, y = series[name]
                 values[nearest_index(time, t), column] = y
         _note_gaps(time, events)
-        grid, inner = inner_grid(time, max_step)
+        grid, inner = _grid(time, max_step)
         spool = spool_on(crane, grid, self.command_time, self.commands)
         inputs = np.column_stack([spool, *(self._supply(n, grid) for n in ("pp", "pt"))])
-        shown = {c: s for c, s in series.items() if s[1].size}
-        first = {c: float(np.median(y[:_FIRST])) for c, (_, y) in shown.items()} | _rates(shown)
-        spread = {c: float(np.subtract(*np.percentile(y[:_FIRST], [75, 25]))) for c, (_, y) in shown.items()}
-        return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, first, spread, events)
+        return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, series, events)
 
     def _supply(self, name: str, grid: np.ndarray) -> np.ndarray:
         if name not in self.supply:
             return np.full(grid.size, np.nan)
         t, y = clean(*self.supply[name], name, [])
         return _held(grid, t, y)
+
+
+def _grid(time: np.ndarray, max_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inner grid (G,) and where the instants stand in it; nothing is between the two ends of a long gap."""
+    stretches = np.split(time, np.flatnonzero(np.diff(time) > LONG_GAP) + 1)
+    grids, rows = zip(*(inner_grid(stretch, max_step) for stretch in stretches), strict=True)
+    before = np.cumsum([0, *(grid.size for grid in grids[:-1])])
+    return np.concatenate(grids), np.concatenate([r + b for r, b in zip(rows, before, strict=True)])
 
 
 def _held(grid: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -138,7 +169,8 @@ def clean(time: np.ndarray, values: np.ndarray, name: str, events: list[tuple[fl
     """Return the known samples in increasing order of time; repeated and backward stamps are left out and told."""
     time, values = np.asarray(time, float), np.asarray(values, float)
     known = np.isfinite(time) & np.isfinite(values)
-    time, values = time[known], values[known]
+    if not known.all():
+        time, values = time[known], values[known]
     if time.size == 0:
         events.append((float("nan"), name, "no sample at all"))
         return time, values
@@ -146,7 +178,7 @@ def clean(time: np.ndarray, values: np.ndarray, name: str, events: list[tuple[fl
     late = np.concatenate([[False], time[1:] <= latest[:-1]])
     for stamp in time[late]:
         events.append((float(stamp), name, "stamp not later than the last one: sample left out"))
-    return time[~late], values[~late]
+    return (time[~late], values[~late]) if late.any() else (time, values)
 
 
 def instants(series: Mapping[str, Series]) -> np.ndarray:
@@ -163,5 +195,5 @@ def nearest_index(time: np.ndarray, stamps: np.ndarray) -> np.ndarray:
 def _note_gaps(time: np.ndarray, events: list[tuple[float, str, str]]) -> None:
     steps = np.diff(time)
     usual = float(np.median(steps))
-    for k in np.flatnonzero((steps > 10 * usual) & (steps > 0.05)):
+    for k in np.flatnonzero((steps > 10 * usual) & (steps > 0.05) & (steps <= LONG_GAP)):
         events.append((float(time[k]), "time", f"gap of {steps[k]:.3f} s, predicted through by the model"))

@@ -16,6 +16,16 @@ from .lengths import cylinder_lengths
 ANGLE, RATE, PRESSURE = 0.1, 0.05, 10e5
 
 
+#: what the start is not taken from when the channel is there, and so what must go where the channel shall be believed
+RIVALS = {"z4_abs": ("z4",), "s1": ("z1",), "s2": ("z4", "z4_abs"), "dz4_abs": ("dz4",)}
+
+
+def taken(first: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the channels that the start is taken from: those that are known and have no known rival."""
+    known = [n for n, v in first.items() if np.isfinite(v)]
+    return tuple(n for n in known if not set(RIVALS.get(n, ())) & set(known))
+
+
 def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Mapping[str, float]) -> Belief:
     """Return the belief (8, …) from the first measurements `first` (SI, NaN for missing) and their noise `std`.
 

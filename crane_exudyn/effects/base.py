@@ -13,13 +13,51 @@ SENSORS = ("z1", "z4", "p1", "p2", "p3", "p4")
 #: an effect without a place acts on the whole machine
 EVERYWHERE = ("",)
 
-#: hook -> number of arguments after the effect's own parameters (docs/architecture.md tells what they mean)
-HOOKS: Mapping[str, int] = {
-    "command": 1, "delay": 0, "backlash": 0, "creep": 0, "opening": 1,
-    "supply_drop": 1, "return_gain": 3, "leakage": -1, "supply_pressure": 2, "tank_pressure": 2, "free_gas": 1,
-    "cylinder_force": 5, "series_compliance": 0, "joint_torque": 1,
-    "payload_mass": 2, "tip_force": 1, "gravity": 2, "pendulum": 0,
-    "measurement": 1, "lag": 0,
+
+@dataclass(frozen=True)
+class Hook:
+    """What a hook is given after the effect's own parameters, and what it returns (docs/architecture.md says what they mean).
+
+    `neutral` are the first results of an effect that is switched off; without, it returns what it is given.
+    """
+
+    given: str
+    returns: str
+    neutral: tuple[float, ...] = ()
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of what it is given."""
+        return tuple(filter(None, self.given.split(", ")))
+
+    def off(self, given: tuple[float, ...]) -> tuple[float, ...]:
+        """Return what an effect that is switched off must return, of the first results."""
+        return self.neutral or tuple(given[self.arguments.index(r)] for r in self.results)
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Names of what it returns."""
+        return tuple(self.returns.split(", "))
+
+
+_NOTHING = (0.0,)
+HOOKS: Mapping[str, Hook] = {
+    "command": Hook("u", "u"), "delay": Hook("", "T", _NOTHING), "backlash": Hook("", "b", _NOTHING),
+    "creep": Hook("", "share, tau", _NOTHING), "opening": Hook("U", "U"), "supply_drop": Hook("dp", "dp"),
+    "return_gain": Hook("p_own, p_other, load_side", "factor", (1.0,)), "leakage": Hook("pa, pb", "qa, qb", (0.0, 0.0)),
+    "supply_pressure": Hook("pp, q", "pp"), "tank_pressure": Hook("pt, q", "pt"),
+    "free_gas": Hook("p", "share, compliance", (0.0, 0.0)), "cylinder_force": Hook("v, pa, pb, la, lb", "F", _NOTHING),
+    "series_compliance": Hook("", "1/k", _NOTHING), "joint_torque": Hook("omega", "torque", _NOTHING),
+    "payload_mass": Hook("t, m", "m"), "tip_force": Hook("t", "fy", _NOTHING), "gravity": Hook("gx, gy", "gx, gy"),
+    "pendulum": Hook("", "length, damping", _NOTHING), "measurement": Hook("y", "y"), "lag": Hook("", "tau", _NOTHING),
+}  # fmt: skip
+#: the form of `leakage` at a chamber
+CHAMBER_LEAKAGE = Hook("p", "q", _NOTHING)
+#: places at which a hook may act; one that is not here acts on the whole machine
+ACTS_AT: Mapping[str, tuple[str, ...]] = {
+    "command": CYLINDERS, "delay": CYLINDERS, "backlash": CYLINDERS, "creep": CYLINDERS, "opening": CYLINDERS,
+    "supply_drop": CYLINDERS, "return_gain": CYLINDERS, "leakage": (*CYLINDERS, *CHAMBERS), "cylinder_force": CYLINDERS,
+    "series_compliance": CYLINDERS, "joint_torque": JOINTS, "measurement": SENSORS, "lag": SENSORS,
 }  # fmt: skip
 
 

@@ -11,14 +11,9 @@ import linecache
 from typing import Any
 
 from ..compiled import njit
-from .base import CHAMBERS, CYLINDERS, JOINTS, SENSORS, Effect
+from .base import ACTS_AT, CHAMBERS, HOOKS, Effect
 from .registry import known, slot
 
-_SWITCH = {
-    "command": CYLINDERS, "delay": CYLINDERS, "backlash": CYLINDERS, "creep": CYLINDERS, "opening": CYLINDERS, "supply_drop": CYLINDERS,
-    "return_gain": CYLINDERS, "leakage": CYLINDERS, "cylinder_force": CYLINDERS, "series_compliance": CYLINDERS,
-    "joint_torque": JOINTS, "measurement": SENSORS, "lag": SENSORS,
-}  # fmt: skip
 # hook: (arguments after E, what it starts from, how a term `call` enters, what is returned)
 _FORM = {
     "command": ("c, u", "", "u = {call}", "u"),
@@ -59,13 +54,11 @@ def _chamber_lines(effect: type[Effect], place: str) -> list[str]:
 def _term_lines(effect: type[Effect], place: str, hook: str) -> list[str]:
     if hook == "leakage" and place in CHAMBERS:
         return _chamber_lines(effect, place)
-    arguments, _, enter, _ = _FORM[hook]
-    places = _SWITCH.get(hook)
-    if places is None or place == "":
-        passed = arguments.removeprefix("c").removeprefix(", ") if places else arguments
-        return [f"    {enter.format(call=_call(effect, place, hook, passed))}"]
-    passed = arguments.removeprefix("c").removeprefix(", ")
-    return [f"    if c == {places.index(place)}:", f"        {enter.format(call=_call(effect, place, hook, passed))}"]
+    _, _, enter, _ = _FORM[hook]
+    term = enter.format(call=_call(effect, place, hook, HOOKS[hook].given))
+    if not place or hook not in ACTS_AT:
+        return [f"    {term}"]
+    return [f"    if c == {ACTS_AT[hook].index(place)}:", f"        {term}"]
 
 
 def source(hook: str) -> str:

@@ -12,7 +12,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from ..errors import CraneError, nearest
-from .base import CHAMBERS, CYLINDERS, EVERYWHERE, HOOKS, JOINTS, SENSORS, Effect
+from .base import Effect
+from .checks import checked
 
 #: modules of the built-in effects; the order is that of the vector E
 BUILT_IN = (
@@ -25,7 +26,6 @@ BUILT_IN = (
 #: packages may offer effects of their own under this entry point group
 ENTRY_POINTS = "crane_exudyn.effects"
 
-_PLACES = {*CYLINDERS, *CHAMBERS, *JOINTS, *SENSORS, *EVERYWHERE}
 _user_effects: list[type[Effect]] = []
 _user_files: list[Path] = []
 _frozen = False
@@ -38,7 +38,7 @@ def _built_in() -> tuple[type[Effect], ...]:
 
 @cache
 def _installed() -> tuple[type[Effect], ...]:
-    return tuple(_checked(point.load(), point.value) for point in entry_points(group=ENTRY_POINTS))
+    return tuple(checked(point.load(), point.value) for point in entry_points(group=ENTRY_POINTS))
 
 
 def known() -> tuple[type[Effect], ...]:
@@ -105,7 +105,7 @@ def register(effect: type[Effect]) -> type[Effect]:
 
     Compiled code contains every effect, so this must come before the first engine is imported.
     """
-    _checked(effect, effect.__module__)
+    checked(effect, inspect.getsourcefile(effect) or effect.__module__)
     if any(e.name == effect.name for e in known()):
         raise CraneError(f"There is an effect {effect.name!r} already. Give yours another name.")
     if _frozen:
@@ -127,7 +127,9 @@ def load_file(path: str | Path) -> list[type[Effect]]:
         raise CraneError(f"{file}: there is no such file. --effects wants a Python file that defines an Effect.")
     if file.suffix != ".py":
         raise CraneError(f"{file}: this is no Python file. --effects wants one, NAME.py, that defines an Effect.")
-    spec = importlib.util.spec_from_file_location(f"user_effects_{file.stem}", file)
+    # the folder is in the name: files of one name in two folders are two modules, and compiled code refers to them by name
+    folder = hashlib.sha256(str(file.parent).encode()).hexdigest()[:8]
+    spec = importlib.util.spec_from_file_location(f"user_effects_{file.stem}_{folder}", file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = (
@@ -135,7 +137,7 @@ def load_file(path: str | Path) -> list[type[Effect]]:
     )
     try:
         spec.loader.exec_module(module)
-    except Exception as problem:
+    except (Exception, SystemExit) as problem:
         raise CraneError(f"{file}: cannot be imported: {problem!r}.") from problem
     found = _effects_of(module)
     if not found:
@@ -157,28 +159,6 @@ def _effects_of(module: object) -> list[type[Effect]]:
     return [c for c in classes if c.__module__ == module.__name__]  # type: ignore[attr-defined]
 
 
-def _checked(effect: type[Effect], where: str) -> type[Effect]:
-    """Refuse an effect that could not take part: no name, unknown places or hooks, no parameter."""
-    if not effect.name.isidentifier():
-        raise CraneError(f"{where}: effect {effect.__name__} needs a name in letters, digits and underscores.")
-    unknown = set(effect.places) - _PLACES
-    if unknown:
-        raise CraneError(
-            f"{where}: effect {effect.name!r}: unknown place {sorted(unknown)[0]!r}. Known: {sorted(_PLACES - {''})}."
-        )
-    functions = [n for n, v in vars(effect).items() if isinstance(v, staticmethod)]
-    for function in functions:
-        if function not in HOOKS and not function.startswith("_"):
-            raise CraneError(f"{where}: effect {effect.name!r}: no hook {function!r}.{nearest(function, list(HOOKS))}")
-    if not effect.hooks():
-        raise CraneError(f"{where}: effect {effect.name!r} has no hook. Known hooks: {', '.join(HOOKS)}.")
-    if not effect.parameters:
-        raise CraneError(
-            f"{where}: effect {effect.name!r} has no parameter, so it could be neither fitted nor switched off."
-        )
-    return effect
-
-
 def freeze() -> None:
     """Say that compiled code is about to be made from the effects that are known now."""
     global _frozen
@@ -186,8 +166,8 @@ def freeze() -> None:
 
 
 def fingerprint() -> str:
-    """Return a text that differs when the set of effects or the source of a user's effect differs."""
+    """Return a text that differs when the set of effects, or the module or source of a user's effect differs."""
     texts = []
     for effect in (*_installed(), *_user_effects):
-        texts.append(inspect.getsource(inspect.getmodule(effect)))  # type: ignore[arg-type]
+        texts += [effect.__module__, inspect.getsource(inspect.getmodule(effect))]  # type: ignore[arg-type]
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()

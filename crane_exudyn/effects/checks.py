@@ -1,0 +1,201 @@
+"""Whether an effect that somebody wrote can take part: refused with its file, its hook and the signature that was expected.
+
+Compiled code holds every effect, so one that does not fit would end every command in pages of the compiler's own words. Each hook
+is compiled alone first and tried over what a crane may give it: at the neutral values it must change nothing, to the last bit,
+and at typical values it must return numbers.
+"""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from ..errors import CraneError, nearest
+from .base import (
+    ACTS_AT,
+    CHAMBER_LEAKAGE,
+    CHAMBERS,
+    CYLINDERS,
+    EVERYWHERE,
+    HOOKS,
+    JOINTS,
+    SENSORS,
+    Effect,
+    Hook,
+    Parameter,
+)
+
+_PLACES = {*CYLINDERS, *CHAMBERS, *JOINTS, *SENSORS, *EVERYWHERE}
+_PRESSURES = (0.0, 1e5, 60e5, 200e5)
+#: what the hooks are tried with: values that a crane may give them, by the name of the argument
+_TRIED: Mapping[str, tuple[float, ...]] = {
+    "u": (-1.0, -0.2, 0.0, 0.2, 1.0), "U": (-1.0, -0.2, 0.0, 0.2, 1.0), "dp": (-200e5, -1e5, 0.0, 1e5, 200e5),
+    "p": _PRESSURES, "pa": _PRESSURES, "pb": _PRESSURES, "p_own": _PRESSURES, "p_other": _PRESSURES, "load_side": (0.0, 1.0),
+    "pp": (1e5, 100e5), "pt": (1e5, 20e5), "q": (-1e-3, 0.0, 1e-3), "inv_bulk": (6e-10, 1e-8),
+    "v": (-0.5, -1e-3, 0.0, 1e-3, 0.5), "la": (0.01, 0.3, 1.0), "lb": (0.01, 0.3, 1.0), "omega": (-1.0, -1e-3, 0.0, 1e-3, 1.0),
+    "t": (0.0, 7.0, 600.0), "m": (0.0, 100.0), "gx": (-1.0, 0.0), "gy": (-9.81,), "y": (-1.0, 0.0, 0.5, 60e5),
+}  # fmt: skip
+
+
+def checked(effect: type[Effect], where: str) -> type[Effect]:
+    """Return the effect itself.
+
+    Raises:
+        CraneError: it could not take part; the message begins with `where`, its file or module.
+    """
+    where = f"{where}: effect {effect.name or effect.__name__!r}"
+    _check_description(effect, where)
+    for name, function in effect.hooks().items():
+        for hook in _forms(effect, name):
+            _check_hook(effect, f"{where}, line {_line(function)}", name, hook, function)
+    return effect
+
+
+def _check_description(effect: type[Effect], where: str) -> None:
+    """Refuse names, places, parameters and probes that are none."""
+    if not (isinstance(effect.name, str) and effect.name.isidentifier()):
+        raise CraneError(f"{where}: needs a name in letters, digits and underscores, found {effect.name!r}.")
+    if not isinstance(effect.places, tuple):
+        raise CraneError(f'{where}: places is {effect.places!r}. Give a tuple, such as CYLINDERS or ("lift",).')
+    for place in effect.places:
+        if place not in _PLACES:
+            raise CraneError(f"{where}: unknown place {place!r}. Known: {sorted(_PLACES - {''})}.")
+    for function in (n for n, v in vars(effect).items() if isinstance(v, staticmethod) and not n.startswith("_")):
+        if function not in HOOKS:
+            raise CraneError(f"{where}: no hook {function!r}.{nearest(function, list(HOOKS))}")
+    if not effect.hooks():
+        raise CraneError(f"{where} has no hook. Known hooks: {', '.join(HOOKS)}.")
+    if not (isinstance(effect.parameters, tuple) and effect.parameters):
+        raise CraneError(
+            f"{where} has no parameter, so it could be neither fitted nor switched off. Give a tuple of them."
+        )
+    for parameter in effect.parameters:
+        _check_parameter(parameter, where)
+    for probe in effect.probes:
+        unknown = set(probe) - {p.name for p in effect.parameters}
+        if unknown:
+            raise CraneError(f"{where}: a probe gives {sorted(unknown)[0]!r}, which is no parameter of it.")
+
+
+def _check_parameter(parameter: Any, where: str) -> None:
+    if not isinstance(parameter, Parameter):
+        raise CraneError(
+            f"{where}: found {parameter!r} among its parameters. Expected a Parameter(name, unit, neutral, …)."
+        )
+    where = f"{where}: parameter {parameter.name!r}"
+    if not (isinstance(parameter.name, str) and parameter.name.isidentifier()):
+        raise CraneError(f"{where} needs a name in letters, digits and underscores.")
+    for key in ("unit", "text"):
+        if not isinstance(getattr(parameter, key), str):
+            raise CraneError(f"{where}: {key} is {getattr(parameter, key)!r}, expected a text.")
+    for key in ("neutral", "lower", "upper", "typical"):
+        value = getattr(parameter, key)
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise CraneError(f"{where}: {key} is {value!r}, expected a number.")
+    for key in ("neutral", "typical"):
+        if not parameter.lower <= getattr(parameter, key) <= parameter.upper:
+            raise CraneError(
+                f"{where}: {key} is {getattr(parameter, key):g}, expected a value from lower = {parameter.lower:g} to upper = "
+                f"{parameter.upper:g}. The order is name, unit, neutral, lower, upper, typical, text."
+            )
+
+
+def _forms(effect: type[Effect], name: str) -> list[Hook]:
+    """Return the forms that a hook must have at the places of its effect: one, but for a leakage of cylinders and chambers."""
+    if name == "leakage":
+        return [
+            form
+            for places, form in ((CYLINDERS, HOOKS[name]), (CHAMBERS, CHAMBER_LEAKAGE))
+            if set(places) & set(effect.places)
+        ]
+    return [HOOKS[name]]
+
+
+def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, function: Callable[..., Any]) -> None:
+    """Refuse a hook of another signature, one that does not compile, is not neutral when it should be, or returns no numbers."""
+    places = ACTS_AT.get(name)
+    wrong = [p for p in effect.places if places is not None and p and p not in places]
+    if wrong:
+        raise CraneError(f"{where}: hook {name} cannot act at {wrong[0]!r}. Its places: {', '.join(places or ())}.")
+    expected = f"{name}({', '.join([*(p.name for p in effect.parameters), *hook.arguments])}) -> {hook.returns}"
+    _check_signature(function, where, name, expected, len(effect.parameters) + len(hook.arguments))
+    neutral = [p.typical if p.shape else p.neutral for p in effect.parameters]
+    arguments = list(itertools.product(*(_TRIED[a] for a in hook.arguments)))
+    compiled = _compiled(function, where, name, expected, hook, [float(v) for v in (*neutral, *arguments[0])])
+    for values, given in itertools.product(_values(effect, neutral), arguments):
+        result = _numbers(compiled(*map(float, values), *given))
+        wanted = hook.off(given)
+        if not all(map(math.isfinite, result)):
+            at = _at(function, (*values, *given))
+            raise CraneError(f"{where}: hook {name} returns {_shown(result)} at {at}. Expected finite numbers there.")
+        if values is neutral and result[: len(wanted)] != wanted:
+            at = _at(function, (*values, *given))
+            raise CraneError(
+                f"{where}: hook {name} returns {_shown(result)} at {at}, expected {_shown(wanted)}: at the neutral values "
+                "an effect changes nothing. Mend the law, or the parameters' neutral values."
+            )
+
+
+def _at(function: Callable[..., Any], values: tuple[float, ...]) -> str:
+    """Return "name = value, …" of what a hook was given."""
+    return ", ".join(f"{n} = {v:g}" for n, v in zip(inspect.signature(function).parameters, values, strict=True))
+
+
+def _check_signature(function: Callable[..., Any], where: str, name: str, expected: str, count: int) -> None:
+    """Refuse a hook that does not take the effect's own parameters and then what it is given, by position."""
+    parameters = inspect.signature(function).parameters.values()
+    plain = all(p.kind == p.POSITIONAL_OR_KEYWORD and p.default is p.empty for p in parameters)
+    if not plain or len(parameters) != count:
+        found = f"{name}({', '.join(map(str, parameters))})"
+        raise CraneError(f"{where}: hook {found} does not have the arguments it is given. Expected {expected}.")
+
+
+def _compiled(
+    function: Callable[..., Any], where: str, name: str, expected: str, hook: Hook, first: list[float]
+) -> Callable[..., Any]:
+    """Return the compiled hook, which returns as many numbers as it must."""
+    import numba
+
+    try:
+        compiled = numba.njit(function, error_model="numpy")
+        result = compiled(*first)
+    except Exception as problem:  # whatever the compiler or the law says, it is the law that must be mended
+        raise CraneError(f"{where}: hook {name} cannot be compiled: {_reason(problem)}. Expected {expected}.") from None
+    count = len(hook.results)
+    if not (isinstance(result, tuple) == (count > 1) and len(_numbers(result)) == count):
+        raise CraneError(f"{where}: hook {name} returns {result!r}. Expected {expected}.")
+    if not all(isinstance(v, int | float) for v in _numbers(result)):
+        raise CraneError(f"{where}: hook {name} returns {result!r}, which is no number. Expected {expected}.")
+    return compiled
+
+
+def _values(effect: type[Effect], neutral: list[float]) -> Iterator[list[float]]:
+    """Yield the parameter values that a hook is tried with: neutral, typical, and those at which searches start."""
+    yield neutral
+    typical = {p.name: p.typical for p in effect.parameters}
+    for probe in ({}, *effect.probes):
+        yield list((typical | dict(probe)).values())
+
+
+def _numbers(result: Any) -> tuple[Any, ...]:
+    return result if isinstance(result, tuple) else (result,)
+
+
+def _shown(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{v:g}" for v in values)
+
+
+def _line(function: Callable[..., Any]) -> int:
+    return function.__code__.co_firstlineno
+
+
+def _reason(problem: Exception) -> str:
+    """Return in one line what the compiler said of the law, without its own machinery."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", str(problem))
+    lines = [line.strip() for line in text.splitlines()]
+    lines = [line for line in lines if line and not line.startswith(("Failed in", "- Resolution", "During:"))]
+    return lines[0].rstrip(".:") if lines else type(problem).__name__

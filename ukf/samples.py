@@ -1,0 +1,73 @@
+"""One live sample as the estimator needs it: commands, readings and time as numbers, or one message that says what was wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.errors import CraneError, nearest
+
+VALVES = ("u1", "u2")
+
+
+def command_of(commands: Sequence[float] | Mapping[str, float]) -> np.ndarray:
+    """Return the spool commands (2,), NaN for a missing one.
+
+    Raises:
+        CraneError: not two numbers, or names other than u1 and u2.
+    """
+    if isinstance(commands, Mapping):
+        if set(commands) != set(VALVES):
+            raise CraneError(
+                f"commands: found {', '.join(map(str, commands)) or 'nothing'}. Give u1 and u2 in [-1, 1]."
+            )
+        commands = [commands[name] for name in VALVES]
+    try:
+        found = np.array(commands, float)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != (2,):
+        raise CraneError(f"commands: found {commands!r}. Give two numbers in [-1, 1], one for each valve: (u1, u2).")
+    return found
+
+
+def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+    """Return the readings (k,) of the channels `names` in SI, NaN for missing.
+
+    Raises:
+        CraneError: an unknown name, or a reading that is not one number.
+    """
+    if not isinstance(measurements, Mapping):
+        raise CraneError(
+            f"measurements: found {measurements!r}. Give a mapping such as {{'z1': 0.17, 'p1': 62e5}}, SI."
+        )
+    for name in measurements:
+        if name not in names:
+            raise CraneError(f"measurements: {name!r} is no sensor of this estimator.{nearest(str(name), list(names))}")
+    return np.array([number(measurements.get(n), f"measurements: {n}") for n in names])
+
+
+def first_stamp(time: Any) -> float:
+    """Return the time of the first sample, s. Raises CraneError if it is no finite number."""
+    first = number(time, "time")
+    if not np.isfinite(first):
+        raise CraneError(f"time of the first sample is {first}. Give a finite number of seconds.")
+    return first
+
+
+def number(value: Any, what: str) -> float:
+    """Return a number, NaN for None.
+
+    Raises:
+        CraneError: anything but one number; `what` names it.
+    """
+    if value is None:
+        return float("nan")
+    try:
+        if np.ndim(value) == 0 and not isinstance(value, str):
+            return float(value)
+    except (TypeError, ValueError):
+        pass
+    raise CraneError(f"{what} is {value!r}. Give one number in SI, or leave it out.")

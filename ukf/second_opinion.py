@@ -1,0 +1,68 @@
+"""Who is right, the filter or the sensor that it rejects? A second filter that believes the sensor, beside the first, tells.
+
+A leap between two samples says that a sensor was wrong before it or is wrong after it, not which. The filter stays with what it
+believed first. When the sensor then agrees with itself for long (`monitor`), a second filter is set up from what all sensors
+read now, the rejected one included, and both go on side by side. The *other* sensors, which both believe, decide: the log of the
+ratio of their likelihoods under the two filters is summed over at most half a second. Without another sensor there is nothing
+that speaks against the rejected one, and it is believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+#: log of the likelihood ratio at which the hearing ends before its time
+_CLEAR = 50.0
+#: longest hearing, s, and the fewest samples of it
+_LONGEST, _FEWEST = 0.5, 5
+#: a second filter starts with wide pressures and rates, which costs it likelihood until they have settled, s
+_SETTLING = 0.1
+
+
+@dataclass
+class SecondOpinion:
+    """A belief under which the sensor in row `row` is right, weighed against the one under which it is not.
+
+    Attributes:
+        row: of the sensor among the channels.
+        belief: what the second filter believes.
+        begun: when it was set up, s; `since`: since when the sensor has agreed with itself.
+        evidence: log of the likelihood ratio of the other sensors so far, positive for the second filter.
+        steps: samples weighed; `others`: readings of other sensors among them.
+    """
+
+    row: int
+    belief: Any
+    begun: float
+    since: float
+    evidence: float = 0.0
+    steps: int = 0
+    others: int = 0
+
+    def weigh(
+        self, time: float, first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], used: np.ndarray
+    ) -> None:
+        """Add a sample: innovations and their variances (k,) of both filters, and which sensors (k,) both believe."""
+        if time - self.begun < _SETTLING:
+            return
+        self.steps += 1
+        rows = used & np.isfinite(first[0]) & np.isfinite(second[0])
+        rows[self.row] = False
+        self.others += int(rows.sum())
+        self.evidence += _log_likelihood(*second, rows) - _log_likelihood(*first, rows)
+
+    def right(self, time: float) -> bool | None:
+        """Return whether the sensor is right and the first filter wrong; None while that is open."""
+        if self.steps < _FEWEST:
+            return None
+        if abs(self.evidence) < _CLEAR and time - self.begun < _LONGEST:
+            return None
+        return self.evidence > 0.0 or self.others == 0
+
+
+def _log_likelihood(innovation: np.ndarray, variance: np.ndarray, rows: np.ndarray) -> float:
+    """Return the log-likelihood of some innovations, but for a constant."""
+    return float(-0.5 * np.sum(innovation[rows] ** 2 / variance[rows] + np.log(variance[rows])))
