@@ -29,6 +29,11 @@ CHANNELS: Mapping[str, str] = MappingProxyType(
     | dict(UNSEEN)
 )
 
+#: a pause in a channel is a gap if it is so many times longer than usual, and this long in s
+_GAP_RATIO, _GAP = 3.0, 0.05
+#: seconds by which the end of a hold stands before the sample that shows something new
+JUST_BEFORE = 1e-6
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -54,3 +59,20 @@ class Channel:
     def held(self, time: np.ndarray) -> np.ndarray:
         """Return values at `time`, linear between samples, the first and last value held outside."""
         return np.interp(time, self.time, self.values)
+
+    @property
+    def longest_pause(self) -> float:
+        """Return the longest time in s between two samples that is no gap."""
+        steps = np.diff(self.time)
+        return max(_GAP_RATIO * float(np.median(steps)), _GAP) if len(steps) else np.inf
+
+    def gaps(self) -> np.ndarray:
+        """Return the gaps (g, 2) in s: last sample before and first sample after each pause that is far longer than usual."""
+        before = np.flatnonzero(np.diff(self.time) > self.longest_pause)
+        return np.column_stack([self.time[before], self.time[before + 1]])
+
+    def held_through_gaps(self) -> Channel:
+        """Return the channel with one more sample at the end of each gap, which still shows the value before it."""
+        after = np.searchsorted(self.time, self.gaps()[:, 1])
+        time = np.insert(self.time, after, self.time[after] - JUST_BEFORE)
+        return Channel(time, np.insert(self.values, after, self.values[after - 1]), self.unit)

@@ -59,7 +59,7 @@ class Recording:
 
         mapping = dict(mapping or {})
         check_mapping(mapping)
-        return cls(**assemble(Path(path), read(Path(path), wanted=wanted(mapping)), mapping))
+        return cls(**assemble(Path(path), read(Path(path), wanted=wanted(mapping)), mapping))._with_gaps_told()
 
     @classmethod
     def from_arrays(cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray]) -> Recording:
@@ -75,7 +75,8 @@ class Recording:
         for channel in values:
             if channel not in CHANNELS:
                 raise CraneError(f"{name}: there is no channel {channel!r}.{nearest(channel, list(CHANNELS))}")
-        return cls(**assemble(Path(name), RawTable(columns), {}) | {"name": name, "source": name})
+        made = cls(**assemble(Path(name), RawTable(columns), {}) | {"name": name, "source": name})
+        return made._with_gaps_told()
 
     # -- asking --------------------------------------------------------------------------------------------------
 
@@ -146,14 +147,15 @@ class Recording:
 
         Valve voltages become commands through the calibration of `crane`. Where both commands have one clock it is
         returned as it is; otherwise the union of both. Where a command jumps, one more instant just before the sample that shows
-        the new value holds the old one (see `drive.with_steps`).
+        the new value holds the old one (see `drive.with_steps`). In a gap the last value is held; see `unknown_commands`.
         """
         from .drive import with_steps
 
         self.require(sensors=0)
-        names = COMMANDS if self.has(*COMMANDS) else VOLTAGES
-        time = _union([self[name].time for name in names])
-        values = np.column_stack([self[name].held(time) for name in names])
+        names = self._command_names
+        held = [self[name].held_through_gaps() for name in names]
+        time = _union([channel.time for channel in held])
+        values = np.column_stack([channel.held(time) for channel in held])
         if names == COMMANDS:
             return with_steps(time, np.clip(values, -1.0, 1.0))
         if crane is None:
@@ -161,6 +163,32 @@ class Recording:
                 f"{self.source or self.name}: holds valve voltages; a crane's calibration makes commands of them."
             )
         return with_steps(time, crane.commands_from_voltages(values))
+
+    def unknown_commands(self) -> dict[str, np.ndarray]:
+        """Return {command: spans (g, 2) in s} in which a command was not recorded while the recording went on; empty if all are known."""
+        found = {}
+        for name in filter(self.has, self._command_names):
+            channel = self[name]
+            spans = [(self.start, channel.time[0]), *channel.gaps(), (channel.time[-1], self.end)]
+            unknown = [(a, b) for a, b in spans if b - a > channel.longest_pause]
+            if unknown:
+                found[name] = np.array(unknown)
+        return found
+
+    def _with_gaps_told(self) -> Recording:
+        """Return the recording with a note on each command that is not known all the time."""
+        told = []
+        for name, spans in self.unknown_commands().items():
+            where = ", ".join(f"{a:.6g} … {b:.6g} s" for a, b in spans[:3]) + (", …" if len(spans) > 3 else "")
+            told.append(
+                f"command {name} is missing in {len(spans)} span{'s' * (len(spans) > 1)} ({where}): the nearest value before "
+                "is held there, as an unknown input that fits leave out"
+            )
+        return replace(self, notes=(*self.notes, *told))
+
+    @property
+    def _command_names(self) -> tuple[str, ...]:
+        return COMMANDS if self.has(*COMMANDS) else VOLTAGES
 
     def supply(self, time: np.ndarray) -> np.ndarray:
         """Return pump and tank pressure (n, 2) in Pa at `time`; NaN where they were not measured."""

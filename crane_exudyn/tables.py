@@ -15,6 +15,8 @@ import numpy as np
 
 from .errors import CraneError
 
+#: names that are told one by one
+_FEW = 3
 _NEWLINE = 10
 #: what plain numbers are written with; anything else is for the careful reader
 _PLAIN = b"0123456789+-.eEnNaA\n"
@@ -59,6 +61,13 @@ def split_header(header: str) -> tuple[str, str | None]:
     if not bracket or not rest.endswith("]"):
         return header.strip(), None
     return name.strip(), rest[:-1].strip()
+
+
+def remarks(what: str, names: Sequence[str], happened: str) -> list[str]:
+    """Return one remark a name where they are few, one for all where they are many, such as "column 'operator' was ignored"."""
+    if len(names) <= _FEW:
+        return [f"{what} {name!r} {happened}" for name in names]
+    return [f"{len(names)} {what}s such as {', '.join(map(repr, names[:_FEW]))}: each {happened}"]
 
 
 # -- text files ------------------------------------------------------------------------------------------------------
