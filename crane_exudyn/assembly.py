@@ -189,7 +189,9 @@ def _longest_stretch(channels: dict[str, Channel]) -> tuple[dict[str, Channel], 
     kept = max(stretches, key=len)
     words = ", ".join(f"{s[0]:.6g} … {s[-1]:.6g} s" for s in stretches if s is not kept)
     inside = {name: (c.time >= kept[0]) & (c.time <= kept[-1]) for name, c in channels.items()}
-    chosen = {n: Channel(c.time[inside[n]], c.values[inside[n]], c.unit) for n, c in channels.items() if inside[n].any()}
+    chosen = {
+        n: Channel(c.time[inside[n]], c.values[inside[n]], c.unit) for n, c in channels.items() if inside[n].any()
+    }
     return chosen, [
         f"pauses of more than {_SPLIT:g} s split the recording into {len(stretches)} stretches: the one from {kept[0]:.6g} to {kept[-1]:.6g} s "
         f"is used, not {words}. Cut the file there to use them as recordings of their own"

@@ -71,8 +71,8 @@ class Channel:
         before = np.flatnonzero(np.diff(self.time) > self.longest_pause)
         return np.column_stack([self.time[before], self.time[before + 1]])
 
-    def held_through_gaps(self) -> Channel:
-        """Return the channel with one more sample at the end of each gap, which still shows the value before it."""
-        after = np.searchsorted(self.time, self.gaps()[:, 1])
+    def held_until(self, instants: np.ndarray) -> Channel:
+        """Return the channel with one more sample just before each of some of its instants (g,), which still shows the value before it."""
+        after = np.searchsorted(self.time, instants)
         time = np.insert(self.time, after, self.time[after] - JUST_BEFORE)
         return Channel(time, np.insert(self.values, after, self.values[after - 1]), self.unit)

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
     from .crane import Crane
 
+#: samples of other channels in a pause of a command by which it is known that the recording went on
+_RECORDED = 2
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -153,7 +156,7 @@ class Recording:
 
         self.require(sensors=0)
         names = self._command_names
-        held = [self[name].held_through_gaps() for name in names]
+        held = [self[name].held_until(self._gaps(name)[:, 1]) for name in names]
         time = _union([channel.time for channel in held])
         values = np.column_stack([channel.held(time) for channel in held])
         if names == COMMANDS:
@@ -169,11 +172,18 @@ class Recording:
         found = {}
         for name in filter(self.has, self._command_names):
             channel = self[name]
-            spans = [(self.start, channel.time[0]), *channel.gaps(), (channel.time[-1], self.end)]
+            spans = [(self.start, channel.time[0]), *self._gaps(name), (channel.time[-1], self.end)]
             unknown = [(a, b) for a, b in spans if b - a > channel.longest_pause]
             if unknown:
                 found[name] = np.array(unknown)
         return found
+
+    def _gaps(self, name: str) -> np.ndarray:
+        """Return the gaps (g, 2) of a command in s: pauses in which something was recorded; a few points written by hand have none."""
+        gaps = self[name].gaps()
+        others = np.sort(np.concatenate([[], *(c.time for n, c in self.channels.items() if n != name)]))
+        inside = np.searchsorted(others, gaps[:, 1]) - np.searchsorted(others, gaps[:, 0], side="right")
+        return gaps if self.sensors else gaps[inside > _RECORDED]
 
     def _with_gaps_told(self) -> Recording:
         """Return the recording with a note on each command that is not known all the time."""

@@ -12,6 +12,7 @@ lacks. What the sensors cannot tell apart (moment and pressure, where a pressure
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -105,12 +106,22 @@ def balances_of(crane: Crane, data: FitData) -> Balances:
     starts = np.array([w.start for w in windows])
     knots = _wide(knots_of(crane, data, windows), model.nx)
     parts = []
-    for chosen in np.array_split(np.arange(len(starts)), max(1, round(len(data.time) * data.step / _CHUNK))):
-        first, after = starts[chosen[0]], chosen[-1] + 1
-        last = starts[after] if after < len(starts) else len(data.time) - 1
+    for first, last in _chunks(data, starts):
+        chosen = (starts >= first) & (starts < last)
         part = replace(model, W=model.W[first : last + 1])
-        parts.append(_balances(part, data.part(int(first), int(last)), starts[chosen] - first, knots[chosen]))
+        parts.append(_balances(part, data.part(first, last), starts[chosen] - first, knots[chosen]))
     return _joined(parts)
+
+
+def _chunks(data: FitData, starts: np.ndarray) -> list[tuple[int, int]]:
+    """Return first and last grid point of pieces that are short enough to be held in memory, each from start to start of a window."""
+    found = []
+    for first, last in data.stretches:
+        edges = [*starts[(starts >= first) & (starts < last)].tolist(), last]
+        pieces = max(1, round((last - first) * data.step / _CHUNK))
+        chosen = [edges[i] for i in np.linspace(0, len(edges) - 1, pieces + 1).round().astype(int)]
+        found += list(pairwise(chosen))
+    return found
 
 
 def _wide(knots: np.ndarray, nx: int) -> np.ndarray:

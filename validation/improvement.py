@@ -15,8 +15,7 @@ from crane_exudyn.recording import Recording
 
 from .diagnosis import LEVEL, Candidate, Diagnosis, diagnose, sentence
 from .fit.data import FitData
-from .fit.model import model_of, output_rows, shown
-from .fit.staged import FINE, rms
+from .fit.staged import FINE, residuals, rms
 from .history import added
 from .search.weigh import open_loop_error
 from .stepwise import Grown, explained, grow
@@ -238,14 +237,8 @@ def exudyn_error(crane: Crane, recording: Recording) -> tuple[float, float]:
 
     searched, fit = open_loop_error(crane, recording)
     data = FitData.of(recording, crane, rate=math.inf, step=FINE)
-    model = model_of(crane, data, fit.late)
-    X = ExudynEngine(crane).simulate(fit.knots[0], data.time, model.W)
-    Z = shown(data.channels, output_rows(data.channels, X, model.P)[0], model.E, data.step)
-    parts = {}
-    for j, s in enumerate(data.samples):
-        predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
-        parts[s.channel] = (data.time[s.index], (s.values - predicted) / s.noise)
-    return rms(parts), searched
+    engine = ExudynEngine(crane)
+    return rms(residuals(crane, data, fit.starts, fit.late, engine.simulate)), searched
 
 
 def nis_mean(crane: Crane, recording: Recording) -> float:

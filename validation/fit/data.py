@@ -14,6 +14,8 @@ from crane_exudyn.recording import Recording
 #: channels that a fit can predict, in the order of its outputs
 CHANNELS = ("z1", "z4", "z4_abs", "dz1", "dz4", "dz4_abs", "p1", "p2", "p3", "p4", "s1", "s2")
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
+#: seconds after a gap in the commands until the spools have forgotten it, and the shortest stretch between two gaps that is worth a start of its own
+_FORGOTTEN, _SHORTEST = 0.25, 0.5
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class FitData:
         step: its step in s.
         command_time, commands: (n,) s and (n, 2), linear between, on their own clock.
         supply: (N, 2) measured pump and tank pressure in Pa, NaN where not recorded.
-        samples: one entry a measured channel.
+        samples: one entry a measured channel; none where the commands are not known.
+        blind: spans (from, to) in s in which a command was not recorded, or is still felt; the model is not run through them.
     """
 
     name: str
@@ -46,6 +49,18 @@ class FitData:
     commands: np.ndarray
     supply: np.ndarray
     samples: tuple[Samples, ...]
+    blind: tuple[tuple[float, float], ...] = ()
+
+    @cached_property
+    def stretches(self) -> list[tuple[int, int]]:
+        """Return first and last grid point of each stretch in which the commands are known; one, where they always are."""
+        start, end = float(self.time[0]), float(self.time[-1])
+        bounds = [start, *(min(max(t, start), end) for span in self.blind for t in span), end]
+        known = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > 1e-3 * self.step]
+        return [
+            (int(np.floor((a - start) / self.step + 1e-6)), int(np.ceil((b - start) / self.step - 1e-6)))
+            for a, b in known
+        ]
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -71,7 +86,7 @@ class FitData:
         file's or, where it names none, estimated from the data.
 
         Raises:
-            CraneError: commands or sensors are missing.
+            CraneError: commands or sensors are missing, or no stretch with known commands is long enough.
         """
         times, commands = recording.commands(crane)
         sensors = [c for c in CHANNELS if recording.has(c)]
@@ -82,24 +97,29 @@ class FitData:
         step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
         grid = start + step * np.arange(int(np.floor((end - start) / step + 1e-6)) + 2)
         noise = recording.noise()
+        blind = _blind(recording, float(start), float(end))
         samples = tuple(
-            _samples(
-                c,
-                recording.channels[c].time,
-                recording.channels[c].values,
-                crane.sensors.get(c, noise.get(c)),
+            _without(
+                blind,
+                _samples(
+                    c,
+                    recording.channels[c].time,
+                    recording.channels[c].values,
+                    crane.sensors.get(c, noise.get(c)),
+                    grid,
+                    rate,
+                ),
                 grid,
-                rate,
             )
             for c in sensors
         )
-        return cls(recording.name, grid, step, times, commands, _supply(recording, grid), samples)
+        return cls(recording.name, grid, step, times, commands, _supply(recording, grid), samples, blind)
 
     def shifted(self, late: float) -> FitData:
         """Return the same data with commands that come `late` seconds after their stamps."""
         if late == 0.0:
             return self
-        return replace(self, command_time=self.command_time + late)
+        return replace(self, command_time=self.command_time + late)  # the blind spans are wider than any lateness
 
     def with_step(self, step: float) -> FitData:
         """Return the same data on a grid of another step (s)."""
@@ -119,6 +139,35 @@ class FitData:
             kept.append(Samples(s.channel, s.index[inside] - start, s.fraction[inside], s.values[inside], s.noise))
         cut = slice(start, end + 1)
         return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept))
+
+
+def _blind(recording: Recording, start: float, end: float) -> tuple[tuple[float, float], ...]:
+    """Return the spans from `start` to `end` in which a command is unknown or still felt, in order, none touching another."""
+    spans = sorted((float(a), float(b) + _FORGOTTEN) for g in recording.unknown_commands().values() for a, b in g)
+    found: list[tuple[float, float]] = []
+    for a, b in spans:
+        before = found[-1][1] if found else start
+        if a - before < _SHORTEST:
+            a = found.pop()[0] if found else start
+        found.append((a, max(b, before)))
+    if found and end - found[-1][1] < _SHORTEST:
+        found[-1] = (found[-1][0], end)
+    if found and found[0] == (start, end):
+        raise CraneError(
+            f"{recording.source or recording.name}: nowhere are the commands known for {_SHORTEST:g} s on end. Record the commands with the sensors."
+        )
+    return tuple(found)
+
+
+def _without(blind: tuple[tuple[float, float], ...], samples: Samples, grid: np.ndarray) -> Samples:
+    """Return the samples that do not lie in blind spans."""
+    if not blind:
+        return samples
+    time = grid[samples.index] + samples.fraction * (grid[1] - grid[0])
+    seen = ~np.any([(time >= a - 1e-9) & (time <= b + 1e-9) for a, b in blind], axis=0)
+    if not seen.any():
+        raise CraneError(f"Channel {samples.channel}: no sample where the commands are known. Leave it out.")
+    return replace(samples, index=samples.index[seen], fraction=samples.fraction[seen], values=samples.values[seen])
 
 
 def grid_step(interval: float, longest: float = 2.5e-3) -> float:

@@ -86,11 +86,18 @@ def robust(squares: float, number: int) -> tuple[float, float]:
 
 
 def cut(data: FitData, seconds: float) -> list[Window]:
-    """Return windows of about `seconds` each."""
-    steps = len(data.time) - 1
-    number = max(1, round(steps * data.step / seconds))
-    edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
-    return [Window(int(a), data.part(int(a), int(b))) for a, b in pairwise(edges)]
+    """Return windows of about `seconds` each; none where the commands are unknown."""
+    windows = []
+    for first, last in data.stretches:
+        number = max(1, round((last - first) * data.step / seconds))
+        edges = first + np.round(np.linspace(0, last - first, number + 1)).astype(int)
+        windows += [Window(int(a), data.part(int(a), int(b))) for a, b in pairwise(edges)]
+    return windows
+
+
+def follows(before: Window, after: Window) -> bool:
+    """Whether a window begins where another ends; between them commands may be unknown, and then nothing joins them."""
+    return before.start + len(before.data.time) - 1 == after.start
 
 
 @dataclass(frozen=True)
@@ -277,7 +284,7 @@ def normal_equations(
     """Return the linearised fit.
 
     Args:
-        windows: K windows.
+        windows: K windows, held together where one follows the other.
         knots: first states (K, nx) in SI.
         base, columns: the model and its perturbed kin.
         stiffness: how many times smaller than JUMP a jump between two windows is expected to be.
@@ -295,7 +302,7 @@ def normal_equations(
             return linear
         linear.volume += part.volume
         _add_data(linear, k, part, channels, scale)
-        if k + 1 < K:
+        if k + 1 < K and follows(windows[k], windows[k + 1]):
             _add_jump(linear, k, part, knots[k + 1], scale, stiffness)
     return linear
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
 from .data import FitData
-from .linear import JUMP, Columns, Linear, Window, columns_of, model_at, normal_equations
+from .linear import JUMP, Columns, Linear, Window, columns_of, follows, model_at, normal_equations
 from .model import Model
 from .variables import Variable, lateness, with_variables
 
@@ -59,6 +60,12 @@ class Fit:
     def late(self) -> float:
         """Seconds by which the commands were found to come after their stamps."""
         return lateness(self.variables, self.u)
+
+    @property
+    def starts(self) -> np.ndarray:
+        """First states (S, nx) of the recording's stretches with known commands; one, where they always are."""
+        joined = [False, *(follows(a, b) for a, b in pairwise(self.windows))]
+        return self.knots[~np.array(joined)]
 
     def std(self, name: str) -> float:
         """Return the standard deviation of the variable `name` in units of u."""
