@@ -175,6 +175,7 @@ def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table:
             f"{path}, {table.place(row)}, column {column.header}: time leaps from {time[row - 1]:.6g} s to {time[row]:.6g} s, "
             "expected a clock that goes on. Mend the clock or its unit, or delete the lines on one side of the leap."
         )
+    time.setflags(write=False)
     return np.asarray(time)
 
 
@@ -248,6 +249,8 @@ def _channel(
     if not there.any():
         return None
     rows = _first_of_stamp(path, raw.header, time, np.flatnonzero(there), table)
+    if len(rows) == len(time):
+        return Channel(time, values, CHANNELS[name])
     return Channel(time[rows], values[rows], CHANNELS[name])
 
 

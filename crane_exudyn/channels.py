@@ -45,8 +45,10 @@ class Channel:
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
-            array = np.array(getattr(self, name), dtype=float)
-            array.setflags(write=False)
+            array = np.asarray(getattr(self, name), dtype=float)
+            if array.flags.writeable:  # channels of one clock share what nobody can change
+                array = array.copy()
+                array.setflags(write=False)
             object.__setattr__(self, name, array)
 
     def __len__(self) -> int:

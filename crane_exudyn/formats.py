@@ -28,8 +28,9 @@ from .errors import CraneError
 from .files import replacing
 from .tables import RawColumn, RawTable, read_text, split_header
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 Writer = Callable[[Path, Mapping[str, np.ndarray], int | None], None]
+#: lines of a text file that are written at a time
+_LINES = 10_000
 _VALUES, _UNIT = ("values", "data", "Data"), ("unit", "units", "Unit")
 
 
@@ -43,26 +44,22 @@ def read(path: Path, wanted: Collection[str]) -> RawTable:
     if path.is_dir():
         raise CraneError(f"{path} is a folder, expected a recording file.")
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            head = file.peek(_HEAD)[:_HEAD]
+            reader = next((r for start, r in _READERS.items() if head.startswith(start)), None)
+            if reader is None and path.suffix.lower() not in (".mat", ".parquet", ".mf4", ".mdf"):
+                return read_text(path, file)
     except FileNotFoundError:
         raise CraneError(f"{path}: there is no such file. Check the name and the folder.") from None
-    if data.startswith(b"MATLAB 5.0"):
-        return _read_mat5(path)
-    if data.startswith((b"MATLAB 7.3", _HDF5)):
-        return _read_mat73(path)
-    if data.startswith(b"PAR1"):
-        return _read_parquet(path)
-    if data.startswith((b"MDF ", b"UnFinMF ")):
-        return _read_mdf(path, wanted)
-    if path.suffix.lower() in (".mat", ".parquet", ".mf4", ".mdf"):
+    if reader is None:
         raise CraneError(f"{path}: the content is not that of a {path.suffix} file; it is empty, cut off or misnamed.")
-    return read_text(path, data)
+    return reader(path, wanted)
 
 
 # -- MATLAB ----------------------------------------------------------------------------------------------------------
 
 
-def _read_mat5(path: Path) -> RawTable:
+def _read_mat5(path: Path, _: Collection[str]) -> RawTable:
     from scipy.io import loadmat
 
     try:
@@ -79,7 +76,7 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, np.str_) else value
 
 
-def _read_mat73(path: Path) -> RawTable:
+def _read_mat73(path: Path, _: Collection[str]) -> RawTable:
     import h5py
 
     try:
@@ -169,7 +166,7 @@ def _own_clock(name: str, variables: Mapping[str, Any], clocks: dict[str, RawCol
 # -- Parquet ---------------------------------------------------------------------------------------------------------
 
 
-def _read_parquet(path: Path) -> RawTable:
+def _read_parquet(path: Path, _: Collection[str]) -> RawTable:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -257,6 +254,18 @@ def _mdf_signals(file: Any, wanted: Collection[str]) -> Iterator[Any]:
                     yield signal
 
 
+#: how a file begins that is no text, and what reads it
+_READERS: dict[bytes, Callable[[Path, Collection[str]], RawTable]] = {
+    b"MATLAB 5.0": _read_mat5,
+    b"MATLAB 7.3": _read_mat73,
+    b"\x89HDF\r\n\x1a\n": _read_mat73,
+    b"PAR1": _read_parquet,
+    b"MDF ": _read_mdf,
+    b"UnFinMF ": _read_mdf,
+}
+_HEAD = 16
+
+
 # -- writers ---------------------------------------------------------------------------------------------------------
 
 
@@ -289,12 +298,15 @@ def check_writable(path: str | Path) -> Writer:
     raise CraneError(f"{target}: cannot write {target.suffix or 'a file without ending'!r}. Known: {known}.")
 
 
-def _csv_bytes(columns: Mapping[str, np.ndarray], digits: int | None) -> bytes:
-    """Return the columns as CSV, missing samples empty."""
+def _csv_pieces(columns: Mapping[str, np.ndarray], digits: int | None) -> Iterator[bytes]:
+    """Yield the columns as CSV, missing samples empty, some lines at a time: text is many times larger than numbers."""
     text: Callable[[float], str] = repr if digits is None else f"{{:.{digits}g}}".format
-    fields = [_quoted(v) if _is_text(v) else _numbers(v, text) for v in columns.values()]
-    lines = [",".join(columns), *map(",".join, zip(*fields, strict=True))]
-    return ("\n".join(lines) + "\n").encode()
+    yield (",".join(columns) + "\n").encode()
+    length = {len(v) for v in columns.values()}
+    for first in range(0, max(length, default=0), _LINES):
+        some = [v[first : first + _LINES] for v in columns.values()]
+        fields = [_quoted(v) if _is_text(v) else _numbers(v, text) for v in some]
+        yield ("\n".join(map(",".join, zip(*fields, strict=True))) + "\n").encode()
 
 
 def _numbers(values: np.ndarray, text: Callable[[float], str]) -> list[str]:
@@ -317,11 +329,13 @@ def _array(values: np.ndarray) -> np.ndarray:
 
 
 def _write_csv(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
-    path.write_bytes(_csv_bytes(columns, digits))
+    with path.open("wb") as file:
+        file.writelines(_csv_pieces(columns, digits))
 
 
 def _write_csv_gz(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
-    path.write_bytes(gzip.compress(_csv_bytes(columns, digits), compresslevel=5, mtime=0))
+    with path.open("wb") as raw, gzip.GzipFile("", "wb", compresslevel=5, fileobj=raw, mtime=0) as file:
+        file.writelines(_csv_pieces(columns, digits))
 
 
 def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:

@@ -243,6 +243,22 @@ class Recording:
         """Return the standard deviation of each sensor's noise in SI, estimated from the data (`signals.noise_std`)."""
         return {name: signals.noise_std(self[name].values) for name in self.sensors}
 
+    def noise_free(self) -> tuple[str, ...]:
+        """Return the sensors that move and show less noise than any sensor has, as those of simulations do."""
+        return tuple(name for name in self.sensors if signals.is_noise_free(self[name].values))
+
+    def with_noise(self, stated: Mapping[str, float] | None = None) -> Recording:
+        """Return the recording with noise added to its noise-free sensors (`signals.noisy`), always the same.
+
+        Args:
+            stated: standard deviations in SI by channel; a usual sensor's where there is none.
+        """
+        changed = dict(self.channels)
+        for name in self.noise_free():
+            values = signals.noisy(self[name].values, (stated or {}).get(name), seed=list(SENSORS).index(name))
+            changed[name] = replace(self[name], values=values)
+        return replace(self, channels=changed)
+
     def first_values(self, span: float = 0.1) -> dict[str, float]:
         """Return the mean of each sensor over the first `span` seconds, but not beyond the first change of a command."""
         moves = [_first_change(self[n]) for n in (*COMMANDS, *VOLTAGES) if self.has(n)]

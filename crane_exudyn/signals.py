@@ -7,6 +7,9 @@ import math
 import numpy as np
 
 _WINDOW = 64  # samples whose noise is judged together
+#: noise as a share of the channel's range: less than any sensor has, and that of a usual one; integration and averaging of samples leave
+#: less of a right model
+NO_SENSOR, USUAL_SENSOR = 1e-6, 2e-3
 _THIRD_DIFFERENCE = math.sqrt(20.0)  # 1² + 3² + 3² + 1²: what a third difference makes of white noise
 
 
@@ -39,6 +42,22 @@ def noise_std(values: np.ndarray) -> float:
     windows = np.array_split(third, max(1, len(third) // _WINDOW))
     square = float(np.median([np.mean(w**2) for w in windows])) / _median_share(len(windows), len(third))
     return max(math.sqrt(square) / _THIRD_DIFFERENCE, floor)
+
+
+def is_noise_free(values: np.ndarray) -> bool:
+    """Whether a channel that moves shows less noise than any sensor has, as simulations do."""
+    return noise_std(values) < NO_SENSOR * float(np.ptp(values))
+
+
+def noisy(values: np.ndarray, std: float | None = None, seed: int = 0) -> np.ndarray:
+    """Return a channel free of noise with the white noise of a sensor added, that of a usual one by default; any other channel as it is.
+
+    Without noise no error can be called large or small, and channels that follow from each other make equations singular.
+    """
+    if not is_noise_free(values):
+        return values
+    std = USUAL_SENSOR * float(np.ptp(values)) if std is None else std
+    return values + std * np.random.default_rng(seed).standard_normal(len(values))
 
 
 def _median_share(windows: int, count: int) -> float:

@@ -10,7 +10,7 @@ from crane_exudyn.channels import CHANNELS, Channel
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
-from crane_exudyn.signals import noise_std
+from crane_exudyn.signals import USUAL_SENSOR, noise_std
 
 Purpose = Literal["compare", "diagnose"]
 
@@ -127,6 +127,11 @@ def _notes(recording: Recording, time: np.ndarray, commands: np.ndarray, constan
     notes += [
         f"the {name} valve is never opened" for i, name in enumerate(("lift", "tilt")) if not _opened(commands[:, i])
     ]
+    if free := recording.noise_free():
+        notes.append(
+            f"{', '.join(free)} show{'s' * (len(free) == 1)} no noise, as simulations do: noise is added as [sensors] of the crane file says, "
+            f"or {USUAL_SENSOR:g} of the channel's range"
+        )
     if not moves:
         notes.append("the crane does not move: only its state at rest is compared")
     if recording.duration < 5.0:
@@ -149,7 +154,7 @@ def _wavering(
     """
     factors = []
     for name in recording.sensors:
-        if name not in crane.sensors and name not in constant:
+        if name not in (*crane.sensors, *constant, *recording.noise_free()):
             slow = noise_at_rest(recording[name], time, commands)
             factors.append((slow / max(noise_std(recording[name].values), 1e-300), name, slow))
     found = [f"{name} by {slow:.2g} {CHANNELS[name]} ({f:.1f} times)" for f, name, slow in factors if f > _WAVERS]

@@ -10,6 +10,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.signals import NO_SENSOR
 
 #: channels that a fit can predict, in the order of its outputs
 CHANNELS = ("z1", "z4", "z4_abs", "dz1", "dz4", "dz4_abs", "p1", "p2", "p3", "p4", "s1", "s2")
@@ -83,11 +84,12 @@ class FitData:
         """Return the data of a recording, averaged down to at most `rate` samples a second and channel.
 
         The commands are those that the crane's valve calibration makes of the recording. Noise standard deviations are the crane
-        file's or, where it names none, estimated from the data.
+        file's or, where it names none, estimated from the data; a channel free of noise, as of a simulation, is given some.
 
         Raises:
             CraneError: commands or sensors are missing, or no stretch with known commands is long enough.
         """
+        recording = recording.with_noise(crane.sensors)
         times, commands = recording.commands(crane)
         sensors = [c for c in CHANNELS if recording.has(c)]
         if not sensors:
@@ -185,6 +187,7 @@ def _samples(
         raise CraneError(
             f"Channel {channel}: its noise cannot be estimated from the data. Give sensors.{channel} in the crane file."
         )
+    noise = max(noise, NO_SENSOR * float(np.ptp(values)))  # with less, equations lose all their digits
     block = max(1, int(np.floor(1.0 / (rate * np.median(np.diff(time))) + 1e-6))) if len(time) > 1 else 1
     if block > 1:
         whole = len(time) // block * block
