@@ -11,6 +11,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
+from crane_exudyn.vetting import vetted
 
 Purpose = Literal["compare", "diagnose"]
 
@@ -34,13 +35,14 @@ _STUCK_SECONDS = 0.3
 def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> list[str]:
     """Return notes on a recording (one sentence each); what cannot be used at all is refused with the reason.
 
-    Refused for any purpose: no commands, no sensor, shorter than 1 s, sensors that overlap with the commands for less than
+    Refused for any purpose: contents that cannot be true (`crane_exudyn.vetting`), no commands, no sensor, shorter than 1 s, sensors that overlap with the commands for less than
     that, all sensors constant, a saturated sensor. Refused for "diagnose" also: a single sensor, and a crane that never moves.
 
     Raises:
         CraneError: what is wrong with the recording, and how to mend it.
     """
     recording.require(commands=True, sensors=2 if purpose == "diagnose" else 1)
+    implausible = vetted(recording, crane)
     time, commands = recording.commands(crane)
     _refuse_short(recording, time)
     constant = [name for name in recording.sensors if _is_constant(recording[name])]
@@ -59,7 +61,7 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
             "motion; record a run in which both cylinders extend and retract."
         )
     notes = _notes(recording, time, commands, constant, moves)
-    return notes + _wavering(recording, crane, time, commands, constant)
+    return implausible + notes + _wavering(recording, crane, time, commands, constant)
 
 
 def usable(recording: Recording) -> Recording:
