@@ -64,6 +64,32 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
     return implausible + notes + _wavering(recording, crane, time, commands, constant)
 
 
+def check_check(check: Recording, learned: Recording, crane: Crane) -> list[str]:
+    """Return notes on a recording that is only predicted, beside the one that is learned from.
+
+    Raises:
+        CraneError: it cannot be compared with the crane, or has no sensor of the other recording.
+    """
+    notes = check_recording(check, crane)
+    where = check.source or check.name
+    if not set(check.sensors) & set(learned.sensors):
+        raise CraneError(
+            f"{where}: has {', '.join(check.sensors)}, but no sensor of {learned.name} ({', '.join(learned.sensors)}). A check recording is of "
+            "the same machine, with the same sensors."
+        )
+    if same(check, learned):
+        return [f"{where} is the recording that is learned from: as a check it confirms nothing"]
+    return [f"check recording: {note}" for note in notes]
+
+
+def same(one: Recording, other: Recording) -> bool:
+    """Whether two recordings hold the same samples, whatever their names."""
+    return set(one.channels) == set(other.channels) and all(
+        np.array_equal(one[n].time, other[n].time) and np.array_equal(one[n].values, other[n].values)
+        for n in one.channels
+    )
+
+
 def usable(recording: Recording) -> Recording:
     """Return the recording without sensors that show one value throughout: they have no noise to be measured against."""
     dead = {name for name in recording.sensors if _is_constant(recording[name])}

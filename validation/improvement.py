@@ -65,13 +65,14 @@ class Improvement:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the data demand, what they cannot separate and what is left, in plain words, where several effects were taken in."""
-        return () if self.grown is None else tuple(explained(self.grown))
+        """What to know about the recordings; and what the data demand, cannot separate and leave, where several effects were taken in."""
+        about = self.diagnoses[0].notes if self.diagnoses else ()
+        return about if self.grown is None else (*about, *explained(self.grown))
 
     def to_dict(self, path: str | Path = "") -> dict[str, Any]:
         """Return the JSON of improve; `path` is where the crane file was written."""
-        document = {"steps": [s.to_dict() for s in self.steps], "crane": str(path), "verdict": self.verdict}
-        return document | ({} if self.grown is None else {"notes": list(self.notes)})
+        steps = [s.to_dict() for s in self.steps]
+        return {"steps": steps, "crane": str(path), "verdict": self.verdict, "notes": list(self.notes)}
 
     def __repr__(self) -> str:
         errors = " -> ".join(f"{s.error:.3g}" for s in self.steps)
@@ -134,7 +135,7 @@ def improve(
         if not steps:
             steps.append(_step(None, crane, d, recording, check, d.verdict))
             told(steps[-1])
-        if d.verdict == "unknown":
+        if d.verdict == "unknown" and not d.misses_check:
             grown = grow(current, recording, check, jobs=jobs, most=most, progress=progress)
             if grown is not None and _predicts_better(grown):
                 return _grown(grown, best, recording, check, steps, diagnoses, told)
