@@ -201,7 +201,7 @@ def test_smoother_and_mean_over_a_phase_equal_the_dense_normal_distribution() ->
     blocks = np.array([covariance[k * n : k * n + n, k * n : k * n + n] for k in range(K)])
     assert smoothed.covariance == pytest.approx(blocks, abs=1e-8)
     values = (steps.inputs + smoothed.mean[:, -6:]) * balances.SPREAD
-    found = Balances(np.arange(K), steps.states, values, values, 0.0, smoothed.covariance, smoothed.gains)
+    found = Balances(np.arange(K), steps.states, values, values, 0.0, smoothed.covariance[:, :, -6:], smoothed.gains)
     got, std = found.mean(2, 6)
     pick = np.zeros((6, K * n))
     for k in range(2, 6):

@@ -80,12 +80,12 @@ class Balances:
         which is summed up from the end.
         """
         n = self._covariance.shape[1]
-        inputs = slice(n - len(EQUATIONS), n)
+        inputs = slice(n - len(EQUATIONS), n)  # the covariance has their columns only
         with_sum = np.zeros((n, len(EQUATIONS)))  # cov(x_k, sum of the inputs from k on)
         total = np.zeros(len(EQUATIONS))
         for k in range(last - 1, first - 1, -1):
             later = self._gains[k] @ with_sum if k + 1 < last else with_sum
-            own = self._covariance[k][:, inputs]
+            own = self._covariance[k]
             total += np.diag(own[inputs]) + 2.0 * np.diag(later[inputs])
             with_sum = own + later
         mean = self.values[first:last].mean(axis=0)
@@ -149,8 +149,8 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
     unsettled = () if settled else ((float(at[0]), float(at[-1])),)
     std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
     return Balances(
-        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains, unsettled,
-        float(model.P[FLOOR]),
+        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance[:, :, -6:].copy(),
+        smoothed.gains.astype(np.float32), unsettled, float(model.P[FLOOR]),
     )  # fmt: skip
 
 

@@ -181,10 +181,10 @@ def _wavering(
     Noise is estimated from neighbouring samples. Where it is slower than that, a right model seems to leave something.
     """
     factors = []
-    for name in recording.sensors:
-        if name not in (*crane.sensors, *constant, *recording.noise_free()):
-            slow = noise_at_rest(recording[name], time, commands)
-            factors.append((slow / max(noise_std(recording[name].values), 1e-300), name, slow))
+    known = {*crane.sensors, *constant, *recording.noise_free()}
+    for name in (n for n in recording.sensors if n not in known):
+        slow = noise_at_rest(recording[name], time, commands)
+        factors.append((slow / max(noise_std(recording[name].values), 1e-300), name, slow))
     found = [f"{name} by {slow:.2g} {CHANNELS[name]} ({f:.1f} times)" for f, name, slow in factors if f > _WAVERS]
     if not found:
         return []

@@ -126,6 +126,19 @@ def _spool_path(driven: _Driven, c: int, key: tuple[float, ...]) -> np.ndarray:
     return spool_on(driven.crane, data.time, data.command_time, data.commands, key[-1], c)[:, c].copy()
 
 
+def outputs(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> np.ndarray:
+    """Return what perfect sensors (m) show of states X (n, nx): (n, m)."""
+    Y = np.zeros((len(X), len(channels)))
+    for j, channel in enumerate(channels):
+        if channel in _ROWS:
+            for state, factor in _ROWS[channel].items():
+                Y[:, j] += factor * X[:, state]
+        else:
+            cylinder = CYLINDER_OF[channel]
+            Y[:, j] = cylinder_length(cylinder, X[:, cylinder], P)[0]
+    return Y
+
+
 def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what perfect sensors show and how it depends on the state.
 
@@ -137,17 +150,15 @@ def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tupl
     Returns:
         outputs (n, m) and their derivative (n, m, nx).
     """
-    n, nx = X.shape
-    Y, C = np.zeros((n, len(channels))), np.zeros((n, len(channels), nx))
+    C = np.zeros((len(X), len(channels), X.shape[1]))
     for j, channel in enumerate(channels):
         if channel in _ROWS:
             for state, factor in _ROWS[channel].items():
                 C[:, j, state] = factor
-                Y[:, j] += factor * X[:, state]
         else:
-            cylinder, state = (0, 0) if channel == "s1" else (1, 1)
-            Y[:, j], C[:, j, state] = cylinder_length(cylinder, X[:, state], P)
-    return Y, C
+            cylinder = CYLINDER_OF[channel]
+            C[:, j, cylinder] = cylinder_length(cylinder, X[:, cylinder], P)[1]
+    return outputs(channels, X, P), C
 
 
 def cylinder_length(cylinder: int, angle: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from crane_exudyn.crane import Crane
 from ..semi_recursive import kernel
 from .data import FitData, grid_step
 from .linear import Window, cut
-from .model import Model, model_of, output_rows, shown
+from .model import Model, model_of, outputs, shown
 from .solve import Fit, fit, fitting_knots, reduce, reknot
 from .start import knots_of
 from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
@@ -109,8 +109,7 @@ def residuals(
     X = _states(
         crane, data, model, np.atleast_2d(np.asarray(starts, dtype=float)), simulate or _simulated(model, data.step)
     )
-    Y, _ = output_rows(data.channels, X, model.P)
-    Z = shown(data.channels, Y, model.E, data.step)
+    Z = shown(data.channels, outputs(data.channels, X, model.P), model.E, data.step)
     found = {}
     for j, s in enumerate(data.samples):
         predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
