@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -68,18 +68,17 @@ def vet(recording: Recording, crane: Crane) -> list[Finding]:
     return sorted(found, key=lambda f: _SEVERITIES.index(f.severity))
 
 
-def vetted(recording: Recording, crane: Crane) -> list[str]:
-    """Return notes on what is hardly plausible about a recording.
+def vetted(recording: Recording, crane: Crane) -> Recording:
+    """Return the recording, with notes on what is hardly plausible about it.
 
     Raises:
         CraneError: something in it cannot be true; all such findings, each with its mend.
     """
     findings = vet(recording, crane)
-    where = recording.source or recording.name
     errors = [f"{f.text}. {f.mend}" for f in findings if f.severity == "error"]
     if errors:
-        raise CraneError(f"{where}: {' '.join(errors)}")
-    return [f"{f.text}. {f.mend}".removesuffix(".") for f in findings]
+        raise CraneError(f"{recording.source or recording.name}: {' '.join(errors)}")
+    return replace(recording, notes=(*recording.notes, *(f"{f.text}. {f.mend}".removesuffix(".") for f in findings)))
 
 
 # -- one look each ---------------------------------------------------------------------------------------------------

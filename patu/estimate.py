@@ -62,9 +62,11 @@ def command(
     The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise of
     the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
     """
+    from crane_exudyn.vetting import vetted
+
     _check(output, plot, step)
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, mapping).require(sensors=1)
+    measured = vetted(load_recording(recording, mapping).require(sensors=1), chosen)
     std = sensor_noise(chosen, measured, sensors)
     announce_compilation()
     from ukf.estimator import Estimator

@@ -261,6 +261,16 @@ def test_a_right_model_leaves_nothing_but_noise(clean: Comparison) -> None:
     assert clean.consistent
 
 
+def test_a_simulation_without_noise_and_with_channels_that_follow_from_each_other_is_explained() -> None:
+    run = driven(CRANE, np.arange(0.0, 3.0, 0.002)).recording()
+    assert set(run.noise_free()) == set(run.sensors) and len(run.sensors) == 12
+    result = compare(CRANE, run)
+    assert result.error == pytest.approx(1.0, abs=0.05) and result.consistent and not result.where
+    assert any("show no noise" in note for note in result.notes)
+    stated = replace(CRANE, sensors={"z1": 1e-12, "p1": 1e4})
+    assert np.isfinite(compare(stated, run.select(["u1", "u2", "z1", "z4", "z4_abs", "p1"])).error)
+
+
 def test_errors_are_those_of_the_numbers(leaking: tuple[Simulation, Comparison]) -> None:
     _, found = leaking
     for name, error in found.channels.items():

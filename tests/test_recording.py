@@ -336,6 +336,20 @@ def test_noise_of_a_constant_channel_is_zero() -> None:
 # -- showing ---------------------------------------------------------------------------------------------------------
 
 
+def test_only_what_no_sensor_shows_is_free_of_noise() -> None:
+    time = np.arange(2000) * 0.005
+    smooth = np.sin(np.clip(time - 2.0, 0.0, 5.0))
+    noisy = smooth + 1e-4 * np.random.default_rng(1).standard_normal(2000)
+    frozen = np.where((time > 4.0) & (time < 6.0), 0.5, noisy)
+    channels = {"z1": smooth, "z4": noisy, "z4_abs": np.round(smooth, 4), "s1": frozen, "s2": 0.0 * time}
+    recording = Recording.from_arrays("r", time, channels)
+    assert recording.noise_free() == ("z1",)
+    given = recording.with_noise()
+    assert given.noise()["z1"] == pytest.approx(2e-3 * np.ptp(smooth), rel=0.1)
+    assert given["z4"] is recording["z4"]
+    assert recording.with_noise({"z1": 1e-3}).noise()["z1"] == pytest.approx(1e-3, rel=0.1)
+
+
 def test_repr_and_plot_tell_the_channels(tmp_path: Path) -> None:
     recording = read(tmp_path, GOOD)
     assert repr(recording) == "<Recording lift: u1, u2, z1, p1; 0.01 s at 200 Hz>"

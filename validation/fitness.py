@@ -41,8 +41,7 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
     Raises:
         CraneError: what is wrong with the recording, and how to mend it.
     """
-    recording.require(commands=True, sensors=2 if purpose == "diagnose" else 1)
-    implausible = vetted(recording, crane)
+    recording = vetted(recording.require(commands=True, sensors=2 if purpose == "diagnose" else 1), crane)
     time, commands = recording.commands(crane)
     _refuse_short(recording, time)
     constant = [name for name in recording.sensors if _is_constant(recording[name])]
@@ -61,7 +60,7 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
             "motion; record a run in which both cylinders extend and retract."
         )
     notes = _notes(recording, time, commands, constant, moves)
-    return implausible + notes + _wavering(recording, crane, time, commands, constant)
+    return notes + _wavering(recording, crane, time, commands, constant)
 
 
 def check_check(check: Recording, learned: Recording, crane: Crane) -> list[str]:
