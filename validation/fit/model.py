@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -98,32 +98,39 @@ def _commanded(crane: Crane) -> tuple[object, ...]:
 
 def _valve_path(crane: Crane, data: FitData, c: int, valve: Valve, late: float) -> np.ndarray:
     """Return the positions (N,) of one spool on the grid; equal commands and valves are computed once."""
-    return _spool_path(_Driven(crane, data), c, (*valve, late))
+    key = (
+        id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), _commanded(crane), c, valve, late,
+    )  # fmt: skip
+    path = _LAST.get(key)
+    if path is None:
+        path = spool_on(crane, data.time, data.command_time, data.commands, late, c)[:, c].copy()
+        _LAST.put(key, path, data.commands)
+    return path
 
 
-class _Driven:
-    """A crane and a recording, equal when the commands are the same: the key of the small store of spool paths."""
+class _Paths:
+    """The spool paths that were asked for last, no more than `most` bytes of them: those of ten minutes are 5 MB each."""
 
-    def __init__(self, crane: Crane, data: FitData) -> None:
-        self.crane, self.data = crane, data
+    def __init__(self, most: int) -> None:
+        self._most, self._bytes = most, 0
+        self._held: OrderedDict[tuple[object, ...], tuple[np.ndarray, np.ndarray]] = OrderedDict()
 
-    def __hash__(self) -> int:
-        return hash(self._key())
+    def get(self, key: tuple[object, ...]) -> np.ndarray | None:
+        """Return the path of a key if it is still there."""
+        if key not in self._held:
+            return None
+        self._held.move_to_end(key)
+        return self._held[key][0]
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Driven) and self._key() == other._key()
-
-    def _key(self) -> tuple[object, ...]:
-        data = self.data
-        return (
-            id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), _commanded(self.crane),
-        )  # fmt: skip
+    def put(self, key: tuple[object, ...], path: np.ndarray, commands: np.ndarray) -> None:
+        """Keep a path, and the commands that the key knows by where they lie in memory."""
+        self._held[key] = (path, commands)
+        self._bytes += path.nbytes
+        while self._bytes > self._most and len(self._held) > 2:
+            self._bytes -= self._held.popitem(last=False)[1][0].nbytes
 
 
-@lru_cache(maxsize=256)
-def _spool_path(driven: _Driven, c: int, key: tuple[float, ...]) -> np.ndarray:
-    data = driven.data
-    return spool_on(driven.crane, data.time, data.command_time, data.commands, key[-1], c)[:, c].copy()
+_LAST = _Paths(50_000_000)
 
 
 def outputs(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> np.ndarray:
