@@ -35,8 +35,8 @@ SPREAD = np.array([300.0, 200.0, 5e-5, 5e-5, 5e-5, 5e-5])
 MEMORY = 0.3
 #: the smoother is run again around what it found, until states and inputs move by less than this (RMS, in JUMP and SPREAD), or so often
 _SETTLED_STATE, _SETTLED_INPUT, _ROUNDS = 0.5, 0.03, 6
-#: length of the stretches in which long recordings are treated, s: what the smoother remembers of one is some 50 MB
-_CHUNK = 60.0
+#: length of the stretches in which long recordings are treated, s: what the smoother needs for one is some 100 MB
+_CHUNK = 30.0
 #: time between the knots of the first trajectory, s
 _KNOTS = 0.1
 #: Pa above the floor up to which a smoothed pressure counts as standing on it
@@ -149,7 +149,7 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
     unsettled = () if settled else ((float(at[0]), float(at[-1])),)
     std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
     return Balances(
-        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance[:, :, -6:].copy(),
+        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance[:, :, -6:].astype(np.float32),
         smoothed.gains.astype(np.float32), unsettled, float(model.P[FLOOR]),
     )  # fmt: skip
 

@@ -216,21 +216,18 @@ def compare(
     kept = usable(recording)
     data = FitData.of(kept, crane)
     start = started(crane, data)
+    late, starts = start.late, start.starts
+    del start  # of ten minutes it holds as much as the recording
     done(0.3)
-    whole = FitData.of(kept, crane, rate=np.inf, step=FINE).shifted(start.late)
-    data = data.with_step(FINE).shifted(start.late)
-    measured, simulated = open_loop(crane, whole, start.starts, engine)
-    done(0.4)
-    estimate = filtered(crane, data, engine, lambda f: done(0.4 + 0.3 * f))
+    data = data.with_step(FINE).shifted(late)
     balances = balances_of(crane, data)
-    channels = {
-        s.channel: _channel_error(s.channel, measured[s.channel][1], simulated[s.channel][1], s.noise)
-        for s in whole.samples
-    }
+    done(0.6)
+    estimate = filtered(crane, data, engine, lambda f: done(0.6 + 0.3 * f))
+    measured, simulated, channels = _open_loop_errors(crane, kept, starts, late, engine)
     scores = scores_of(estimate, balances, _phases(crane, data, balances))
     done(1.0)
-    if _LATE < abs(start.late) < 0.9 * timing_of(data).upper * timing_of(data).scale:
-        notes.append(f"the commands act {1e3 * start.late:.1f} ms after their stamps; this is allowed for")
+    if _LATE < abs(late) < 0.9 * timing_of(data).upper * timing_of(data).scale:
+        notes.append(f"the commands act {1e3 * late:.1f} ms after their stamps; this is allowed for")
     for begin, end in balances.unsettled:
         notes.append(
             f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: their ± is too small"
@@ -252,6 +249,19 @@ def started(crane: Crane, data: FitData) -> Fit:
 
 
 # -- the three looks -------------------------------------------------------------------------------------------------
+
+
+def _open_loop_errors(
+    crane: Crane, recording: Recording, starts: np.ndarray, late: float, engine: Engine
+) -> tuple[Series, Series, dict[str, ChannelError]]:
+    """Return what was measured at every sample, what an open-loop run gives there, and each channel's error."""
+    data = FitData.of(recording, crane, rate=np.inf, step=FINE).shifted(late)
+    measured, simulated = open_loop(crane, data, starts, engine)
+    errors = {
+        s.channel: _channel_error(s.channel, measured[s.channel][1], simulated[s.channel][1], s.noise)
+        for s in data.samples
+    }
+    return measured, simulated, errors
 
 
 def open_loop(crane: Crane, data: FitData, starts: np.ndarray, engine: Engine) -> tuple[Series, Series]:

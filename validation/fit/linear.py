@@ -27,6 +27,8 @@ from .variables import Variable, lateness, with_variables
 #: size of a jump between two windows that is taken as one standard deviation: angles, rates, pressures, pendulum
 JUMP = np.array([3e-3, 3e-3, 2e-2, 2e-2, 1e5, 1e5, 1e5, 1e5, 3e-2, 3e-2])
 THREADS = 2
+#: grid points of a window beyond which only one is swept at a time: it takes 200 MB
+_LARGE = 40_000
 #: what a sensor that lags shows at the start of a window is known to its lag times these rates: angles in rad/s, pressures in Pa/s
 ANGLE_RATE, PRESSURE_RATE = 0.3, 5e7
 
@@ -314,8 +316,9 @@ def _swept(
     if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
         yield from (sweep_window(w, x0, base, columns, channels) for w, x0 in zip(windows, knots, strict=True))
         return
+    threads = 1 if max(len(w.data.time) for w in windows) > _LARGE else THREADS
     # products of small matrices: threads of the linear algebra's own would only be in the way
-    with threadpool_limits(1), ThreadPoolExecutor(THREADS) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
         yield from pool.map(lambda k: sweep_window(windows[k], knots[k], base, columns, channels), range(len(windows)))
 
 

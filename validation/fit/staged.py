@@ -111,9 +111,10 @@ def residuals(
     )
     Z = shown(data.channels, outputs(data.channels, X, model.P), model.E, data.step)
     found = {}
+    times = {id(s.index): data.time[s.index] + s.fraction * data.step for s in data.samples}
     for j, s in enumerate(data.samples):
         predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
-        found[s.channel] = (data.time[s.index] + s.fraction * data.step, (s.values - predicted) / s.noise)
+        found[s.channel] = (times[id(s.index)], (s.values - predicted) / s.noise)
     return found
 
 
