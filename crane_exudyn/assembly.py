@@ -10,7 +10,7 @@ import numpy as np
 
 from .channels import CHANNELS, COMMANDS, UNSEEN, Channel
 from .errors import CraneError, nearest
-from .tables import RawColumn, RawTable, split_header
+from .tables import RawColumn, RawTable, remarks, split_header
 from .units import factor_to_si
 
 #: units that people write, for messages
@@ -19,6 +19,8 @@ EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": 
 _COMMAND_LIMIT = 1.05
 #: share of repeated times up to which the repeated samples are left out with a remark
 _MOST_REPEATED = 0.1
+#: a pause of all channels beyond so many seconds, and so many times longer than usual, splits a recording; beyond a day the clock is wrong
+_SPLIT, _SPLIT_RATIO, _DAY = 10.0, 100.0, 86400.0
 _MEASURED = tuple(name for name in CHANNELS if name not in UNSEEN)
 
 
@@ -68,6 +70,8 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> dict[st
             notes.append(f"channel {name}: {again} samples whose time stands there already are left out")
     if max((len(c) for c in channels.values()), default=0) < 2:
         raise CraneError(f"{path}: found fewer than two samples, expected a recording over time. Record longer.")
+    channels, split = _longest_stretch(channels)
+    notes += split
     return {"name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes)}
 
 
@@ -80,7 +84,8 @@ def _name_columns(
     """
     by_column = {id(_find(path, table, column)): name for name, column in mapping.items()}
     named: dict[str, tuple[RawColumn, str | None]] = {}
-    notes = []
+    notes: list[str] = []
+    ignored: list[str] = []
     for column in table.columns:
         name, unit = split_header(column.header)
         unit = column.unit if unit is None else unit
@@ -88,7 +93,10 @@ def _name_columns(
             name = by_column[id(column)]
             unit = _mapped_unit(path, column.header, unit, split_header(mapping[name])[1])
         elif name in mapping or name not in ("time", *CHANNELS) or (name in UNSEEN and unit is None):
-            notes.append(_remark(column.header, name, mapping))
+            if name in mapping or _like(name):
+                notes.append(_remark(column.header, name, mapping))
+            else:
+                ignored.append(column.header)
             continue
         if name in named:
             raise CraneError(
@@ -96,14 +104,18 @@ def _name_columns(
                 f"Delete or rename one, or choose with --map {name}=…"
             )
         named[name] = (column, unit)
-    return named, notes
+    return named, notes + remarks("column", ignored, "was ignored")
 
 
 def _remark(header: str, name: str, mapping: Mapping[str, str]) -> str:
     if name in mapping:
         return f"column {header!r} was put aside for {mapping[name]!r}"
-    like = [c for c in CHANNELS if c.lower() == name.lower()]
-    return f"column {header!r} was ignored" + (f", did you mean {like[0]}?" if like else "")
+    return f"column {header!r} was ignored, did you mean {_like(name)}?"
+
+
+def _like(name: str) -> str | None:
+    """Return the first channel that differs from a name at most by capitals."""
+    return next((c for c in CHANNELS if c.lower() == name.lower()), None)
 
 
 def _find(path: Path, table: RawTable, wanted: str) -> RawColumn:
@@ -156,7 +168,35 @@ def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table:
             f"{path}, {table.place(row)}, column {column.header}: time {time[row]:.6g} s goes back from {time[row - 1]:.6g} s, "
             "expected increasing times. Sort the samples."
         )
+    leaps = np.flatnonzero(np.diff(time) > _DAY)
+    if len(leaps):
+        row = int(leaps[0]) + 1
+        raise CraneError(
+            f"{path}, {table.place(row)}, column {column.header}: time leaps from {time[row - 1]:.6g} s to {time[row]:.6g} s, "
+            "expected a clock that goes on. Mend the clock or its unit, or delete the lines on one side of the leap."
+        )
+    time.setflags(write=False)
     return np.asarray(time)
+
+
+def _longest_stretch(channels: dict[str, Channel]) -> tuple[dict[str, Channel], list[str]]:
+    """Return the channels between two long pauses of all of them, where most samples are, and what is left out."""
+    stamps = np.unique(np.concatenate([c.time for c in channels.values()]))
+    steps = np.diff(stamps)
+    ends = np.flatnonzero((steps > _SPLIT) & (steps > _SPLIT_RATIO * np.median(steps)))
+    if not len(ends):
+        return channels, []
+    stretches = np.split(stamps, ends + 1)
+    kept = max(stretches, key=len)
+    words = ", ".join(f"{s[0]:.6g} … {s[-1]:.6g} s" for s in stretches if s is not kept)
+    inside = {name: (c.time >= kept[0]) & (c.time <= kept[-1]) for name, c in channels.items()}
+    chosen = {
+        n: Channel(c.time[inside[n]], c.values[inside[n]], c.unit) for n, c in channels.items() if inside[n].any()
+    }
+    return chosen, [
+        f"pauses of more than {_SPLIT:g} s split the recording into {len(stretches)} stretches: the one from {kept[0]:.6g} to {kept[-1]:.6g} s "
+        f"is used, not {words}. Cut the file there to use them as recordings of their own"
+    ]
 
 
 def _first_of_stamp(path: Path, header: str, time: np.ndarray, rows: np.ndarray, table: RawTable) -> np.ndarray:
@@ -209,6 +249,8 @@ def _channel(
     if not there.any():
         return None
     rows = _first_of_stamp(path, raw.header, time, np.flatnonzero(there), table)
+    if len(rows) == len(time):
+        return Channel(time, values, CHANNELS[name])
     return Channel(time[rows], values[rows], CHANNELS[name])
 
 

@@ -29,6 +29,11 @@ CHANNELS: Mapping[str, str] = MappingProxyType(
     | dict(UNSEEN)
 )
 
+#: a pause in a channel is a gap if it is so many times longer than usual, and this long in s
+_GAP_RATIO, _GAP = 3.0, 0.05
+#: seconds by which the end of a hold stands before the sample that shows something new
+JUST_BEFORE = 1e-6
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -40,8 +45,10 @@ class Channel:
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
-            array = np.array(getattr(self, name), dtype=float)
-            array.setflags(write=False)
+            array = np.asarray(getattr(self, name), dtype=float)
+            if array.flags.writeable:  # channels of one clock share what nobody can change
+                array = array.copy()
+                array.setflags(write=False)
             object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
@@ -54,3 +61,20 @@ class Channel:
     def held(self, time: np.ndarray) -> np.ndarray:
         """Return values at `time`, linear between samples, the first and last value held outside."""
         return np.interp(time, self.time, self.values)
+
+    @property
+    def longest_pause(self) -> float:
+        """Return the longest time in s between two samples that is no gap."""
+        steps = np.diff(self.time)
+        return max(_GAP_RATIO * float(np.median(steps)), _GAP) if len(steps) else np.inf
+
+    def gaps(self) -> np.ndarray:
+        """Return the gaps (g, 2) in s: last sample before and first sample after each pause that is far longer than usual."""
+        before = np.flatnonzero(np.diff(self.time) > self.longest_pause)
+        return np.column_stack([self.time[before], self.time[before + 1]])
+
+    def held_until(self, instants: np.ndarray) -> Channel:
+        """Return the channel with one more sample just before each of some of its instants (g,), which still shows the value before it."""
+        after = np.searchsorted(self.time, instants)
+        time = np.insert(self.time, after, self.time[after] - JUST_BEFORE)
+        return Channel(time, np.insert(self.values, after, self.values[after - 1]), self.unit)

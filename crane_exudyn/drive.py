@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from .channels import JUST_BEFORE
 from .crane import Crane
 from .inputs import SpoolPath
 
 #: a change of a command is a step if it is this large, and so many times larger than the changes before and after it
 _STEP, _RATIO = 0.02, 4.0
-#: seconds by which the end of the hold stands before the sample that shows the step
-_JUST_BEFORE = 1e-6
 
 
 def with_steps(time: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -22,11 +21,11 @@ def with_steps(time: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.n
     change = np.abs(np.diff(commands, axis=0))
     around = np.maximum(np.pad(change[:-1], ((1, 0), (0, 0))), np.pad(change[1:], ((0, 1), (0, 0))))
     jumps = np.flatnonzero(((change > _STEP) & (change > _RATIO * around)).any(axis=1))
-    jumps = jumps[np.diff(time)[jumps] > 2.0 * _JUST_BEFORE]
+    jumps = jumps[np.diff(time)[jumps] > 2.0 * JUST_BEFORE]
     stepped = (change > _STEP) & (change > _RATIO * around)
     held = np.where(stepped[jumps], commands[jumps], commands[jumps + 1])
     return (
-        np.insert(time, jumps + 1, time[jumps + 1] - _JUST_BEFORE),
+        np.insert(time, jumps + 1, time[jumps + 1] - JUST_BEFORE),
         np.insert(commands, jumps + 1, held, axis=0),
     )
 

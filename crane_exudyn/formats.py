@@ -19,6 +19,7 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,13 @@ import numpy as np
 
 from .errors import CraneError
 from .files import replacing
-from .tables import RawColumn, RawTable, read_text, split_header
+from .tables import RawColumn, RawTable, read_text, remarks, split_header
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 Writer = Callable[[Path, Mapping[str, np.ndarray], int | None], None]
+#: lines of a text file that are written at a time
+_LINES = 10_000
+#: groups within groups, characters of a text, and numbers of a channel that a MATLAB file may have
+_DEEPEST, _LONGEST_TEXT, _MOST_NUMBERS = 10, 10_000, 200_000_000
 _VALUES, _UNIT = ("values", "data", "Data"), ("unit", "units", "Unit")
 
 
@@ -43,26 +47,22 @@ def read(path: Path, wanted: Collection[str]) -> RawTable:
     if path.is_dir():
         raise CraneError(f"{path} is a folder, expected a recording file.")
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            head = file.peek(_HEAD)[:_HEAD]
+            reader = next((r for start, r in _READERS.items() if head.startswith(start)), None)
+            if reader is None and path.suffix.lower() not in (".mat", ".parquet", ".mf4", ".mdf"):
+                return read_text(path, file)
     except FileNotFoundError:
         raise CraneError(f"{path}: there is no such file. Check the name and the folder.") from None
-    if data.startswith(b"MATLAB 5.0"):
-        return _read_mat5(path)
-    if data.startswith((b"MATLAB 7.3", _HDF5)):
-        return _read_mat73(path)
-    if data.startswith(b"PAR1"):
-        return _read_parquet(path)
-    if data.startswith((b"MDF ", b"UnFinMF ")):
-        return _read_mdf(path, wanted)
-    if path.suffix.lower() in (".mat", ".parquet", ".mf4", ".mdf"):
+    if reader is None:
         raise CraneError(f"{path}: the content is not that of a {path.suffix} file; it is empty, cut off or misnamed.")
-    return read_text(path, data)
+    return reader(path, wanted)
 
 
 # -- MATLAB ----------------------------------------------------------------------------------------------------------
 
 
-def _read_mat5(path: Path) -> RawTable:
+def _read_mat5(path: Path, _: Collection[str]) -> RawTable:
     from scipy.io import loadmat
 
     try:
@@ -73,64 +73,106 @@ def _read_mat5(path: Path) -> RawTable:
 
 
 def _plain(value: Any) -> Any:
-    """Return a MATLAB struct as a dict, text as str, numbers as they are."""
+    """Return a MATLAB struct as a dict, text as str, numbers as they are, anything else as `Unread`."""
     if hasattr(value, "_fieldnames"):
         return {name: _plain(getattr(value, name)) for name in value._fieldnames}
-    return str(value) if isinstance(value, np.str_) else value
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "OUS":
+        return Unread("is a cell array" if value.dtype.kind == "O" else "is text")
+    return value
 
 
-def _read_mat73(path: Path) -> RawTable:
+@dataclass(frozen=True)
+class Unread:
+    """What stands in a file in the place of a channel but holds no numbers: why, such as "is text"."""
+
+    why: str
+
+
+def _read_mat73(path: Path, _: Collection[str]) -> RawTable:
     import h5py
 
     try:
         with h5py.File(path, "r") as file:
             return _from_variables(path, _hdf5_group(file))
-    except OSError as problem:
+    except (OSError, RuntimeError) as problem:
         raise CraneError(f"{path}: damaged or cut-off MATLAB v7.3 file ({problem}). Save it again.") from problem
 
 
-def _hdf5_group(group: Any) -> dict[str, Any]:
+def _hdf5_group(group: Any, depth: int = 0) -> dict[str, Any]:
+    """Return what a group holds: arrays, text, groups as dicts; `Unread` for links that lead nowhere, and what is no number."""
+    return {name: _hdf5_item(group, name, depth) for name in group if not name.startswith("#")}  # # is MATLAB's own
+
+
+def _hdf5_item(group: Any, name: str, depth: int) -> Any:
     import h5py
 
-    content: dict[str, Any] = {}
-    for name, item in group.items():
-        if name.startswith("#"):  # MATLAB's own bookkeeping
-            continue
-        if isinstance(item, h5py.Group):
-            content[name] = _hdf5_group(item)
-        elif item.attrs.get("MATLAB_class") == b"char":
-            content[name] = "".join(map(chr, np.ravel(item[()], order="F")))
-        elif item.dtype.kind in "fiub" and "MATLAB_empty" not in item.attrs:
-            content[name] = np.squeeze(item[()])
-    return content
+    if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+        return Unread("is a link to another file")
+    try:
+        item = group[name]
+    except (KeyError, OSError):
+        return Unread("is a link that leads nowhere")
+    if isinstance(item, h5py.Group):
+        return _hdf5_group(item, depth + 1) if depth < _DEEPEST else Unread("lies too deep in other groups")
+    return _hdf5_dataset(item) if isinstance(item, h5py.Dataset) else Unread("is no data set")
+
+
+def _hdf5_dataset(item: Any) -> Any:
+    """Return the numbers of a data set, or its text; `Unread` for what is neither, or no vector, or larger than any recording."""
+    if item.dtype.fields is not None:
+        return Unread("is compound")
+    if item.attrs.get("MATLAB_class") == b"char" and item.dtype.kind in "iu" and item.size <= _LONGEST_TEXT:
+        return "".join(map(chr, np.ravel(item[()], order="F").astype(np.uint16).tolist()))
+    if item.dtype.kind not in "fiub":
+        return Unread(
+            "is a cell array" if item.dtype.hasobject and item.attrs.get("MATLAB_class") == b"cell" else "is text"
+        )
+    if item.shape is None or "MATLAB_empty" in item.attrs:
+        return Unread("is empty")
+    if item.size > _MOST_NUMBERS:
+        return Unread(f"has {item.size:.3g} numbers, more than any recording")
+    return np.squeeze(item[()])
 
 
 def _from_variables(path: Path, variables: Mapping[str, Any]) -> RawTable:
     """Return the columns that MATLAB variables make."""
     variables = _unwrap(variables)
     columns: list[RawColumn] = []
-    notes = []
+    strange: dict[str, list[str]] = {}
     clocks: dict[str, RawColumn] = {}
     for name, value in variables.items():
         if _is_channel(value):
-            columns.append(_struct_column(name, value))
+            columns.append(_struct_column(path, name, value))
         elif _is_vector(value):
-            own = _own_clock(name, variables, clocks)
+            own = _own_clock(path, name, variables, clocks)
             columns.append(RawColumn(name, np.asarray(value, dtype=float).ravel(), _unit_of(name, variables), own))
-        elif not isinstance(value, str) and name not in _UNIT:
-            notes.append(f"variable {name!r} is neither a vector nor a struct with values and was ignored")
+        elif name not in _UNIT and not name.endswith("_unit"):
+            strange.setdefault(_why(value), []).append(name)
+    notes = [note for why, names in strange.items() for note in remarks("variable", names, f"{why} and was ignored")]
     if not columns:
         raise CraneError(
             f"{path}: found no vector of numbers, expected one a channel, named as the channel (z1, p1, …)."
+            + (f" ({'; '.join(notes[:3])}.)" if notes else "")
         )
     return RawTable(columns, notes=notes)
 
 
+def _why(value: Any) -> str:
+    """Return why a variable makes no channel."""
+    if isinstance(value, Unread):
+        return value.why
+    return "is text" if isinstance(value, str) else "is neither a vector nor a struct with values"
+
+
 def _unwrap(variables: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the content of the one struct that holds everything, or `variables` where there is no such struct."""
-    structs = [v for v in variables.values() if isinstance(v, Mapping) and not _is_channel(v)]
+    """Return the content of the one struct that holds everything beside what stands there, or `variables` where there is no such struct."""
+    structs = {k: v for k, v in variables.items() if isinstance(v, Mapping) and not _is_channel(v)}
     others = [v for v in variables.values() if _is_channel(v) or _is_vector(v)]
-    return structs[0] if len(structs) == 1 and not others else variables
+    if len(structs) != 1 or others:
+        return variables
+    return {k: v for k, v in variables.items() if k not in structs} | dict(next(iter(structs.values())))
 
 
 def _is_channel(value: Any) -> bool:
@@ -138,19 +180,26 @@ def _is_channel(value: Any) -> bool:
 
 
 def _is_vector(value: Any) -> bool:
-    if isinstance(value, Mapping | str) or value is None:
+    if isinstance(value, Mapping | str | Unread) or value is None:
         return False
     array = np.asarray(value)
     return array.dtype.kind in "fiub" and array.ndim == 1
 
 
-def _struct_column(name: str, struct: Mapping[str, Any]) -> RawColumn:
-    values = next(struct[key] for key in _VALUES if key in struct)
+def _struct_column(path: Path, name: str, struct: Mapping[str, Any]) -> RawColumn:
+    values = next(struct[key] for key in _VALUES if _is_vector(struct.get(key)))
     unit = next((str(struct[key]) for key in _UNIT if isinstance(struct.get(key), str)), None)
     clock = None
-    if _is_vector(struct.get("time")):
-        clock = RawColumn(f"{name}.time", np.asarray(struct["time"], dtype=float), str(struct.get("time_unit", "s")))
+    if "time" in struct:
+        unit_of_time = struct.get("time_unit", "s")
+        clock = _clock(path, f"{name}.time", struct["time"], unit_of_time if isinstance(unit_of_time, str) else None)
     return RawColumn(name, np.asarray(values, dtype=float).ravel(), unit, clock)
+
+
+def _clock(path: Path, name: str, values: Any, unit: str | None) -> RawColumn:
+    if not _is_vector(values):
+        raise CraneError(f"{path}, {name}: {_why(values)}, expected a vector of times in s. Save the times as numbers.")
+    return RawColumn(name, np.asarray(values, dtype=float).ravel(), unit)
 
 
 def _unit_of(name: str, variables: Mapping[str, Any]) -> str | None:
@@ -159,33 +208,41 @@ def _unit_of(name: str, variables: Mapping[str, Any]) -> str | None:
     return unit if isinstance(unit, str) else None
 
 
-def _own_clock(name: str, variables: Mapping[str, Any], clocks: dict[str, RawColumn]) -> RawColumn | None:
+def _own_clock(path: Path, name: str, variables: Mapping[str, Any], clocks: dict[str, RawColumn]) -> RawColumn | None:
     key = f"{name}_time"
     if key in variables and key not in clocks:
-        clocks[key] = RawColumn(key, np.asarray(variables[key], dtype=float).ravel(), _unit_of(key, variables))
+        clocks[key] = _clock(path, key, variables[key], _unit_of(key, variables))
     return clocks.get(key)
 
 
 # -- Parquet ---------------------------------------------------------------------------------------------------------
 
 
-def _read_parquet(path: Path) -> RawTable:
+def _read_parquet(path: Path, _: Collection[str]) -> RawTable:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    columns: list[RawColumn] = []
+    strange: dict[str, list[str]] = {}
     try:
-        table = pq.read_table(path)
+        file = pq.ParquetFile(path)
+        if file.metadata.num_rows > _MOST_NUMBERS:
+            raise CraneError(f"{path}: has {file.metadata.num_rows:.3g} rows, more than any recording. Cut it.")
+        for entry, column in zip(file.schema_arrow, file.read().columns, strict=True):
+            values, own_unit = _arrow_numbers(column)
+            if values is None:
+                strange.setdefault(f"holds {entry.type}, no numbers,", []).append(entry.name)
+            else:
+                columns.append(RawColumn(entry.name, values, own_unit or _arrow_unit(entry.metadata or {})))
     except (pa.ArrowException, OSError) as problem:
         raise CraneError(f"{path}: damaged or cut-off Parquet file ({problem}). Write it again.") from problem
-    columns, notes = [], []
-    for entry in table.schema:
-        unit = (entry.metadata or {}).get(b"unit", (entry.metadata or {}).get(b"units"))
-        values, own_unit = _arrow_numbers(table.column(entry.name))
-        if values is None:
-            notes.append(f"column {entry.name!r} holds {entry.type}, no numbers, and was ignored")
-        else:
-            columns.append(RawColumn(entry.name, values, own_unit or (unit.decode() if unit else None)))
+    notes = [note for why, names in strange.items() for note in remarks("column", names, f"{why} and was ignored")]
     return RawTable(columns, lambda row: f"row {row + 1}", notes)
+
+
+def _arrow_unit(metadata: Mapping[bytes, bytes]) -> str | None:
+    unit = metadata.get(b"unit", metadata.get(b"units"))
+    return unit.decode("utf-8", errors="replace") if unit else None
 
 
 def _arrow_numbers(column: Any) -> tuple[np.ndarray | None, str | None]:
@@ -257,6 +314,18 @@ def _mdf_signals(file: Any, wanted: Collection[str]) -> Iterator[Any]:
                     yield signal
 
 
+#: how a file begins that is no text, and what reads it
+_READERS: dict[bytes, Callable[[Path, Collection[str]], RawTable]] = {
+    b"MATLAB 5.0": _read_mat5,
+    b"MATLAB 7.3": _read_mat73,
+    b"\x89HDF\r\n\x1a\n": _read_mat73,
+    b"PAR1": _read_parquet,
+    b"MDF ": _read_mdf,
+    b"UnFinMF ": _read_mdf,
+}
+_HEAD = 16
+
+
 # -- writers ---------------------------------------------------------------------------------------------------------
 
 
@@ -287,12 +356,15 @@ def writer_of(path: str | Path) -> Writer:
     raise CraneError(f"{target}: cannot write {target.suffix or 'a file without ending'!r}. Known: {known}.")
 
 
-def _csv_bytes(columns: Mapping[str, np.ndarray], digits: int | None) -> bytes:
-    """Return the columns as CSV, missing samples empty."""
+def _csv_pieces(columns: Mapping[str, np.ndarray], digits: int | None) -> Iterator[bytes]:
+    """Yield the columns as CSV, missing samples empty, some lines at a time: text is many times larger than numbers."""
     text: Callable[[float], str] = repr if digits is None else f"{{:.{digits}g}}".format
-    fields = [_quoted(v) if _is_text(v) else _numbers(v, text) for v in columns.values()]
-    lines = [",".join(columns), *map(",".join, zip(*fields, strict=True))]
-    return ("\n".join(lines) + "\n").encode()
+    yield (",".join(columns) + "\n").encode()
+    length = {len(v) for v in columns.values()}
+    for first in range(0, max(length, default=0), _LINES):
+        some = [v[first : first + _LINES] for v in columns.values()]
+        fields = [_quoted(v) if _is_text(v) else _numbers(v, text) for v in some]
+        yield ("\n".join(map(",".join, zip(*fields, strict=True))) + "\n").encode()
 
 
 def _numbers(values: np.ndarray, text: Callable[[float], str]) -> list[str]:
@@ -315,11 +387,13 @@ def _array(values: np.ndarray) -> np.ndarray:
 
 
 def _write_csv(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
-    path.write_bytes(_csv_bytes(columns, digits))
+    with path.open("wb") as file:
+        file.writelines(_csv_pieces(columns, digits))
 
 
 def _write_csv_gz(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
-    path.write_bytes(gzip.compress(_csv_bytes(columns, digits), compresslevel=5, mtime=0))
+    with path.open("wb") as raw, gzip.GzipFile("", "wb", compresslevel=5, fileobj=raw, mtime=0) as file:
+        file.writelines(_csv_pieces(columns, digits))
 
 
 def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
     from .crane import Crane
 
+#: samples of other channels in a pause of a command by which it is known that the recording went on
+_RECORDED = 2
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -59,7 +62,7 @@ class Recording:
 
         mapping = dict(mapping or {})
         check_mapping(mapping)
-        return cls(**assemble(Path(path), read(Path(path), wanted=wanted(mapping)), mapping))
+        return cls(**assemble(Path(path), read(Path(path), wanted=wanted(mapping)), mapping))._with_gaps_told()
 
     @classmethod
     def from_arrays(cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray]) -> Recording:
@@ -75,7 +78,8 @@ class Recording:
         for channel in values:
             if channel not in CHANNELS:
                 raise CraneError(f"{name}: there is no channel {channel!r}.{nearest(channel, list(CHANNELS))}")
-        return cls(**assemble(Path(name), RawTable(columns), {}) | {"name": name, "source": name})
+        made = cls(**assemble(Path(name), RawTable(columns), {}) | {"name": name, "source": name})
+        return made._with_gaps_told()
 
     # -- asking --------------------------------------------------------------------------------------------------
 
@@ -146,14 +150,15 @@ class Recording:
 
         Valve voltages become commands through the calibration of `crane`. Where both commands have one clock it is
         returned as it is; otherwise the union of both. Where a command jumps, one more instant just before the sample that shows
-        the new value holds the old one (see `drive.with_steps`).
+        the new value holds the old one (see `drive.with_steps`). In a gap the last value is held; see `unknown_commands`.
         """
         from .drive import with_steps
 
         self.require(sensors=0)
-        names = COMMANDS if self.has(*COMMANDS) else VOLTAGES
-        time = _union([self[name].time for name in names])
-        values = np.column_stack([self[name].held(time) for name in names])
+        names = self._command_names
+        held = [self[name].held_until(self._gaps(name)[:, 1]) for name in names]
+        time = _union([channel.time for channel in held])
+        values = np.column_stack([channel.held(time) for channel in held])
         if names == COMMANDS:
             return with_steps(time, np.clip(values, -1.0, 1.0))
         if crane is None:
@@ -161,6 +166,39 @@ class Recording:
                 f"{self.source or self.name}: holds valve voltages; a crane's calibration makes commands of them."
             )
         return with_steps(time, crane.commands_from_voltages(values))
+
+    def unknown_commands(self) -> dict[str, np.ndarray]:
+        """Return {command: spans (g, 2) in s} in which a command was not recorded while the recording went on; empty if all are known."""
+        found = {}
+        for name in filter(self.has, self._command_names):
+            channel = self[name]
+            spans = [(self.start, channel.time[0]), *self._gaps(name), (channel.time[-1], self.end)]
+            unknown = [(a, b) for a, b in spans if b - a > channel.longest_pause]
+            if unknown:
+                found[name] = np.array(unknown)
+        return found
+
+    def _gaps(self, name: str) -> np.ndarray:
+        """Return the gaps (g, 2) of a command in s: pauses in which something was recorded; a few points written by hand have none."""
+        gaps = self[name].gaps()
+        others = np.sort(np.concatenate([[], *(c.time for n, c in self.channels.items() if n != name)]))
+        inside = np.searchsorted(others, gaps[:, 1]) - np.searchsorted(others, gaps[:, 0], side="right")
+        return gaps if self.sensors else gaps[inside > _RECORDED]
+
+    def _with_gaps_told(self) -> Recording:
+        """Return the recording with a note on each command that is not known all the time."""
+        told = []
+        for name, spans in self.unknown_commands().items():
+            where = ", ".join(f"{a:.6g} … {b:.6g} s" for a, b in spans[:3]) + (", …" if len(spans) > 3 else "")
+            told.append(
+                f"command {name} is missing in {len(spans)} span{'s' * (len(spans) > 1)} ({where}): the nearest value before "
+                "is held there, as an unknown input that fits leave out"
+            )
+        return replace(self, notes=(*self.notes, *told))
+
+    @property
+    def _command_names(self) -> tuple[str, ...]:
+        return COMMANDS if self.has(*COMMANDS) else VOLTAGES
 
     def supply(self, time: np.ndarray) -> np.ndarray:
         """Return pump and tank pressure (n, 2) in Pa at `time`; NaN where they were not measured."""
@@ -204,6 +242,22 @@ class Recording:
     def noise(self) -> dict[str, float]:
         """Return the standard deviation of each sensor's noise in SI, estimated from the data (`signals.noise_std`)."""
         return {name: signals.noise_std(self[name].values) for name in self.sensors}
+
+    def noise_free(self) -> tuple[str, ...]:
+        """Return the sensors that move and show less noise than any sensor has, as those of simulations do."""
+        return tuple(name for name in self.sensors if signals.is_noise_free(self[name].values))
+
+    def with_noise(self, stated: Mapping[str, float] | None = None) -> Recording:
+        """Return the recording with noise added to its noise-free sensors (`signals.noisy`), always the same.
+
+        Args:
+            stated: standard deviations in SI by channel; a usual sensor's where there is none.
+        """
+        changed = dict(self.channels)
+        for name in self.noise_free():
+            values = signals.noisy(self[name].values, (stated or {}).get(name), seed=list(SENSORS).index(name))
+            changed[name] = replace(self[name], values=values)
+        return replace(self, channels=changed)
 
     def first_values(self, span: float = 0.1) -> dict[str, float]:
         """Return the mean of each sensor over the first `span` seconds, but not beyond the first change of a command."""

@@ -7,6 +7,12 @@ import math
 import numpy as np
 
 _WINDOW = 64  # samples whose noise is judged together
+#: noise as a share of the channel's range: less than any sensor has, and that of a usual one; integration and averaging of samples leave
+#: less of a right model
+NO_SENSOR, USUAL_SENSOR = 1e-6, 2e-3
+#: motion makes third differences too: without noise they are next to nothing where it is quietest, many times less than usual, and never
+#: large (shares of the range, of what is usual, of the range); the values come in finer steps than those of 16 bits
+_QUIETEST, _QUIETER, _MOTION, _FINEST = 5e-6, 0.1, 3e-4, 1e-5
 _THIRD_DIFFERENCE = math.sqrt(20.0)  # 1² + 3² + 3² + 1²: what a third difference makes of white noise
 
 
@@ -36,9 +42,39 @@ def noise_std(values: np.ndarray) -> float:
     if len(own) < 4:
         return floor
     third = np.diff(own, n=3)
-    windows = np.array_split(third, max(1, len(third) // _WINDOW))
-    square = float(np.median([np.mean(w**2) for w in windows])) / _median_share(len(windows), len(third))
+    squares = _window_squares(third)
+    square = float(np.median(squares)) / _median_share(len(squares), len(third))
     return max(math.sqrt(square) / _THIRD_DIFFERENCE, floor)
+
+
+def is_noise_free(values: np.ndarray) -> bool:
+    """Whether a channel that moves has less noise than any sensor, as those of simulations do; where it stands still nothing is seen."""
+    values = np.asarray(values, dtype=float)
+    span = float(np.ptp(values))
+    squares = _window_squares(np.diff(values, n=3)) if len(values) > 3 else np.empty(0)
+    squares = squares[squares > 0.0]
+    if not len(squares):
+        return False
+    quietest, usual = (math.sqrt(float(f(squares))) / _THIRD_DIFFERENCE for f in (np.min, np.median))
+    clear = quietest < min(_QUIETEST * span, _QUIETER * usual) and usual < _MOTION * span
+    return (clear or usual < NO_SENSOR * span) and quantisation(values) < _FINEST * span
+
+
+def noisy(values: np.ndarray, std: float | None = None, seed: int = 0) -> np.ndarray:
+    """Return a channel free of noise with the white noise of a sensor added, that of a usual one by default; any other channel as it is.
+
+    Without noise no error can be called large or small, and channels that follow from each other make equations singular.
+    """
+    if not is_noise_free(values):
+        return values
+    std = USUAL_SENSOR * float(np.ptp(values)) if std is None else std
+    return values + std * np.random.default_rng(seed).standard_normal(len(values))
+
+
+def _window_squares(third: np.ndarray) -> np.ndarray:
+    """Return the mean square of third differences in each short window."""
+    lengths = np.array([len(w) for w in np.array_split(np.empty(len(third)), max(1, len(third) // _WINDOW))])
+    return np.asarray(np.add.reduceat(third**2, np.cumsum(lengths) - lengths) / lengths)
 
 
 def _median_share(windows: int, count: int) -> float:

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import warnings
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from .errors import CraneError
 
+#: names that are told one by one
+_FEW = 3
 _NEWLINE = 10
+#: bytes that are read and turned into numbers at a time, so that memory does not grow with the text
+_PIECE = 8_000_000
+#: what zlib wants to be told for gzip
+_GZIP = 31
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 #: what plain numbers are written with; anything else is for the careful reader
 _PLAIN = b"0123456789+-.eEnNaA\n"
 #: spreadsheets and archives that people hand over by mistake, by their first bytes
@@ -61,6 +69,13 @@ def split_header(header: str) -> tuple[str, str | None]:
     return name.strip(), rest[:-1].strip()
 
 
+def remarks(what: str, names: Sequence[str], happened: str) -> list[str]:
+    """Return one remark a name where they are few, one for all where they are many, such as "column 'operator' was ignored"."""
+    if len(names) <= _FEW:
+        return [f"{what} {name!r} {happened}" for name in names]
+    return [f"{len(names)} {what}s such as {', '.join(map(repr, names[:_FEW]))}: each {happened}"]
+
+
 # -- text files ------------------------------------------------------------------------------------------------------
 
 
@@ -78,8 +93,8 @@ class _Layout:
         return self.delimiter != ","
 
 
-def read_text(path: Path, data: bytes) -> RawTable:
-    """Return the columns of a CSV file, given as bytes.
+def read_text(path: Path, file: BinaryIO) -> RawTable:
+    """Return the columns of a CSV file, read from `file` piece by piece.
 
     Fields are separated by commas, semicolons or tabs, as the header line shows; with the latter two, decimals may
     be commas. UTF-8 with or without byte order mark, UTF-16 and Windows-1252 are read, any line ends, and gzip. Lines
@@ -88,38 +103,82 @@ def read_text(path: Path, data: bytes) -> RawTable:
     Raises:
         CraneError: empty or cut-off file, text in a number, a line with too few or too many fields.
     """
-    text = _newlines(_decode(path, _unzip(path, data)))
-    layout, body = _header(path, text)
-    if not body.strip():
+    pieces = _pieces(path, file)
+    layout, first = _header(path, next(pieces, b""))
+    line, numbers, lines = layout.skipped + 2, [], []
+    ahead: bytes | None = first
+    while ahead is not None:
+        body, ahead = ahead, next(pieces, None)
+        values, own = _read(body, layout, line, last=ahead is None)
+        numbers.append(values)
+        lines.append(own)
+        line += body.count(b"\n")
+    found = np.concatenate(numbers)
+    if not len(found):
         raise CraneError(f"{path}: the file ends after its header line. Expected one line per sample; record again.")
-    values = _read_fast(body, layout)
-    lines = None
-    if values is None:
-        values, lines = _read_carefully(body, layout)
-    first = layout.skipped + 2
-    columns = [RawColumn(name, values[:, i]) for i, name in enumerate(layout.names) if name]
-    return RawTable(columns, lambda row: f"line {first + row if lines is None else lines[row]}")
+    columns = [RawColumn(name, found[:, i]) for i, name in enumerate(layout.names) if name]
+    return RawTable(columns, lambda row: f"line {np.concatenate(lines)[row]}")
 
 
-def _unzip(path: Path, data: bytes) -> bytes:
-    if not data.startswith(b"\x1f\x8b"):
-        return data
+def _pieces(path: Path, file: BinaryIO) -> Iterator[bytes]:
+    """Yield the content in pieces that end with a line, each line with a newline at its end."""
+    rest, start = b"", True
+    for read in _content(path, file):
+        data = rest + (_decode(path, read) if start else _plain(path, read))
+        cut = data.rfind(b"\n") + 1
+        start, rest = False, data[cut:]
+        if cut:
+            yield _newlines(data[:cut])
+    if rest:
+        last = _newlines(rest)
+        yield last if last.endswith(b"\n") else last + b"\n"
+
+
+def _content(path: Path, file: BinaryIO) -> Iterator[bytes]:
+    """Yield what is in a text file, unzipped where it is zipped; UTF-16 at once, for it is cut nowhere."""
+    start = file.read(_PIECE)
+    if start.startswith(b"\x1f\x8b"):
+        yield from _unzipped(path, chain([start], iter(lambda: file.read(_PIECE), b"")))
+    elif start.startswith(_UTF16):
+        yield start + file.read()
+    else:
+        yield start
+        yield from iter(lambda: file.read(_PIECE), b"")
+
+
+def _unzipped(path: Path, pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Yield what gzip members hold, no piece of it larger than a few megabytes."""
+    unzip = zlib.decompressobj(_GZIP)
     try:
-        return gzip.decompress(data)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as problem:
+        for piece in pieces:
+            data = piece
+            while data:
+                yield unzip.decompress(data, _PIECE)
+                data = unzip.unconsumed_tail or unzip.unused_data
+                if unzip.eof and data:
+                    unzip = zlib.decompressobj(_GZIP)
+        while not unzip.eof:
+            rest = unzip.decompress(unzip.unconsumed_tail, _PIECE)
+            if not rest:
+                raise EOFError("it ends before its end mark")
+            yield rest
+    except (EOFError, zlib.error) as problem:
         raise CraneError(
             f"{path}: the gzip file is cut off or damaged ({problem}). Copy or export it again."
         ) from problem
 
 
 def _decode(path: Path, data: bytes) -> bytes:
-    """Return `data` without byte order mark, one byte per ASCII character."""
+    """Return the beginning of a file without byte order mark, one byte per ASCII character."""
     for start, kind in _NOT_TEXT.items():
         if data.startswith(start):
             raise CraneError(f"{path}: this is {kind}, expected text. Export it as CSV.")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if data.startswith(_UTF16):
         return data.decode("utf-16", errors="replace").encode()
-    data = data.removeprefix(b"\xef\xbb\xbf")
+    return _plain(path, data.removeprefix(b"\xef\xbb\xbf"))
+
+
+def _plain(path: Path, data: bytes) -> bytes:
     if b"\x00" in data:
         raise CraneError(
             f"{path}: holds zero bytes, so it is no text file, or one that was cut off while being written."
@@ -181,6 +240,14 @@ def _is_number(text: str) -> bool:
     return True
 
 
+def _read(body: bytes, layout: _Layout, line: int, last: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return numbers (n, columns) and line numbers (n,) of some lines, of which the first has the number `line`."""
+    values = _read_fast(body, layout) if body.strip() else np.empty((0, len(layout.names)))
+    if values is None:
+        return _read_carefully(body, layout, line, last)
+    return values, np.arange(line, line + len(values), dtype=np.int32)
+
+
 def _read_fast(body: bytes, layout: _Layout) -> np.ndarray | None:
     """Return the numbers (rows, columns), or None where the body is not plain and wants the careful reader."""
     separator = layout.delimiter.encode()
@@ -232,7 +299,7 @@ def _fill_empty(body: bytes, separator: bytes) -> bytes:
     return b"nan" + body if body.startswith(separator) else body
 
 
-def _read_carefully(body: bytes, layout: _Layout) -> tuple[np.ndarray, list[int]]:
+def _read_carefully(body: bytes, layout: _Layout, first: int, last: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return numbers and line numbers, reading field by field; this is what finds and names a fault."""
     rows, lines = [], []
     text = _to_text(body)
@@ -241,11 +308,11 @@ def _read_carefully(body: bytes, layout: _Layout) -> tuple[np.ndarray, list[int]
     for fields in reader:
         if not any(field.strip() for field in fields):
             continue
-        line = layout.skipped + 1 + reader.line_num
-        _check_length(fields, layout, line, last=reader.line_num >= total)
+        line = first - 1 + reader.line_num
+        _check_length(fields, layout, line, last=last and reader.line_num >= total)
         rows.append([_number(field, name, layout, line) for field, name in zip(fields, layout.names, strict=False)])
         lines.append(line)
-    return np.array(rows, dtype=float), lines
+    return np.array(rows, dtype=float).reshape(-1, len(layout.names)), np.array(lines, dtype=np.int32)
 
 
 def _check_length(fields: list[str], layout: _Layout, line: int, last: bool) -> None:

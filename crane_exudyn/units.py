@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import math
-from typing import Any
+import re
+from typing import Any, TypeGuard
 
 from .errors import CraneError
 
@@ -43,7 +45,9 @@ def to_si(value: object, unit: str, where: str) -> float:
 
 def _from_text(text: str, unit: str, where: str) -> float:
     try:
-        quantity = registry().Quantity(text)
+        quantity = _quantity(text)
+    except CraneError as problem:
+        raise CraneError(f"{where} = {text!r}: {problem}.") from None
     except Exception as problem:  # pint raises many kinds for text that it cannot read
         raise CraneError(f"{where} = {text!r} cannot be read as a number with a unit of {unit or '1'}.") from problem
     try:
@@ -52,6 +56,88 @@ def _from_text(text: str, unit: str, where: str) -> float:
         raise CraneError(
             f"{where} = {text!r} has the wrong unit: expected something like {unit or 'a plain number'}."
         ) from problem
+
+
+# -- what pint would read, but not as it was meant ---------------------------------------------------------------------
+
+#: a run of digits with everything that people put between them, and what of that is one number
+_DIGITS = re.compile(r"[\d.,_'’]*\d[\d.,_'’]*(?:\s+[\d.,_'’]*\d[\d.,_'’]*)*")
+_NUMBER, _DECIMAL_COMMA = re.compile(r"\d+\.?\d*|\.\d+"), re.compile(r"\d*,\d+")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}(,\d{3})+")
+_BROKEN_EXPONENT = re.compile(r"\d\.?[eE][+-]?\d+[.,]")
+#: characters of a value, and exponents, that no value of a crane exceeds
+_LONGEST, _GREATEST_POWER = 200, 30.0
+
+
+def _quantity(text: str) -> Any:
+    """Return the pint quantity of a text; what pint would silently take for something else is refused before it computes.
+
+    Pint drops commas, multiplies numbers that stand side by side, computes powers of powers, and takes Grad for a giga-radian.
+
+    Raises:
+        CraneError: the reason, without the place; and whatever pint raises for text that it cannot read.
+    """
+    from pint.util import string_preprocessor
+
+    if len(text) > _LONGEST:
+        raise CraneError(f"the text is {len(text)} characters long, expected a number and a unit")
+    plain = _with_points(text)
+    _refuse_towers(string_preprocessor(plain))
+    quantity = registry().Quantity(plain)
+    _refuse_great_angles(quantity)
+    return quantity
+
+
+def _with_points(text: str) -> str:
+    """Return the text with decimal commas as points; a comma or a space that may group thousands is refused."""
+
+    def mended(found: re.Match[str]) -> str:
+        number = found.group()
+        if _NUMBER.fullmatch(number):
+            return number
+        if _DECIMAL_COMMA.fullmatch(number) and not _THOUSANDS.fullmatch(number):
+            return number.replace(",", ".")
+        raise CraneError(f"{number!r} is not one plain number. Write a decimal point, and nothing between thousands")
+
+    plain = _DIGITS.sub(mended, text)
+    if "," in plain or _BROKEN_EXPONENT.search(text):
+        raise CraneError("a comma or point stands outside a number. Write one number and one unit")
+    return plain
+
+
+def _refuse_towers(text: str) -> None:
+    """Refuse powers of powers and exponents beyond those of units: computing 9**9**9 takes for ever."""
+    if "**" not in text:
+        return
+    try:
+        powers = [n for n in ast.walk(ast.parse(text, mode="eval")) if _is_power(n)]
+    except SyntaxError:
+        raise CraneError("it cannot be read. Write one number and one unit") from None
+    if any(_is_power(inner) for p in powers for inner in ast.walk(p.left)) or not all(map(_is_modest, powers)):
+        raise CraneError("a power of a power, or an exponent that no unit has. Write the number itself")
+
+
+def _is_power(node: ast.AST) -> TypeGuard[ast.BinOp]:
+    return isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)
+
+
+def _is_modest(power: ast.BinOp) -> bool:
+    """Return whether all numbers of an exponent are small, and nothing but signs and fractions joins them."""
+    allowed = (ast.Constant, ast.UnaryOp, ast.USub, ast.UAdd, ast.BinOp, ast.Div)
+    nodes = list(ast.walk(power.right))
+    numbers = [n.value for n in nodes if isinstance(n, ast.Constant)]
+    small = all(isinstance(x, int | float) and abs(x) <= _GREATEST_POWER for x in numbers)
+    return small and all(isinstance(n, allowed) for n in nodes)
+
+
+def _refuse_great_angles(quantity: Any) -> None:
+    """Refuse angles in thousands and more: somebody wrote Grad for degrees."""
+    known = registry()
+    for name, _ in quantity.unit_items():
+        for prefix, base, _ in known.parse_unit_name(name):
+            great = prefix and known.Quantity(1.0, f"{prefix}meter").to("meter").magnitude > 1.0
+            if great and known.Quantity(1.0, base).is_compatible_with("radian"):
+                raise CraneError(f"the unit is a {prefix}{base} as it stands. Write deg for degrees")
 
 
 #: units that files usually carry, with what one of them is in SI; only other ones need pint, which takes long to load
@@ -78,8 +164,10 @@ def factor_to_si(unit: str, si_unit: str) -> float:
         return usual
     expected = si_unit or "a pure number"
     try:
-        quantity = registry().Quantity(1.0, unit.replace("°", "deg"))
+        quantity = 1.0 * _quantity(unit)
         base, wanted = quantity.to_base_units().units, registry().Quantity(1.0, si_unit or "dimensionless")
+    except CraneError as problem:
+        raise CraneError(f"unit [{unit}]: {problem}") from None
     except Exception as problem:  # pint raises many kinds for text that it cannot read
         raise CraneError(f"unit [{unit}] is not known, expected one like [{si_unit or '-'}]") from problem
     if base != wanted.to_base_units().units:

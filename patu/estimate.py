@@ -70,8 +70,10 @@ def command(
     """
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
+    from crane_exudyn.vetting import vetted
+
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, mapping).require(sensors=1)
+    measured = vetted(load_recording(recording, mapping).require(sensors=1), chosen)
     std = sensor_noise(chosen, measured, sensors)
     announce_compilation()
     from ukf.estimator import Estimator

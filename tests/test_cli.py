@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,11 +150,15 @@ def test_an_unknown_option_is_bad_input(patu: Callable[..., Ended]) -> None:
 def test_an_unreadable_file_is_bad_input(
     patu: Callable[..., Ended], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(path: Path) -> bytes:
-        raise PermissionError(13, "Permission denied", str(path))
+    usual = Path.open
+
+    def refuse(path: Path, *arguments: Any, **options: Any) -> Any:
+        if path.name == "locked.csv":
+            raise PermissionError(13, "Permission denied", str(path))
+        return usual(path, *arguments, **options)
 
     (tmp_path / "locked.csv").touch()
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     done = patu("simulate", "--inputs", str(tmp_path / "locked.csv"))
     assert (done.status, done.err) == (2, f"{tmp_path / 'locked.csv'}: Permission denied.\n")
 

@@ -201,7 +201,7 @@ def test_smoother_and_mean_over_a_phase_equal_the_dense_normal_distribution() ->
     blocks = np.array([covariance[k * n : k * n + n, k * n : k * n + n] for k in range(K)])
     assert smoothed.covariance == pytest.approx(blocks, abs=1e-8)
     values = (steps.inputs + smoothed.mean[:, -6:]) * balances.SPREAD
-    found = Balances(np.arange(K), steps.states, values, values, 0.0, smoothed.covariance, smoothed.gains)
+    found = Balances(np.arange(K), steps.states, values, values, 0.0, smoothed.covariance[:, :, -6:], smoothed.gains)
     got, std = found.mean(2, 6)
     pick = np.zeros((6, K * n))
     for k in range(2, 6):
@@ -259,6 +259,16 @@ def test_a_right_model_leaves_nothing_but_noise(clean: Comparison) -> None:
         assert error.rmse / error.noise_std == pytest.approx(error.error_over_noise)
     assert clean.where == []
     assert clean.consistent
+
+
+def test_a_simulation_without_noise_and_with_channels_that_follow_from_each_other_is_explained() -> None:
+    run = driven(CRANE, np.arange(0.0, 3.0, 0.002)).recording()
+    assert set(run.noise_free()) == set(run.sensors) and len(run.sensors) == 12
+    result = compare(CRANE, run)
+    assert result.error == pytest.approx(1.0, abs=0.05) and result.consistent and not result.where
+    assert any("show no noise" in note for note in result.notes)
+    stated = replace(CRANE, sensors={"z1": 1e-12, "p1": 1e4})
+    assert np.isfinite(compare(stated, run.select(["u1", "u2", "z1", "z4", "z4_abs", "p1"])).error)
 
 
 def test_errors_are_those_of_the_numbers(leaking: tuple[Simulation, Comparison]) -> None:

@@ -9,10 +9,23 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, CraneError, Recording
+from crane_exudyn.channels import Channel
 from validation import hidden
-from validation.diagnosis import _between_samples, _elsewhere, _explains, _idle, _leading_pairs, _paired, diagnose
+from validation.diagnosis import (
+    Diagnosis,
+    _between_samples,
+    _elsewhere,
+    _explains,
+    _held_to_check,
+    _idle,
+    _leading_pairs,
+    _paired,
+    diagnose,
+    sentence,
+)  # fmt: skip
 from validation.fit.data import FitData
 from validation.fit.variables import effect_variables, uncertain_parameters
+from validation.fitness import check_check
 from validation.search.candidates import Start, around
 from validation.search.weigh import Hypothesis, Weighed
 
@@ -114,6 +127,56 @@ def test_an_effect_that_leaves_something_is_named_only_if_it_predicts_the_check_
     notes: list[str] = []
     assert _explains(search, best, bare, object(), notes) is named
     assert any("does not predict" in n for n in notes) is (errors[1] > 3.0)
+
+
+# -- the check recording ---------------------------------------------------------------------------------------------
+
+
+def concluded(verdict: str, before: float, after: float) -> Diagnosis:
+    """Return a diagnosis with these errors on the check recording."""
+    crane = Crane.load("patu655")
+    effects = ("internal_leakage@lift",) if verdict == "effect" else ()
+    return Diagnosis(
+        "r", verdict, crane.with_effect("internal_leakage@lift", {"k": 5e-12}), crane, {}, (), effects, notes=("a note",),
+        error_before=6.0, error_after=1.0, check_error_before=before, check_error_after=after,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("verdict", "before", "after", "plain"),
+    [("effect", 6.6e6, 6.6e6, False), ("effect", 30.0, 28.0, False), ("parameters", 4.0, 3.9, False), ("adequate", 9.0, 9.0, False),
+     ("effect", 30.0, 2.5, True), ("effect", 1.5, 1.4, True), ("adequate", 1.0, 1.0, True), ("effect", np.nan, np.nan, True)],
+)  # fmt: skip
+def test_what_does_not_predict_the_check_recording_is_said_first_and_is_no_plain_verdict(verdict, before, after, plain):
+    given = concluded(verdict, before, after)
+    found = _held_to_check(given)
+    if plain:
+        assert found is given
+        return
+    assert found.verdict == "unknown" and not found.effects and found.crane is given.given
+    assert "does not predict the check recording" in found.notes[0] and found.notes[1:] == ("a note",)
+    assert "does not predict the check recording" in sentence(found)
+
+
+def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):
+    crane = Crane.load("patu655")
+    learn = Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0)
+    monkeypatch.setattr("validation.diagnosis._prepare", lambda *_: pytest.fail("the search has begun"))
+    bar_as_pascal = Channel(learn["p1"].time, learn["p1"].values / 1e5)
+    for check, words in (
+        (learn.window(0.0, 0.5), "at least 1 s is needed"),
+        (Recording("bad", {**learn.channels, "p1": bar_as_pascal}), "p1 never exceeds"),
+        (learn.select(["u1", "u2", "p4"]), "no sensor of"),
+    ):
+        with pytest.raises(CraneError, match=words):
+            diagnose(crane, learn.select(["u1", "u2", "z1", "z4", "p1"]), check)
+
+
+def test_the_same_recording_twice_is_told():
+    learn = Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0)
+    copy = Recording("copy", learn.channels, "copy.csv")
+    assert "copy.csv is the recording that is learned from" in check_check(copy, learn, Crane.load("patu655"))[0]
+    assert not any("confirms nothing" in n for n in check_check(learn.window(0.0, 2.9), learn, Crane.load("patu655")))
 
 
 def test_the_pair_that_parameters_help_least_is_fitted_to_the_end_too():

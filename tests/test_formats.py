@@ -257,3 +257,114 @@ def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
         write_table(tmp_path / "run.csv", {"a[s]": np.zeros(2), "b[s]": np.zeros(3)})
     assert (tmp_path / "run.csv").read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
+
+
+# -- what is no channel ----------------------------------------------------------------------------------------------
+
+
+def _odd73(path: Path, **odd: Any) -> None:
+    """Write a v7.3 file with a sound z1 and what else is given: arrays, links, or functions of the file."""
+    with h5py.File(path, "w") as file:
+        file["z1"], file["z1_time"] = Z1, SLOW
+        for name, unit in (("z1", "deg"), ("z1_time", "s")):
+            _matlab_text(file, f"{name}_unit", unit)
+        for name, value in odd.items():
+            if callable(value):
+                value(file, name)
+            else:
+                file[name] = value
+
+
+def _cell(file: h5py.File, name: str) -> None:
+    item = file.create_dataset(name, data=np.array([file["z1"].ref], dtype=h5py.ref_dtype))
+    item.attrs["MATLAB_class"] = np.bytes_("cell")
+
+
+def _huge(file: h5py.File, name: str) -> None:
+    file.create_dataset(name, shape=(10**12,), dtype=float, chunks=(1000,))
+
+
+def _round(file: h5py.File, name: str) -> None:
+    file.create_group(name)["again"] = h5py.SoftLink("/" + name)
+
+
+@pytest.mark.parametrize(
+    ("odd", "words"),
+    [
+        (np.array(["a", "b"], dtype=h5py.string_dtype()), "variable 'p1' is text and was ignored"),
+        (_cell, "variable 'p1' is a cell array"),
+        (np.zeros(6, dtype=[("t", float), ("y", float)]), "variable 'p1' is compound"),
+        (h5py.SoftLink("/nowhere"), "variable 'p1' is a link that leads nowhere"),
+        (h5py.ExternalLink("other.mat", "/p1"), "variable 'p1' is a link to another file"),
+        (_huge, "variable 'p1' has 1e+12 numbers"),
+        (_round, "variable 'p1' is neither a vector nor a struct"),
+        (np.zeros((3, 4)), "variable 'p1' is neither a vector nor a struct"),
+    ],
+    ids=["text", "cell", "compound", "broken-link", "external-link", "huge", "round", "matrix"],
+)
+def test_mat73_says_what_it_leaves_out(tmp_path: Path, odd: Any, words: str) -> None:
+    _odd73(tmp_path / "lift.mat", p1=odd)
+    recording = Recording.load(tmp_path / "lift.mat")
+    assert recording.sensors == ("z1",)
+    assert any(words in note for note in recording.notes), recording.notes
+
+
+def test_mat5_says_what_it_leaves_out(tmp_path: Path) -> None:
+    cell = np.empty(2, dtype=object)
+    cell[:] = ["a", np.arange(3.0)]
+    units = {"time": "s", "z1": "deg"}
+    savemat(tmp_path / "lift.mat", {"time": SLOW, "z1": Z1, "units": units, "p1": cell, "p2": "text"})
+    notes = Recording.load(tmp_path / "lift.mat").notes
+    assert any("'p1' is a cell array" in n for n in notes) and any("'p2' is text" in n for n in notes)
+
+
+@pytest.mark.parametrize("in_struct", [True, False])
+def test_a_clock_of_text_is_refused(tmp_path: Path, in_struct: bool) -> None:
+    text = np.array(["10:00", "10:01"], dtype=h5py.string_dtype())
+
+    def struct(file: h5py.File, name: str) -> None:
+        file.create_group(name)["values"] = P1[:2]
+        file[name]["time"] = text
+
+    _odd73(tmp_path / "lift.mat", **({"p1": struct} if in_struct else {"p1": P1[:2], "p1_time": text}))
+    assert "is text, expected a vector of times" in _refused(tmp_path / "lift.mat")
+
+
+def test_parquet_with_bad_metadata_text_and_columns_of_one_name(tmp_path: Path) -> None:
+    fields = [
+        pa.field("time", pa.float64(), metadata={"unit": "s"}),
+        pa.field("z1", pa.float64(), metadata={b"unit": b"\xff\xfe"}),
+    ]
+    table = pa.table([pa.array(SLOW), pa.array(Z1)], schema=pa.schema(fields))
+    pq.write_table(table, tmp_path / "bad.parquet")
+    assert "is not known" in _refused(tmp_path / "bad.parquet")
+    twice = pa.table([pa.array(SLOW), pa.array(Z1), pa.array(Z1)], names=["time[s]", "z1[deg]", "z1[deg]"])
+    pq.write_table(twice, tmp_path / "twice.parquet")
+    assert "z1 stands twice" in _refused(tmp_path / "twice.parquet")
+    clock = pa.table([pa.array(["10:00"] * 6), pa.array(Z1)], names=["time", "z1[deg]"])
+    pq.write_table(clock, tmp_path / "clock.parquet")
+    assert "there is no column time" in _refused(tmp_path / "clock.parquet")
+
+
+def test_thousands_of_other_columns_are_one_remark(tmp_path: Path) -> None:
+    names = [f"other{k}" for k in range(20_000)]
+    rows = [f"{t},{t}" + ",7" * len(names) for t in range(3)]
+    (tmp_path / "wide.csv").write_text("\n".join([f"time[s],z1[deg],{','.join(names)}", *rows]), encoding="utf-8")
+    notes = Recording.load(tmp_path / "wide.csv").notes
+    assert len(notes) == 1 and notes[0].startswith("20000 columns such as 'other0'")
+
+
+def test_a_text_file_is_the_same_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    time = np.arange(500) * 0.01
+    recording = Recording.from_arrays("r", time, {"z1": np.sin(time), "p1": np.where(time < 1, np.nan, 1e5 * time)})
+    for name in ("run.csv", "run.csv.gz"):
+        recording.save(tmp_path / name)
+        monkeypatch.setattr("crane_exudyn.tables._PIECE", 1000)
+        monkeypatch.setattr("crane_exudyn.formats._LINES", 7)
+        recording.save(tmp_path / f"again-{name}")
+        assert Recording.load(tmp_path / f"again-{name}")["p1"].values.tolist() == recording["p1"].values.tolist()
+        monkeypatch.undo()
+        assert Recording.load(tmp_path / f"again-{name}")["z1"].values.tolist() == recording["z1"].values.tolist()
+    (tmp_path / "bad.csv").write_text((tmp_path / "run.csv").read_text().replace("\n4.5,", "\nfour,"), encoding="utf-8")
+    monkeypatch.setattr("crane_exudyn.tables._PIECE", 1000)
+    assert "line 452" in _refused(tmp_path / "bad.csv")

@@ -12,13 +12,14 @@ lacks. What the sensors cannot tell apart (moment and pressure, where a pressure
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 
-from .fit.data import FitData
+from .fit.data import ACCURACY, FitData
 from .fit.linear import JUMP, cut
 from .fit.model import SENSOR_PLACE, Model, affine, model_of, output_rows, shown
 from .fit.start import knots_of
@@ -34,8 +35,8 @@ SPREAD = np.array([300.0, 200.0, 5e-5, 5e-5, 5e-5, 5e-5])
 MEMORY = 0.3
 #: the smoother is run again around what it found, until states and inputs move by less than this (RMS, in JUMP and SPREAD), or so often
 _SETTLED_STATE, _SETTLED_INPUT, _ROUNDS = 0.5, 0.03, 6
-#: length of the stretches in which long recordings are treated, s: what the smoother remembers of one is some 50 MB
-_CHUNK = 60.0
+#: length of the stretches in which long recordings are treated, s: what the smoother needs for one is some 100 MB
+_CHUNK = 30.0
 #: time between the knots of the first trajectory, s
 _KNOTS = 0.1
 #: Pa above the floor up to which a smoothed pressure counts as standing on it
@@ -79,12 +80,12 @@ class Balances:
         which is summed up from the end.
         """
         n = self._covariance.shape[1]
-        inputs = slice(n - len(EQUATIONS), n)
+        inputs = slice(n - len(EQUATIONS), n)  # the covariance has their columns only
         with_sum = np.zeros((n, len(EQUATIONS)))  # cov(x_k, sum of the inputs from k on)
         total = np.zeros(len(EQUATIONS))
         for k in range(last - 1, first - 1, -1):
             later = self._gains[k] @ with_sum if k + 1 < last else with_sum
-            own = self._covariance[k][:, inputs]
+            own = self._covariance[k]
             total += np.diag(own[inputs]) + 2.0 * np.diag(later[inputs])
             with_sum = own + later
         mean = self.values[first:last].mean(axis=0)
@@ -105,12 +106,22 @@ def balances_of(crane: Crane, data: FitData) -> Balances:
     starts = np.array([w.start for w in windows])
     knots = _wide(knots_of(crane, data, windows), model.nx)
     parts = []
-    for chosen in np.array_split(np.arange(len(starts)), max(1, round(len(data.time) * data.step / _CHUNK))):
-        first, after = starts[chosen[0]], chosen[-1] + 1
-        last = starts[after] if after < len(starts) else len(data.time) - 1
+    for first, last in _chunks(data, starts):
+        chosen = (starts >= first) & (starts < last)
         part = replace(model, W=model.W[first : last + 1])
-        parts.append(_balances(part, data.part(int(first), int(last)), starts[chosen] - first, knots[chosen]))
+        parts.append(_balances(part, data.part(first, last), starts[chosen] - first, knots[chosen]))
     return _joined(parts)
+
+
+def _chunks(data: FitData, starts: np.ndarray) -> list[tuple[int, int]]:
+    """Return first and last grid point of pieces that are short enough to be held in memory, each from start to start of a window."""
+    found = []
+    for first, last in data.stretches:
+        edges = [*starts[(starts >= first) & (starts < last)].tolist(), last]
+        pieces = max(1, round((last - first) * data.step / _CHUNK))
+        chosen = [edges[i] for i in np.linspace(0, len(edges) - 1, pieces + 1).round().astype(int)]
+        found += list(pairwise(chosen))
+    return found
 
 
 def _wide(knots: np.ndarray, nx: int) -> np.ndarray:
@@ -137,8 +148,8 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
     unsettled = () if settled else ((float(at[0]), float(at[-1])),)
     std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
     return Balances(
-        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance, smoothed.gains, unsettled,
-        float(vapour_pressure(model.P)),
+        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance[:, :, -6:].astype(np.float32),
+        smoothed.gains.astype(np.float32), unsettled, float(vapour_pressure(model.P)),
     )  # fmt: skip
 
 
@@ -244,6 +255,7 @@ def _transitions(
         SPREAD,
         np.arange(1, 1 + m),
         want_phi=True,
+        allowed=ACCURACY,
     )
     if run.status != 0 or not np.isfinite(run.X).all():
         raise CraneError(

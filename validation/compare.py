@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -30,7 +32,7 @@ from ukf.signals import Signals
 from .balances import Balances, balances_of
 from .findings import Finding, Scores, people_unit, scores_of
 from .fit.data import FitData
-from .fit.model import model_of, output_rows, shown, spool_path
+from .fit.model import spool_path
 from .fit.solve import Fit
 from .fit.staged import FINE, LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged, timing_of
 from .fitness import check_recording, usable
@@ -214,21 +216,18 @@ def compare(
     kept = usable(recording)
     data = FitData.of(kept, crane)
     start = started(crane, data)
+    late, starts = start.late, start.starts
+    del start  # of ten minutes it holds as much as the recording
     done(0.3)
-    whole = FitData.of(kept, crane, rate=np.inf, step=FINE).shifted(start.late)
-    data = data.with_step(FINE).shifted(start.late)
-    measured, simulated = open_loop(crane, whole, start.knots[0], engine)
-    done(0.4)
-    estimate = filtered(crane, data, engine, lambda f: done(0.4 + 0.3 * f))
+    data = data.with_step(FINE).shifted(late)
     balances = balances_of(crane, data)
-    channels = {
-        s.channel: _channel_error(s.channel, measured[s.channel][1], simulated[s.channel][1], s.noise)
-        for s in whole.samples
-    }
+    done(0.6)
+    estimate = filtered(crane, data, engine, lambda f: done(0.6 + 0.3 * f))
+    measured, simulated, channels = _open_loop_errors(crane, kept, starts, late, engine)
     scores = scores_of(estimate, balances, _phases(crane, data, balances))
     done(1.0)
-    if _LATE < abs(start.late) < 0.9 * timing_of(data).upper * timing_of(data).scale:
-        notes.append(f"the commands act {1e3 * start.late:.1f} ms after their stamps; this is allowed for")
+    if _LATE < abs(late) < 0.9 * timing_of(data).upper * timing_of(data).scale:
+        notes.append(f"the commands act {1e3 * late:.1f} ms after their stamps; this is allowed for")
     for begin, end in balances.unsettled:
         notes.append(
             f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: their ± is too small"
@@ -252,28 +251,35 @@ def started(crane: Crane, data: FitData) -> Fit:
 # -- the three looks -------------------------------------------------------------------------------------------------
 
 
-def open_loop(crane: Crane, data: FitData, x0: np.ndarray, engine: Engine) -> tuple[Series, Series]:
+def _open_loop_errors(
+    crane: Crane, recording: Recording, starts: np.ndarray, late: float, engine: Engine
+) -> tuple[Series, Series, dict[str, ChannelError]]:
+    """Return what was measured at every sample, what an open-loop run gives there, and each channel's error."""
+    data = FitData.of(recording, crane, rate=np.inf, step=FINE).shifted(late)
+    measured, simulated = open_loop(crane, data, starts, engine)
+    errors = {
+        s.channel: _channel_error(s.channel, measured[s.channel][1], simulated[s.channel][1], s.noise)
+        for s in data.samples
+    }
+    return measured, simulated, errors
+
+
+def open_loop(crane: Crane, data: FitData, starts: np.ndarray, engine: Engine) -> tuple[Series, Series]:
     """Return measured and simulated channels, (time, values) each at the measured instants, of a run that sees only commands.
+
+    It begins with `starts`, (nx,) or (S, nx) for each stretch of known commands.
 
     Raises:
         CraneError: the run on the Exudyn engine leaves what the crane can do.
     """
-    measured = {s.channel: (data.time[s.index] + s.fraction * data.step, s.values) for s in data.samples}
-    if engine == "semi-recursive":
-        left = residuals(crane, data, x0)
-        return measured, {
-            s.channel: (left[s.channel][0], s.values - left[s.channel][1] * s.noise) for s in data.samples
-        }
-    from crane_exudyn.engine import ExudynEngine
+    simulate = None
+    if engine == "exudyn":
+        from crane_exudyn.engine import ExudynEngine
 
-    model = model_of(crane, data)
-    X = ExudynEngine(crane).simulate(x0, data.time, model.W, step=data.step)
-    Z = shown(data.channels, output_rows(data.channels, X, model.P)[0], model.E, data.step)
-    simulated = {
-        s.channel: (measured[s.channel][0], Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j]))
-        for j, s in enumerate(data.samples)
-    }
-    return measured, simulated
+        simulate = partial(ExudynEngine(crane).simulate, step=data.step)
+    left = residuals(crane, data, starts, simulate=simulate)
+    measured = {s.channel: (left[s.channel][0], s.values) for s in data.samples}
+    return measured, {s.channel: (left[s.channel][0], s.values - left[s.channel][1] * s.noise) for s in data.samples}
 
 
 class _Following(Estimator):
@@ -284,13 +290,44 @@ class _Following(Estimator):
 
 
 def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[float], None] | None = None) -> Estimate:
-    """Return the run of a filter that trusts the model, and believes every sample."""
-    sensors = {s.channel: (data.time[s.index] + s.fraction * data.step, s.values) for s in data.samples}
-    supply = {n: (data.time, v) for n, v in zip(("pp", "pt"), data.supply.T, strict=True) if np.isfinite(v).any()}
-    signals = Signals(data.command_time, data.commands, sensors, supply, data.name)
+    """Return the run of a filter that trusts the model, and believes every sample; it begins anew after unknown commands."""
     noise = {s.channel: s.noise for s in data.samples}
     estimator = _Following(crane, engine, sensors=noise, noise=_TRUSTING, max_step=data.step, gate=None)
-    return estimator.run(signals, progress=progress)
+    runs = []
+    for first, last in data.stretches:
+        done = partial(_share, progress, first / len(data.time), (last - first) / len(data.time))
+        runs.append(estimator.run(_signals(data, first, last), progress=done))
+    return joined(runs)
+
+
+def _share(progress: Callable[[float], None] | None, done: float, share: float, fraction: float) -> None:
+    if progress is not None:
+        progress(done + share * fraction)
+
+
+def _signals(data: FitData, first: int, last: int) -> Signals:
+    """Return what the filter sees of the stretch of grid points first … last."""
+    sensors = {}
+    for s in data.samples:
+        inside = (s.index >= first) & (s.index <= last)
+        if inside.any():
+            sensors[s.channel] = (data.time[s.index[inside]] + s.fraction[inside] * data.step, s.values[inside])
+    supply = {n: (data.time, v) for n, v in zip(("pp", "pt"), data.supply.T, strict=True) if np.isfinite(v).any()}
+    return Signals(data.command_time, data.commands, sensors, supply, data.name)
+
+
+def joined(runs: Sequence[Estimate]) -> Estimate:
+    """Return the runs of one estimator over stretches of a recording as one estimate."""
+    if len(runs) == 1:
+        return runs[0]
+    names = ("time", "mean", "std", "measured", "innovation", "innovation_std", "flags", "nis", "dof", "inputs")
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(r, name) for r in runs]) for name in names}
+    return replace(
+        runs[0],
+        **arrays,
+        log_likelihood=sum(r.log_likelihood for r in runs),
+        events=tuple(event for r in runs for event in r.events),
+    )
 
 
 def nis_bounds(estimate: Estimate, recording: Recording, crane: Crane) -> tuple[float, float]:
@@ -300,9 +337,15 @@ def nis_bounds(estimate: Estimate, recording: Recording, crane: Crane) -> tuple[
 
 
 def _phases(crane: Crane, data: FitData, balances: Balances) -> list[Phase]:
+    """Return what the crane was doing when, anew after each span of unknown commands."""
     spool = spool_path(crane, data)
     at_instants = np.column_stack([np.interp(balances.time, data.time, u) for u in spool.T])
-    return phases_of(crane, balances.time, at_instants, balances.states)
+    begins = [int(np.searchsorted(balances.time, data.time[first] - 1e-9)) for first, _ in data.stretches]
+    found = []
+    for a, b in pairwise([*begins, len(balances.time)]):
+        own = phases_of(crane, balances.time[a:b], at_instants[a:b], balances.states[a:b])
+        found += [replace(p, first=p.first + a, last=p.last + a) for p in own]
+    return found
 
 
 def _channel_error(channel: str, measured: np.ndarray, simulated: np.ndarray, noise: float) -> ChannelError:

@@ -10,7 +10,8 @@ from crane_exudyn.channels import CHANNELS, Channel
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
-from crane_exudyn.signals import noise_std
+from crane_exudyn.signals import USUAL_SENSOR, noise_std
+from crane_exudyn.vetting import vetted
 
 Purpose = Literal["compare", "diagnose"]
 
@@ -34,13 +35,13 @@ _STUCK_SECONDS = 0.3
 def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> list[str]:
     """Return notes on a recording (one sentence each); what cannot be used at all is refused with the reason.
 
-    Refused for any purpose: no commands, no sensor, shorter than 1 s, sensors that overlap with the commands for less than
+    Refused for any purpose: contents that cannot be true (`crane_exudyn.vetting`), no commands, no sensor, shorter than 1 s, sensors that overlap with the commands for less than
     that, all sensors constant, a saturated sensor. Refused for "diagnose" also: a single sensor, and a crane that never moves.
 
     Raises:
         CraneError: what is wrong with the recording, and how to mend it.
     """
-    recording.require(commands=True, sensors=2 if purpose == "diagnose" else 1)
+    recording = vetted(recording.require(commands=True, sensors=2 if purpose == "diagnose" else 1), crane)
     time, commands = recording.commands(crane)
     _refuse_short(recording, time)
     constant = [name for name in recording.sensors if _is_constant(recording[name])]
@@ -60,6 +61,32 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
         )
     notes = _notes(recording, time, commands, constant, moves)
     return notes + _wavering(recording, crane, time, commands, constant)
+
+
+def check_check(check: Recording, learned: Recording, crane: Crane) -> list[str]:
+    """Return notes on a recording that is only predicted, beside the one that is learned from.
+
+    Raises:
+        CraneError: it cannot be compared with the crane, or has no sensor of the other recording.
+    """
+    notes = check_recording(check, crane)
+    where = check.source or check.name
+    if not set(check.sensors) & set(learned.sensors):
+        raise CraneError(
+            f"{where}: has {', '.join(check.sensors)}, but no sensor of {learned.name} ({', '.join(learned.sensors)}). A check recording is of "
+            "the same machine, with the same sensors."
+        )
+    if same(check, learned):
+        return [f"{where} is the recording that is learned from: as a check it confirms nothing"]
+    return [f"check recording: {note}" for note in notes]
+
+
+def same(one: Recording, other: Recording) -> bool:
+    """Whether two recordings hold the same samples, whatever their names."""
+    return set(one.channels) == set(other.channels) and all(
+        np.array_equal(one[n].time, other[n].time) and np.array_equal(one[n].values, other[n].values)
+        for n in one.channels
+    )
 
 
 def usable(recording: Recording) -> Recording:
@@ -127,6 +154,11 @@ def _notes(recording: Recording, time: np.ndarray, commands: np.ndarray, constan
     notes += [
         f"the {name} valve is never opened" for i, name in enumerate(("lift", "tilt")) if not _opened(commands[:, i])
     ]
+    if free := recording.noise_free():
+        notes.append(
+            f"{', '.join(free)} show{'s' * (len(free) == 1)} no noise, as simulations do: noise is added as [sensors] of the crane file says, "
+            f"or {USUAL_SENSOR:g} of the channel's range"
+        )
     if not moves:
         notes.append("the crane does not move: only its state at rest is compared")
     if recording.duration < 5.0:
@@ -148,10 +180,10 @@ def _wavering(
     Noise is estimated from neighbouring samples. Where it is slower than that, a right model seems to leave something.
     """
     factors = []
-    for name in recording.sensors:
-        if name not in crane.sensors and name not in constant:
-            slow = noise_at_rest(recording[name], time, commands)
-            factors.append((slow / max(noise_std(recording[name].values), 1e-300), name, slow))
+    known = {*crane.sensors, *constant, *recording.noise_free()}
+    for name in (n for n in recording.sensors if n not in known):
+        slow = noise_at_rest(recording[name], time, commands)
+        factors.append((slow / max(noise_std(recording[name].values), 1e-300), name, slow))
     found = [f"{name} by {slow:.2g} {CHANNELS[name]} ({f:.1f} times)" for f, name, slow in factors if f > _WAVERS]
     if not found:
         return []

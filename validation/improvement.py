@@ -15,8 +15,7 @@ from crane_exudyn.recording import Recording
 
 from .diagnosis import LEVEL, Candidate, Diagnosis, diagnose, sentence
 from .fit.data import FitData
-from .fit.model import model_of, output_rows, shown
-from .fit.staged import FINE, rms
+from .fit.staged import FINE, residuals, rms
 from .history import added
 from .search.weigh import open_loop_error
 from .stepwise import Grown, explained, grow
@@ -66,13 +65,14 @@ class Improvement:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the data demand, what they cannot separate and what is left, in plain words, where several effects were taken in."""
-        return () if self.grown is None else tuple(explained(self.grown))
+        """What to know about the recordings; and what the data demand, cannot separate and leave, where several effects were taken in."""
+        about = self.diagnoses[0].notes if self.diagnoses else ()
+        return about if self.grown is None else (*about, *explained(self.grown))
 
     def to_dict(self, path: str | Path = "") -> dict[str, Any]:
         """Return the JSON of improve; `path` is where the crane file was written."""
-        document = {"steps": [s.to_dict() for s in self.steps], "crane": str(path), "verdict": self.verdict}
-        return document | ({} if self.grown is None else {"notes": list(self.notes)})
+        steps = [s.to_dict() for s in self.steps]
+        return {"steps": steps, "crane": str(path), "verdict": self.verdict, "notes": list(self.notes)}
 
     def __repr__(self) -> str:
         errors = " -> ".join(f"{s.error:.3g}" for s in self.steps)
@@ -135,7 +135,7 @@ def improve(
         if not steps:
             steps.append(_step(None, crane, d, recording, check, d.verdict))
             told(steps[-1])
-        if d.verdict == "unknown":
+        if d.verdict == "unknown" and not d.misses_check:
             grown = grow(current, recording, check, jobs=jobs, most=most, progress=progress)
             if grown is not None and _predicts_better(grown):
                 return _grown(grown, best, recording, check, steps, diagnoses, told)
@@ -238,14 +238,8 @@ def exudyn_error(crane: Crane, recording: Recording) -> tuple[float, float]:
 
     searched, fit = open_loop_error(crane, recording)
     data = FitData.of(recording, crane, rate=math.inf, step=FINE)
-    model = model_of(crane, data, fit.late)
-    X = ExudynEngine(crane).simulate(fit.knots[0], data.time, model.W)
-    Z = shown(data.channels, output_rows(data.channels, X, model.P)[0], model.E, data.step)
-    parts = {}
-    for j, s in enumerate(data.samples):
-        predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
-        parts[s.channel] = (data.time[s.index], (s.values - predicted) / s.noise)
-    return rms(parts), searched
+    engine = ExudynEngine(crane)
+    return rms(residuals(crane, data, fit.starts, fit.late, engine.simulate)), searched
 
 
 def nis_mean(crane: Crane, recording: Recording) -> float:

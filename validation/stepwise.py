@@ -204,7 +204,7 @@ def with_noise(data: FitData, levels: Mapping[str, float]) -> FitData:
 
 
 def shares(crane: Crane, data: FitData, x0: np.ndarray, late: float, start: float = -math.inf) -> dict[str, float]:
-    """Return by channel the RMS error of an open-loop run from x0 over the samples from `start` on, as a share of the channel's range."""
+    """Return by channel the RMS error of an open-loop run from x0 (as in `residuals`) over the samples from `start` on, as a share of the channel's range."""
     left = residuals(crane, data, x0, late)
     found = {}
     for s in data.samples:
@@ -447,10 +447,10 @@ def judged(found: Fit, learned: FitData, held: FitData, start: float) -> tuple[d
     """
     levels = {s.channel: s.noise for s in found.data.samples}
     run = run_of(found, with_noise(learned, levels))
-    x0, late = run.knots[0], found.late
+    x0, late = run.starts, found.late
     own = shares(found.crane, learned, x0, late)
     if math.isinf(start):
-        x0 = started_run(found.crane, with_noise(held, levels), late).knots[0]
+        x0 = started_run(found.crane, with_noise(held, levels), late).starts
     return own, shares(found.crane, held, x0, late, start)
 
 
@@ -592,23 +592,23 @@ def _together(
     """Fit everything to the whole recording, leave out what is not needed, and say how well each effect is determined."""
     final = _whole_run(growth, whole)
     keys = list(growth.keys)
-    full = shares(final.crane, whole, final.knots[0], final.late)
+    full = shares(final.crane, whole, final.starts, final.late)
     floor = {s.channel: s.noise / max(float(np.ptp(s.values)), s.noise) for s in whole.samples}
     while True:
         progress("leaving out each effect once", 0.8)
         left = _left_out(growth, keys, final)
         needed = {k: log_evidence(final) - log_evidence(f) for k, f in left.items()}
-        without = {k: shares(f.crane, whole, f.knots[0], f.late) for k, f in left.items()}
+        without = {k: shares(f.crane, whole, f.starts, f.late) for k, f in left.items()}
         idle = [k for k in keys if needed[k] < DEMANDED and not mends(without[k], full, floor)]
         if not idle or len(keys) == 1:
             break
         weakest = min(idle, key=lambda k: needed[k])
         keys.remove(weakest)
         final = left[weakest]
-    x0 = final.knots[0]
+    x0 = final.starts
     before = started_run(growth.crane, whole, 0.0)
     return Grown(
-        final.crane, tuple(s for s in steps if s.key in keys), shares(growth.crane, whole, before.knots[0], 0.0),
+        final.crane, tuple(s for s in steps if s.key in keys), shares(growth.crane, whole, before.starts, 0.0),
         shares(final.crane, whole, x0, final.late), needed, without, given[1], steps[-1].held_out, _deviations(final), _alike(final, keys),
         {v.name: float(u) for v, u in zip(final.variables, final.u, strict=True) if isinstance(v, NominalDirection)},
     )  # fmt: skip

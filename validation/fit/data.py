@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,10 +11,15 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.signals import NO_SENSOR
 
 #: channels that a fit can predict, in the order of its outputs
 CHANNELS = ("z1", "z4", "z4_abs", "dz1", "dz4", "dz4_abs", "p1", "p2", "p3", "p4", "s1", "s2")
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
+#: local error of a step in a fit, in units of the engine's: 0.03 bar and 1e-7 rad, a tenth of what good sensors show; beyond it a step is halved
+ACCURACY = 10.0
+#: seconds after a gap in the commands until the spools have forgotten it, and the shortest stretch between two gaps that is worth a start of its own
+_FORGOTTEN, _SHORTEST = 0.25, 0.5
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,8 @@ class FitData:
         step: its step in s.
         command_time, commands: (n,) s and (n, 2), linear between, on their own clock.
         supply: (N, 2) measured pump and tank pressure in Pa, NaN where not recorded.
-        samples: one entry a measured channel.
+        samples: one entry a measured channel; none where the commands are not known.
+        blind: spans (from, to) in s in which a command was not recorded, or is still felt; the model is not run through them.
     """
 
     name: str
@@ -46,6 +53,18 @@ class FitData:
     commands: np.ndarray
     supply: np.ndarray
     samples: tuple[Samples, ...]
+    blind: tuple[tuple[float, float], ...] = ()
+
+    @cached_property
+    def stretches(self) -> list[tuple[int, int]]:
+        """Return first and last grid point of each stretch in which the commands are known; one, where they always are."""
+        start, end = float(self.time[0]), float(self.time[-1])
+        bounds = [start, *(min(max(t, start), end) for span in self.blind for t in span), end]
+        known = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > 1e-3 * self.step]
+        return [
+            (int(np.floor((a - start) / self.step + 1e-6)), int(np.ceil((b - start) / self.step - 1e-6)))
+            for a, b in known
+        ]
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -68,11 +87,12 @@ class FitData:
         """Return the data of a recording, averaged down to at most `rate` samples a second and channel.
 
         The commands are those that the crane's valve calibration makes of the recording. Noise standard deviations are the crane
-        file's or, where it names none, estimated from the data.
+        file's or, where it names none, estimated from the data; a channel free of noise, as of a simulation, is given some.
 
         Raises:
-            CraneError: commands or sensors are missing.
+            CraneError: commands or sensors are missing, or no stretch with known commands is long enough.
         """
+        recording = recording.with_noise(crane.sensors)
         times, commands = recording.commands(crane)
         sensors = [c for c in CHANNELS if recording.has(c)]
         if not sensors:
@@ -82,24 +102,29 @@ class FitData:
         step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
         grid = start + step * np.arange(int(np.floor((end - start) / step + 1e-6)) + 2)
         noise = recording.noise()
-        samples = tuple(
-            _samples(
-                c,
-                recording.channels[c].time,
-                recording.channels[c].values,
-                crane.sensors.get(c, noise.get(c)),
+        blind = _blind(recording, float(start), float(end))
+        samples = _sharing(
+            _without(
+                blind,
+                _samples(
+                    c,
+                    recording.channels[c].time,
+                    recording.channels[c].values,
+                    crane.sensors.get(c, noise.get(c)),
+                    grid,
+                    rate,
+                ),
                 grid,
-                rate,
             )
             for c in sensors
         )
-        return cls(recording.name, grid, step, times, commands, _supply(recording, grid), samples)
+        return cls(recording.name, grid, step, times, commands, _supply(recording, grid), samples, blind)
 
     def shifted(self, late: float) -> FitData:
         """Return the same data with commands that come `late` seconds after their stamps."""
         if late == 0.0:
             return self
-        return replace(self, command_time=self.command_time + late)
+        return replace(self, command_time=self.command_time + late)  # the blind spans are wider than any lateness
 
     def with_step(self, step: float) -> FitData:
         """Return the same data on a grid of another step (s)."""
@@ -107,7 +132,7 @@ class FitData:
             return self
         end = self.time[-1] - 1e-9
         grid = self.time[0] + step * np.arange(int(np.ceil((end - self.time[0]) / step)) + 1)
-        samples = tuple(_placed(s, self.time[s.index] + s.fraction * self.step, grid) for s in self.samples)
+        samples = _sharing(_placed(s, self.time[s.index] + s.fraction * self.step, grid) for s in self.samples)
         supply = np.column_stack([np.interp(grid, self.time, c) for c in self.supply.T])
         return replace(self, time=grid, step=step, supply=supply, samples=samples)
 
@@ -119,6 +144,35 @@ class FitData:
             kept.append(Samples(s.channel, s.index[inside] - start, s.fraction[inside], s.values[inside], s.noise))
         cut = slice(start, end + 1)
         return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept))
+
+
+def _blind(recording: Recording, start: float, end: float) -> tuple[tuple[float, float], ...]:
+    """Return the spans from `start` to `end` in which a command is unknown or still felt, in order, none touching another."""
+    spans = sorted((float(a), float(b) + _FORGOTTEN) for g in recording.unknown_commands().values() for a, b in g)
+    found: list[tuple[float, float]] = []
+    for a, b in spans:
+        before = found[-1][1] if found else start
+        if a - before < _SHORTEST:
+            a = found.pop()[0] if found else start
+        found.append((a, max(b, before)))
+    if found and end - found[-1][1] < _SHORTEST:
+        found[-1] = (found[-1][0], end)
+    if found and found[0] == (start, end):
+        raise CraneError(
+            f"{recording.source or recording.name}: nowhere are the commands known for {_SHORTEST:g} s on end. Record the commands with the sensors."
+        )
+    return tuple(found)
+
+
+def _without(blind: tuple[tuple[float, float], ...], samples: Samples, grid: np.ndarray) -> Samples:
+    """Return the samples that do not lie in blind spans."""
+    if not blind:
+        return samples
+    time = grid[samples.index] + samples.fraction * (grid[1] - grid[0])
+    seen = ~np.any([(time >= a - 1e-9) & (time <= b + 1e-9) for a, b in blind], axis=0)
+    if not seen.any():
+        raise CraneError(f"Channel {samples.channel}: no sample where the commands are known. Leave it out.")
+    return replace(samples, index=samples.index[seen], fraction=samples.fraction[seen], values=samples.values[seen])
 
 
 def grid_step(interval: float, longest: float = 2.5e-3) -> float:
@@ -136,6 +190,7 @@ def _samples(
         raise CraneError(
             f"Channel {channel}: its noise cannot be estimated from the data. Give sensors.{channel} in the crane file."
         )
+    noise = max(noise, NO_SENSOR * float(np.ptp(values)))  # with less, equations lose all their digits
     block = max(1, int(np.floor(1.0 / (rate * np.median(np.diff(time))) + 1e-6))) if len(time) > 1 else 1
     if block > 1:
         whole = len(time) // block * block
@@ -143,6 +198,17 @@ def _samples(
         values = values[:whole].reshape(-1, block).mean(axis=1)
         noise = noise / np.sqrt(block)
     return _placed(Samples(channel, np.empty(0, int), np.empty(0), values, float(noise)), time, grid)
+
+
+def _sharing(samples: Iterable[Samples]) -> tuple[Samples, ...]:
+    """Return the samples, those that lie at the same places with the same arrays of places: ten minutes of them are 10 MB a channel."""
+    found: list[Samples] = []
+    for s in samples:
+        like = next(
+            (f for f in found if np.array_equal(f.index, s.index) and np.array_equal(f.fraction, s.fraction)), s
+        )
+        found.append(replace(s, index=like.index, fraction=like.fraction))
+    return tuple(found)
 
 
 def _placed(samples: Samples, time: np.ndarray, grid: np.ndarray) -> Samples:

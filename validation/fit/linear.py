@@ -20,13 +20,15 @@ from threadpoolctl import threadpool_limits
 from crane_exudyn.crane import Crane
 
 from ..semi_recursive import sensitivity
-from .data import FitData, Samples
+from .data import ACCURACY, FitData, Samples
 from .model import CYLINDER_OF, SENSOR_PLACE, Model, affine, cylinder_length, lagged, model_of, output_rows
 from .variables import Variable, lateness, with_variables
 
 #: size of a jump between two windows that is taken as one standard deviation: angles, rates, pressures, pendulum
 JUMP = np.array([3e-3, 3e-3, 2e-2, 2e-2, 1e5, 1e5, 1e5, 1e5, 3e-2, 3e-2])
 THREADS = 2
+#: grid points of a window beyond which only one is swept at a time: it takes 200 MB
+_LARGE = 40_000
 #: what a sensor that lags shows at the start of a window is known to its lag times these rates: angles in rad/s, pressures in Pa/s
 ANGLE_RATE, PRESSURE_RATE = 0.3, 5e7
 
@@ -86,11 +88,18 @@ def robust(squares: float, number: int) -> tuple[float, float]:
 
 
 def cut(data: FitData, seconds: float) -> list[Window]:
-    """Return windows of about `seconds` each."""
-    steps = len(data.time) - 1
-    number = max(1, round(steps * data.step / seconds))
-    edges = np.round(np.linspace(0, steps, number + 1)).astype(int)
-    return [Window(int(a), data.part(int(a), int(b))) for a, b in pairwise(edges)]
+    """Return windows of about `seconds` each; none where the commands are unknown."""
+    windows = []
+    for first, last in data.stretches:
+        number = max(1, round((last - first) * data.step / seconds))
+        edges = first + np.round(np.linspace(0, last - first, number + 1)).astype(int)
+        windows += [Window(int(a), data.part(int(a), int(b))) for a, b in pairwise(edges)]
+    return windows
+
+
+def follows(before: Window, after: Window) -> bool:
+    """Whether a window begins where another ends; between them commands may be unknown, and then nothing joins them."""
+    return before.start + len(before.data.time) - 1 == after.start
 
 
 @dataclass(frozen=True)
@@ -181,6 +190,7 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     swept = sensitivity.sweep(
         x0[None], np.zeros(1), columns.W[:, rows], data.step, float(data.time[0]), base.P, base.E,
         columns.P[moving], columns.E[moving], columns.size[moving], columns.W_index[moving], own=columns.own[moving],
+        allowed=ACCURACY,
     )  # fmt: skip
     X, S, status = swept.X, swept.S, swept.status
     nx, m = len(x0), len(columns.size)
@@ -277,7 +287,7 @@ def normal_equations(
     """Return the linearised fit.
 
     Args:
-        windows: K windows.
+        windows: K windows, held together where one follows the other.
         knots: first states (K, nx) in SI.
         base, columns: the model and its perturbed kin.
         stiffness: how many times smaller than JUMP a jump between two windows is expected to be.
@@ -295,7 +305,7 @@ def normal_equations(
             return linear
         linear.volume += part.volume
         _add_data(linear, k, part, channels, scale)
-        if k + 1 < K:
+        if k + 1 < K and follows(windows[k], windows[k + 1]):
             _add_jump(linear, k, part, knots[k + 1], scale, stiffness)
     return linear
 
@@ -307,8 +317,9 @@ def _swept(
     if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
         yield from (sweep_window(w, x0, base, columns, channels) for w, x0 in zip(windows, knots, strict=True))
         return
+    threads = 1 if max(len(w.data.time) for w in windows) > _LARGE else THREADS
     # products of small matrices: threads of the linear algebra's own would only be in the way
-    with threadpool_limits(1), ThreadPoolExecutor(THREADS) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
         yield from pool.map(lambda k: sweep_window(windows[k], knots[k], base, columns, channels), range(len(windows)))
 
 

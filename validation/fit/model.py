@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -99,32 +99,54 @@ def _commanded(crane: Crane) -> tuple[object, ...]:
 
 def _valve_path(crane: Crane, data: FitData, c: int, valve: Valve, late: float) -> np.ndarray:
     """Return the positions (N,) of one spool on the grid; equal commands and valves are computed once."""
-    return _spool_path(_Driven(crane, data), c, (*valve, late))
+    key = (
+        id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), _commanded(crane), c, valve, late,
+    )  # fmt: skip
+    path = _LAST.get(key)
+    if path is None:
+        path = spool_on(crane, data.time, data.command_time, data.commands, late, c)[:, c].copy()
+        _LAST.put(key, path, data.commands)
+    return path
 
 
-class _Driven:
-    """A crane and a recording, equal when the commands are the same: the key of the small store of spool paths."""
+class _Paths:
+    """The spool paths that were asked for last, no more than `most` bytes of them: those of ten minutes are 5 MB each."""
 
-    def __init__(self, crane: Crane, data: FitData) -> None:
-        self.crane, self.data = crane, data
+    def __init__(self, most: int) -> None:
+        self._most, self._bytes = most, 0
+        self._held: OrderedDict[tuple[object, ...], tuple[np.ndarray, np.ndarray]] = OrderedDict()
 
-    def __hash__(self) -> int:
-        return hash(self._key())
+    def get(self, key: tuple[object, ...]) -> np.ndarray | None:
+        """Return the path of a key if it is still there."""
+        if key not in self._held:
+            return None
+        self._held.move_to_end(key)
+        return self._held[key][0]
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Driven) and self._key() == other._key()
-
-    def _key(self) -> tuple[object, ...]:
-        data = self.data
-        return (
-            id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), _commanded(self.crane),
-        )  # fmt: skip
+    def put(self, key: tuple[object, ...], path: np.ndarray, commands: np.ndarray) -> None:
+        """Keep a path, and the commands that the key knows by where they lie in memory."""
+        self._held[key] = (path, commands)
+        self._bytes += path.nbytes
+        while self._bytes > self._most and len(self._held) > 2:
+            self._bytes -= self._held.popitem(last=False)[1][0].nbytes
 
 
-@lru_cache(maxsize=256)
-def _spool_path(driven: _Driven, c: int, key: tuple[float, ...]) -> np.ndarray:
-    data = driven.data
-    return spool_on(driven.crane, data.time, data.command_time, data.commands, key[-1], c)[:, c].copy()
+_LAST = _Paths(50_000_000)
+
+
+def outputs(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> np.ndarray:
+    """Return what perfect sensors (m) show of states X (n, nx): (n, m)."""
+    Y = np.zeros((len(X), len(channels)))
+    for j, channel in enumerate(channels):
+        if channel in _ROWS:
+            for state, factor in _ROWS[channel].items():
+                Y[:, j] += factor * X[:, state]
+            if channel in CHAMBERS:  # a void stands at vapour pressure, whatever its size
+                Y[:, j] = np.maximum(Y[:, j], vapour_pressure(P))
+        else:
+            cylinder = CYLINDER_OF[channel]
+            Y[:, j] = cylinder_length(cylinder, X[:, cylinder], P)[0]
+    return Y
 
 
 def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,21 +160,17 @@ def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tupl
     Returns:
         outputs (n, m) and their derivative (n, m, nx).
     """
-    n, nx = X.shape
-    least = vapour_pressure(P)
-    Y, C = np.zeros((n, len(channels))), np.zeros((n, len(channels), nx))
+    C = np.zeros((len(X), len(channels), X.shape[1]))
     for j, channel in enumerate(channels):
         if channel in _ROWS:
             for state, factor in _ROWS[channel].items():
                 C[:, j, state] = factor
-                Y[:, j] += factor * X[:, state]
-            if channel in CHAMBERS:  # a void stands at vapour pressure, whatever its size
-                void = Y[:, j] < least
-                Y[void, j], C[void, j] = least, 0.0
+            if channel in CHAMBERS:
+                C[X[:, state] < vapour_pressure(P), j] = 0.0
         else:
-            cylinder, state = (0, 0) if channel == "s1" else (1, 1)
-            Y[:, j], C[:, j, state] = cylinder_length(cylinder, X[:, state], P)
-    return Y, C
+            cylinder = CYLINDER_OF[channel]
+            C[:, j, cylinder] = cylinder_length(cylinder, X[:, cylinder], P)[1]
+    return outputs(channels, X, P), C
 
 
 def cylinder_length(cylinder: int, angle: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
-from .data import FitData
-from .linear import JUMP, Columns, Linear, Window, columns_of, model_at, normal_equations
+from .data import ACCURACY, FitData
+from .linear import JUMP, Columns, Linear, Window, columns_of, follows, model_at, normal_equations
 from .model import Model
 from .variables import Variable, lateness, with_variables
 
@@ -59,6 +60,12 @@ class Fit:
     def late(self) -> float:
         """Seconds by which the commands were found to come after their stamps."""
         return lateness(self.variables, self.u)
+
+    @property
+    def starts(self) -> np.ndarray:
+        """First states (S, nx) of the recording's stretches with known commands; one, where they always are."""
+        joined = [False, *(follows(a, b) for a, b in pairwise(self.windows))]
+        return self.knots[~np.array(joined)]
 
     def std(self, name: str) -> float:
         """Return the standard deviation of the variable `name` in units of u."""
@@ -299,7 +306,7 @@ def _states(window: Window, x0: np.ndarray, model: Model, times: np.ndarray) -> 
     """Return states (n, nx) at times in a window that begins with x0; NaN where the run does not reach."""
     data = window.data
     W = model.W[window.start : window.start + len(data.time)]
-    X, _, _, _ = kernel.simulate(x0, W, data.time, data.step, model.P, model.E)
+    X, _, _, _ = kernel.simulate(x0, W, data.time, data.step, model.P, model.E, ACCURACY)
     index = np.round((times - data.time[0]) / data.step).astype(int)
     inside = index < len(X)
     found = np.full((len(times), len(x0)), math.nan)

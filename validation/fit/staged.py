@@ -7,7 +7,7 @@ the full power of the data, and false minima. Each stage starts where the one be
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +15,14 @@ import numpy as np
 from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
-from .data import FitData, grid_step
-from .linear import cut
-from .model import model_of, output_rows, shown
-from .solve import Fit, fit, reduce, reknot
+from .data import ACCURACY, FitData, grid_step
+from .linear import Window, cut
+from .model import Model, model_of, outputs, shown
+from .solve import Fit, fit, fitting_knots, reduce, reknot
 from .start import knots_of
 from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
+
+Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 #: windows of the stages in s, and iterations; the last stage is one window (or windows of this length in very long recordings)
 SHORT, LONG = 0.25, 60.0
@@ -93,22 +95,51 @@ def informed_directions(result: Fit) -> list[Variable]:
 
 
 def residuals(
-    crane: Crane, data: FitData, x0: np.ndarray, late: float = 0.0
+    crane: Crane, data: FitData, starts: np.ndarray, late: float = 0.0, simulate: Simulate | None = None
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return per channel the sample times and the residuals in noise units of an open-loop run from x0 (nx,)."""
+    """Return per channel the sample times and the residuals in noise units of an open-loop run.
+
+    Args:
+        crane, data: the model and what it is held against.
+        starts: first state (nx,), or (S, nx) of each stretch with known commands; where there are fewer, the others begin as measured.
+        late: seconds by which the commands come after their stamps.
+        simulate: (x0, time (n,), inputs (n, 4)) -> states (n, nx); by default the semi-recursive engine.
+    """
     model = model_of(crane, data, late)
-    X, status, last, _ = kernel.simulate(
-        np.asarray(x0, dtype=float), model.W, data.time, data.step, model.P, model.E
+    X = _states(
+        crane, data, model, np.atleast_2d(np.asarray(starts, dtype=float)), simulate or _simulated(model, data.step)
     )
-    if status != kernel.OK:
-        X[last + 1 :] = X[last]
-    Y, _ = output_rows(data.channels, X, model.P)
-    Z = shown(data.channels, Y, model.E, data.step)
+    Z = shown(data.channels, outputs(data.channels, X, model.P), model.E, data.step)
     found = {}
+    times = {id(s.index): data.time[s.index] + s.fraction * data.step for s in data.samples}
     for j, s in enumerate(data.samples):
         predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
-        found[s.channel] = (data.time[s.index] + s.fraction * data.step, (s.values - predicted) / s.noise)
+        found[s.channel] = (times[id(s.index)], (s.values - predicted) / s.noise)
     return found
+
+
+def _states(crane: Crane, data: FitData, model: Model, starts: np.ndarray, simulate: Simulate) -> np.ndarray:
+    """Return states (N, nx) that begin anew after each blind span, and stand still in it."""
+    X = np.empty((len(data.time), starts.shape[1]))
+    if len(starts) < len(data.stretches):
+        begins = [Window(first, data.part(first, last)) for first, last in data.stretches[len(starts) :]]
+        starts = np.concatenate([starts, fitting_knots(knots_of(crane, data, begins), model)])
+    for x0, (first, last) in zip(starts, data.stretches, strict=False):
+        X[first : last + 1] = simulate(x0, data.time[first : last + 1], model.W[first : last + 1])
+        X[last + 1 :] = X[last]
+    return X
+
+
+def _simulated(model: Model, step: float) -> Simulate:
+    """Return the semi-recursive engine's run; where it leaves what the crane can do it stands still."""
+
+    def simulate(x0: np.ndarray, time: np.ndarray, W: np.ndarray) -> np.ndarray:
+        X, status, last, _ = kernel.simulate(x0, W, time, step, model.P, model.E, ACCURACY)
+        if status != kernel.OK:
+            X[last + 1 :] = X[last]
+        return np.asarray(X)
+
+    return simulate
 
 
 def rms(parts: dict[str, tuple[np.ndarray, np.ndarray]]) -> float:

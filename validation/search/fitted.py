@@ -11,6 +11,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.vetting import vetted
 
 from ..fit.data import FitData
 from ..fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions
@@ -32,13 +33,14 @@ def fitted_effect(
     """Return the crane with an effect fitted from every start that the effect offers, and what the fit found.
 
     Raises:
-        CraneError: no such effect, or the crane has it already.
+        CraneError: no such effect, the crane has it already, or the recording cannot be true.
     """
     registry.split_key(key)
     if crane.effect(key) is not None:
         raise CraneError(
             f"{crane.name} has {key!r} already. Remove it first, or fit everything anew with `patu improve`."
         )
+    recording = vetted(recording, crane)
     data = FitData.of(recording, crane)
     base = all_parameters(crane, data)
     own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]

@@ -113,7 +113,7 @@ def open_loop_error(crane: Crane, recording: Recording, knots: Fit | None = None
     else:
         fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, START[-1:])
     every = FitData.of(recording, crane, rate=math.inf, step=FINE)
-    return rms(residuals(crane, every, fit.knots[0], fit.late)), fit
+    return rms(residuals(crane, every, fit.starts, fit.late)), fit
 
 
 def fitted_values(weighed: Weighed, key: str) -> dict[str, float]:

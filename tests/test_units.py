@@ -1,0 +1,73 @@
+"""Text with units: commas are decimal commas or refused, nothing is read as something that nobody means, nothing takes long."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import pytest
+
+from crane_exudyn.errors import CraneError
+from crane_exudyn.recording import Recording
+from crane_exudyn.units import factor_to_si, to_si
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("25,5 kg", "kg", 25.5),
+        ("0,535 m", "m", 0.535),
+        ("-2,5 deg", "rad", math.radians(-2.5)),
+        ("2,5e-12", "", 2.5e-12),
+        ("24,5 l/min/(7,5 bar)**0.5", "m**3/s/Pa**0.5", 24.5e-3 / 60 / math.sqrt(7.5e5)),
+        ("7 bar²", "Pa**2", 7e10),
+        ("2.5*10**-12 m", "m", 2.5e-12),
+    ],
+)
+def test_a_decimal_comma_is_read_as_one_and_powers_of_units_are_read(text: str, unit: str, value: float) -> None:
+    assert to_si(text, unit, "x") == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "words"),
+    [
+        ("1,250 kg", "kg", "thousands"),
+        ("1,250.5 kg", "kg", "thousands"),
+        ("1.250,5 kg", "kg", "thousands"),
+        ("1,250,000 Pa", "Pa", "thousands"),
+        ("1 000 kg", "kg", "thousands"),
+        ("1'000 kg", "kg", "thousands"),
+        ("2_5 kg", "kg", "thousands"),
+        ("bar, 5", "Pa", "outside a number"),
+        ("2e1,5 kg", "kg", "outside a number"),
+        ("90 Grad", "rad", "gigaradian"),
+        ("9**9**9 m", "m", "power"),
+        ("((9**9)**9)**9 m", "m", "power"),
+        ("9**999999999 m", "m", "power"),
+        ("9⁹⁹⁹⁹⁹⁹⁹⁹ m", "m", "power"),
+        ("(3 m) squared squared squared squared squared", "m", ""),
+        ("9" * 1000 + " m", "m", "characters"),
+    ],
+)
+def test_what_may_mean_something_else_is_refused_at_once(text: str, unit: str, words: str) -> None:
+    begin = time.perf_counter()
+    with pytest.raises(CraneError, match=r"^x = ") as caught:
+        to_si(text, unit, "x")
+    assert words in str(caught.value)
+    assert time.perf_counter() - begin < 5.0
+
+
+@pytest.mark.parametrize(
+    ("unit", "si"), [("Grad", "rad"), ("kdeg", "rad"), ("Grad/s", "rad/s"), ("bar,abs", "Pa"), ("10**10**10 Pa", "Pa")]
+)
+def test_units_of_columns_are_as_careful(unit: str, si: str) -> None:
+    with pytest.raises(CraneError, match="unit"):
+        factor_to_si(unit, si)
+
+
+def test_a_column_in_grad_is_no_giga_radian(tmp_path: Path) -> None:
+    file = tmp_path / "lift.csv"
+    file.write_text("time[s],z1[Grad]\n0,1\n1,2\n", encoding="utf-8")
+    with pytest.raises(CraneError, match=r"lift.csv, column z1\[Grad\].*deg"):
+        Recording.load(file)
