@@ -282,7 +282,11 @@ class _System:
         data.SetAECoordinates(np.zeros(size * self.plant.joint_rows))  # the start left joint forces there
         width = self.plant.coordinates
         self._q, self._v, self._a = np.zeros((size, width)), np.zeros((size, width)), np.zeros((size, width))
-        self._p, self._dp, self._held = np.zeros((size, 4)), np.zeros((size, 4)), np.zeros((size, trapezoidal.N_START, 4))
+        self._p, self._dp, self._held = (
+            np.zeros((size, 4)),
+            np.zeros((size, 4)),
+            np.zeros((size, trapezoidal.N_START, 4)),
+        )
         self._udd = np.zeros((size, width // 2 - 4))
         self._P, self._E = self.plant.P.copy(), self.plant.E.copy()
         self._before, self._varied, self._payload = np.zeros((size, 5, 4)), False, crane["payload.mass"]

@@ -58,7 +58,9 @@ class SolveDynamicEngine:
         arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
         held, udd = np.zeros((trapezoidal.N_START, 4)), np.zeros(width // 2 - 4)
         wide = np.concatenate([w, np.zeros(8)])
-        flag = trapezoidal.start(plant.P[0], plant.E[0], time, plant.inertia[0], x, wide, arms, N, q, v, a, p, dp, held, udd)
+        flag = trapezoidal.start(
+            plant.P[0], plant.E[0], time, plant.inertia[0], x, wide, arms, N, q, v, a, p, dp, held, udd
+        )
         if flag != trapezoidal.ITERATING:
             raise geometry.unreachable(self.crane.name, x[0], x[1])
         data, initial = self.mbs.systemData, mechanism.exu.ConfigurationType.Initial

@@ -150,11 +150,15 @@ def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str
     hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
     real = np.zeros(4)
     hyd.real_pressures(P, p, real)
-    amounts = [filling[0] for c, s in enumerate((s1, s2)) for filling in hyd.fillings(P, E, c, s, p[2 * c], p[2 * c + 1])]
+    amounts = [
+        filling[0] for c, s in enumerate((s1, s2)) for filling in hyd.fillings(P, E, c, s, p[2 * c], p[2 * c + 1])
+    ]
     speeds = hyd.piston_speeds(P, E, w, s1, s2, ds1, ds2, p)
     forces = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
     pp, pt = hyd.supply_loop(P, E, w, real)
-    out = {"pp": pp, "pt": pt} | {f"dp{i + 1}": rates[i] for i in range(4)} | {f"N{i + 1}": amounts[i] for i in range(4)}
+    out = (
+        {"pp": pp, "pt": pt} | {f"dp{i + 1}": rates[i] for i in range(4)} | {f"N{i + 1}": amounts[i] for i in range(4)}
+    )
     for c, s in enumerate((s1, s2)):
         a, b = 2 * c + 1, 2 * c + 2
         pa, pb = real[2 * c], real[2 * c + 1]

@@ -407,7 +407,9 @@ def _local_error(P, E, t, h, allowed, inertia, x, out, w0, w1, arms, N, q, v, he
         return math.inf
     s1, s2, _, _, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
     for j in range(4):
-        amount[j] = held[AMOUNT, j] + 0.5 * h * (0.5 * (held[GAIN, j] + gain[j])) + 0.125 * h * (held[GAIN, j] - gain[j])
+        amount[j] = (
+            held[AMOUNT, j] + 0.5 * h * (0.5 * (held[GAIN, j] + gain[j])) + 0.125 * h * (held[GAIN, j] - gain[j])
+        )
     middle[4], middle[5] = hyd.settled_pressures(P, E, 0, s1, amount[0], amount[1], x[4], x[5])
     middle[6], middle[7] = hyd.settled_pressures(P, E, 1, s2, amount[2], amount[3], x[6], x[7])
     a, p, there = np.empty(width), np.empty(4), np.empty(nu)

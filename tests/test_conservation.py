@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -35,7 +36,7 @@ def crane_with(effects) -> Crane:
 def forced(crane: Crane, engine, seconds: float, step: float = 1e-3) -> np.ndarray:
     """Return the states of a crane with closed valves whose boom is thrown upwards at the start."""
     start = engine.static_start(0.3, -0.8)
-    start[2] = 1.5
+    start[2] = 1.2
     time = np.linspace(0.0, seconds, round(seconds / step) + 1)
     return np.asarray(engine.simulate(start, time, np.tile(CLOSED, (time.size, 1)), step=step))
 
@@ -70,8 +71,12 @@ def test_what_flows_in_is_there_more(make):
         softness = 1.0 / CRANE["fluid.oil_bulk_modulus"] + 1.0 / CRANE["fluid.cylinder_bulk_modulus"]
         into = np.array([[r["Q1"], -r["Q2"], r["Q3"], -r["Q4"]] for r in t]) * np.exp(softness * states[:, 4:8])
         oil = np.array([[r[f"N{i}"] for i in range(1, 5)] for r in t])
-        off.append(np.abs(oil - oil[0] - np.concatenate([[np.zeros(4)], np.cumsum(0.5 * step * (into[1:] + into[:-1]), axis=0)])).max())
-    assert max(off) < 1e-12  # m^3: the rule holds as it stands
+        off.append(
+            np.abs(
+                oil - oil[0] - np.concatenate([[np.zeros(4)], np.cumsum(0.5 * step * (into[1:] + into[:-1]), axis=0)])
+            ).max()
+        )
+    assert max(off) < 1e-10, off  # m^3, of some 3e-3: the rule holds as it stands, to what Newton's method leaves
 
 
 def test_a_closed_valve_leaves_the_machine_where_oil_holds_it():
@@ -90,7 +95,7 @@ def test_second_order_through_voids_and_gas(gas):
     engine = SemiRecursiveEngine(crane, accuracy=math.inf)
     scale = np.array([1.0, 1.0, 1.0, 1.0, 1e8, 1e8, 1e8, 1e8])
     ends = [visible(crane, forced(crane, engine, 2.0, h)[:: round(4e-3 / h)]) for h in (1e-3, 5e-4, 2.5e-4, 1.25e-4)]
-    errors = [np.sqrt(np.mean(((a - b) / scale) ** 2)) for a, b in zip(ends, ends[1:], strict=False)]
+    errors = [np.sqrt(np.mean(((a - b) / scale) ** 2)) for a, b in itertools.pairwise(ends)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert orders.mean() == pytest.approx(2.0, abs=0.3)
 
@@ -110,8 +115,8 @@ def test_default_steps_are_as_accurate_as_fine_ones(make, gas):
 
 @pytest.mark.parametrize("gas", GAS)
 def test_derivatives_are_those_of_the_rule_through_voids_and_gas(gas):
-    """Columns of a sweep against differences of whole runs, with steps of 2.5 ms that are halved where they are too coarse."""
-    crane, h, n = crane_with(GAS[gas]), 2.5e-3, 500
+    """Columns of a sweep against differences of whole runs, both with the same steps."""
+    crane, h, n = crane_with(GAS[gas]), 1e-3, 1000
     start = SemiRecursiveEngine(crane).static_start(0.3, -0.8)
     start[2] = 1.5
     W, P, E = np.tile(CLOSED, (n, 1)), crane.parameter_vector(), crane.effect_vector()
@@ -119,12 +124,12 @@ def test_derivatives_are_those_of_the_rule_through_voids_and_gas(gas):
     P_cols = np.array([crane.with_parameters({k: crane[k] + d}).parameter_vector() for k, d in probes])
     delta = np.array([d for _, d in probes])
     swept = sensitivity.sweep(
-        start[None], np.array([0]), W[None], h, 0.0, P, E, P_cols, np.tile(E, (3, 1)), delta, allowed=100.0
+        start[None], np.array([0]), W[None], h, 0.0, P, E, P_cols, np.tile(E, (3, 1)), delta, allowed=math.inf
     )
     assert (swept.X[:, 5] < 0.0).any() or gas not in ("oil", "spring")
 
     def run(p):
-        return kernel.simulate(start, W, np.arange(n) * h, h, p, E, 100.0)[0]
+        return kernel.simulate(start, W, np.arange(n) * h, h, p, E, math.inf)[0]
 
     for j in range(3):
         difference = (run(P_cols[j]) - run(P)) / delta[j]

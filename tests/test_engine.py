@@ -6,11 +6,11 @@ import pytest
 from crane_exudyn import mechanism
 from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
-from crane_exudyn.statics import visible
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import pose
 from crane_exudyn.naive import SolveDynamicEngine
 from crane_exudyn.parameters import POINT_NAMES
+from crane_exudyn.statics import visible
 
 CRANE = Crane.load("patu655")
 SWINGING = CRANE.with_effect("payload_swing", {"length": 1.2, "damping": 8.0})

@@ -36,7 +36,9 @@ def inputs() -> np.ndarray:
 
 
 def run(crane: Crane, x0: np.ndarray, W: np.ndarray) -> np.ndarray:
-    X, status, _, _ = kernel.simulate(x0, W, np.arange(len(W)) * H, H, crane.parameter_vector(), crane.effect_vector(), math.inf)
+    X, status, _, _ = kernel.simulate(
+        x0, W, np.arange(len(W)) * H, H, crane.parameter_vector(), crane.effect_vector(), math.inf
+    )
     assert status == kernel.OK
     return X
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
+from crane_exudyn.hydraulics import vapour_pressure
 
 from .fit.data import ACCURACY, FitData
 from .fit.linear import JUMP, cut
@@ -25,7 +26,6 @@ from .fit.model import SENSOR_PLACE, Model, affine, model_of, output_rows, shown
 from .fit.start import knots_of
 from .semi_recursive import sensitivity
 from .semi_recursive.engine import DISTURBANCES
-from crane_exudyn.hydraulics import vapour_pressure
 
 #: the unknown inputs, by the equation in which they stand
 EQUATIONS = ("torque.O", "torque.A", "flow.p1", "flow.p2", "flow.p3", "flow.p4")

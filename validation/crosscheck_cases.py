@@ -128,6 +128,8 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
         if set(effect.hooks()) <= OUTSIDE_ENGINES:
             continue
         base = crane
+        if "pendulum" in effect.hooks() and crane["payload.mass"] <= 0.0:  # nothing would swing
+            base = crane.with_parameters({"payload.mass": 100.0})
         if effect.name == "end_stop":  # bring both ends into the range of random states
             base = crane.with_parameters({n: crane[n] + by for n, by in _SHORT_STROKES.items()})
         probes[key] = base.with_effect(key, {p.name: p.typical for p in effect.parameters})
@@ -137,6 +139,15 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
 def without_short_strokes(crane: Crane) -> Crane:
     """Return a crane of `effect_probes` with the strokes that it had before they were shortened."""
     return crane.with_parameters({n: crane[n] - by for n, by in _SHORT_STROKES.items()})
+
+
+def exciting(crane: Crane, to_its_end: str = "") -> tuple[np.ndarray, np.ndarray]:
+    """Return time (n,) s and inputs w (n, 4) of 5 s in which both cylinders go both ways, or one goes against the end of its stroke."""
+    time = np.arange(round(5.0 / SAMPLE) + 1) * SAMPLE
+    commands = np.column_stack([0.4 * np.sin(2.5 * time), -0.35 * np.sin(1.7 * time) * (time > 0.5)])
+    if to_its_end:
+        commands = np.column_stack([(time > 0.2) * float(c == to_its_end) for c in CYLINDERS])
+    return time, spool_inputs(crane, time, commands)
 
 
 def joystick(crane: Crane, x0: np.ndarray, seconds: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,12 @@ _FORM = {
     "return_gain": ("c, p_own, p_other, load_side", "g = 1.0", "g *= {call}", "g"),
     "supply_pressure": ("pp, q", "", "pp = {call}", "pp"),
     "tank_pressure": ("pt, q", "", "pt = {call}", "pt"),
-    "free_gas": ("p", "share, compliance = 0.0, 0.0", "x, y = {call}; share += x; compliance += y", "share, compliance"),
+    "free_gas": (
+        "p",
+        "share, compliance = 0.0, 0.0",
+        "x, y = {call}; share += x; compliance += y",
+        "share, compliance",
+    ),
     "cylinder_force": ("c, v, pa, pb, la, lb", "F = 0.0", "F += {call}", "F"),
     "series_compliance": ("c", "k = 0.0", "k += {call}", "k"),
     "joint_torque": ("c, omega", "T = 0.0", "T += {call}", "T"),

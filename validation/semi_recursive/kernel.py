@@ -49,14 +49,14 @@ class Point(NamedTuple):
 
 
 class Work(NamedTuple):
-    """What stepping needs: indices of primary variables, tangents, scratch, and what it says.
+    """What stepping needs: places of the `primary` variables, tangents, scratch, and what it says.
 
     Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the step size `made`
     for which it was made (0: there is none), and the contraction `rate` that Newton's method had with it.
     `said` holds how many steps were halved, the error of the last step in units of `ERROR_*`, and how many of these are allowed.
     """
 
-    index: np.ndarray
+    primary: np.ndarray
     A: np.ndarray
     pivot: np.ndarray
     made: np.ndarray
@@ -181,17 +181,17 @@ def tangent(start, w1, t1, h, P, E, work, level):
     """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step; False if it is singular."""
     base, moved, to = work.rows[1], work.rows[2], work.moved
     to.x[:], to.N[:] = work.end.x, work.end.N
-    residual(start, to, w1, t1, h, P, E, work.index, base)
-    for j in range(work.index.size):
-        k = work.index[j]
+    residual(start, to, w1, t1, h, P, E, work.primary, base)
+    for j in range(work.primary.size):
+        k = work.primary[j]
         to.x[:], to.N[:] = work.end.x, work.end.N
         if 4 <= k < 8:
             to.N[k - 4] += AMOUNT_EPSILON * AMOUNT
         else:
             to.x[k] += POSITION_EPSILON
-        residual(start, to, w1, t1, h, P, E, work.index, moved)
+        residual(start, to, w1, t1, h, P, E, work.primary, moved)
         step = AMOUNT_EPSILON if 4 <= k < 8 else POSITION_EPSILON
-        for i in range(work.index.size):
+        for i in range(work.primary.size):
             work.A[level, i, j] = (moved[i] - base[i]) / step
     good = factorise(work.A[level], work.pivot[level])
     work.made[level], work.rate[level] = (h if good else 0.0), 1.0
@@ -227,7 +227,7 @@ def change_size(index, r):
 @njit(cache=False)
 def newton(start, w1, t1, h, P, E, work, level):
     """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not converge."""
-    index, r, end, made, rate = work.index, work.rows[0], work.end, work.made, work.rate
+    index, r, end, made, rate = work.primary, work.rows[0], work.end, work.made, work.rate
     predict(start, h, index, end)
     before = math.inf
     for _ in range(MAX_ITERATIONS):
@@ -266,7 +266,7 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
     enough: by the change of the rates over the step, which bounds the defect of rates that change one way; by the rates in the
     middle; and after what the system's own stiffness makes of the defect, by one iteration of Newton's method.
     """
-    index, end, middle, r = work.index, work.end, work.moved, work.rows[1]
+    index, end, middle, r = work.primary, work.end, work.moved, work.rows[1]
     for i in range(index.size):
         k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
         work.rows[2][i] = h / 3.0 * abs(start.g[k] - end.g[k])
@@ -287,7 +287,9 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
     solve_factorised(work.A[level], work.pivot[level], r)
     for i in range(index.size):
         k = index[i]
-        work.rows[2][i] = abs(r[i]) * AMOUNT if 4 <= k < 8 else 2.0 / h * abs(r[i] - of_position(start, end, rate_of(k), h))
+        work.rows[2][i] = (
+            abs(r[i]) * AMOUNT if 4 <= k < 8 else 2.0 / h * abs(r[i] - of_position(start, end, rate_of(k), h))
+        )
     worst = defect_size(work.rows[2], index, h, start, end, P)
     for i in range(index.size - 4):
         worst = max(worst, abs(r[i]) / ERROR_POSITION)
@@ -303,7 +305,7 @@ def of_position(start, end, rate, h):
 @njit(cache=False)
 def middle_rates(start, w0, w1, t0, h, P, E, work):
     """Fill `work.moved` with the state in the middle of the step, by Hermite's interpolation, and its rates."""
-    index, end, middle, w = work.index, work.end, work.moved, work.w[2]
+    index, end, middle, w = work.primary, work.end, work.moved, work.w[2]
     for i in range(w.size):
         w[i] = 0.5 * (w0[i] + w1[i])
     for i in range(middle.x.size):

@@ -23,9 +23,22 @@ import numpy as np
 from crane_exudyn.compiled import njit
 
 from .equations import settle_pressures
-from .kernel import ALLOWED, HALVED, MOST_HALVINGS, NOT_CONVERGED, OK, Point, begin, between, factorise, point, try_step, workspace
+from .kernel import (
+    ALLOWED,
+    HALVED,
+    MOST_HALVINGS,
+    NOT_CONVERGED,
+    OK,
+    Point,
+    begin,
+    between,
+    factorise,
+    point,
+    try_step,
+    workspace,
+)
 
-POSITION_EPSILON, RATE_EPSILON, PRESSURE_EPSILON = 1e-7, 2e-7, 1e2
+POSITION_EPSILON, RATE_EPSILON, PRESSURE_EPSILON = 1e-6, 1e-6, 1e2
 #: amounts of oil are counted in this unit, m^3: an angle of 1 rad moves some of it
 AMOUNT = 1e-3
 
