@@ -301,9 +301,9 @@ def compare_runs(
     first, second = _as_asked(first), _as_asked(second)
 
     def run(t: np.ndarray, inputs: np.ndarray, h: float) -> Run:
-        states = [visible(crane, e.simulate(x0, t, inputs, step=h)) for e in (first, second)]
-        boiling = np.flatnonzero((states[1][:, 4:8] <= vapour_pressure(crane.parameter_vector())).any(axis=1))
-        return Run(name, h, t, *states, int(boiling[0]) if boiling.size else len(t))
+        one, other = (visible(crane, e.simulate(x0, t, inputs, step=h)) for e in (first, second))
+        boiling = np.flatnonzero((other[:, 4:8] <= vapour_pressure(crane.parameter_vector())).any(axis=1))
+        return Run(name, h, t, one, other, int(boiling[0]) if boiling.size else len(t))
 
     coarse = round(ORDER_STEPS[0] / (time[1] - time[0]))
     runs = [run(time[::coarse], w[::coarse], h) for h in ORDER_STEPS]

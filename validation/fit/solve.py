@@ -19,6 +19,9 @@ from .linear import JUMP, Columns, Linear, Window, columns_of, follows, model_at
 from .model import Model
 from .variables import Variable, lateness, with_variables
 
+#: lowest pressure of a state, Pa: a void of a few per cent of its chamber is remembered as that
+EMPTIEST = -1e8
+
 
 @dataclass(frozen=True)
 class Reduced:
@@ -248,7 +251,7 @@ def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffne
         dx = reduced.knots_step + reduced.knots_by_u @ du
         share = 1.0 / (1.0 + damping)
         knots = point.knots + share * dx * JUMP[: dx.shape[1]]
-        knots[:, 4:8] = np.maximum(knots[:, 4:8], 0.0)
+        knots[:, 4:8] = np.maximum(knots[:, 4:8], EMPTIEST)
         trial = _evaluate(crane, data, windows, knots, variables, point.u + share * du, stiffness)
         if _cost(trial, variables, guess) < before:
             return trial
