@@ -56,6 +56,8 @@ def _table(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, An
 
 #: what files of earlier versions do not say: their pressures are absolute, and no air presses on the rods
 _EARLIER = {"supply.air_pressure": 0.0, "supply.pressure_reference": 0.0}
+#: what its pressures count from; the place in the list is its number
+_REFERENCE, _REFERENCES = "supply.pressure_reference", ("absolute", "gauge")
 
 
 def _tables(document: Mapping[str, Any], key: str, where: str) -> list[Mapping[str, Any]]:
@@ -86,6 +88,10 @@ def _flatten(name: str, value: Any, where: str, values: dict[str, float]) -> Non
         _flatten(f"{name}.y", value[1], where, values)
     elif name not in parameters.INDEX:
         raise CraneError(f"{where}: unknown key {name!r}.{nearest(name, list(parameters.NAMES))}")
+    elif name == _REFERENCE:
+        if value not in _REFERENCES:
+            raise CraneError(f'{where}: {name} = {value!r} is not known. Give "absolute" or "gauge".')
+        values[name] = float(_REFERENCES.index(value))
     else:
         values[name] = to_si(value, parameters.unit_of(name), f"{where}: {name}")
 
@@ -246,6 +252,8 @@ def _value_lines(crane: Crane) -> list[str]:
         if name.endswith(".x"):
             name = name.removesuffix(".x")
             value = f"[{_number(crane[name + '.x'])}, {_number(crane[name + '.y'])}]"
+        elif name == _REFERENCE:
+            value = f'"{_REFERENCES[int(crane[name])]}"'
         else:
             value = _number(crane[name])
         section, _, key = name.rpartition(".")

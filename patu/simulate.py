@@ -76,14 +76,17 @@ def command(
     holder = make_engine(engine, chosen)
     start = first_state(chosen, holder, recording) if recording is not None and start_from_recording else None
     _compile(chosen, holder)
+    holder.halved = 0
     begin = perf_counter()
     run = simulate(chosen, recording, start=start, engine=holder, step=step)
     seconds = perf_counter() - begin
     printer = Printer(json)
     tell(printer, run, recording, engine, seconds)
+    if holder.halved:
+        printer.line(f"{holder.halved} steps were halved, because their local error was too large.")
     with saving(printer) as save:
         save(output, run.to_csv)
-        save.json(json, summary(run, engine, seconds))
+        save.json(json, summary(run, engine, seconds) | {"halved": holder.halved})
 
 
 def _compile(crane: Crane, engine: Any) -> None:
