@@ -35,8 +35,9 @@ ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
 
 
 #: the case that is learned from its whole recording and held against the other one; the suite has no time for more, so the others are
-#: learned from 10 s
+#: learned from 10 s (pump_droop from 7 s: after that both cylinders draw more than the drooping pump gives, and the library's law is not the plant's)
 WITH_CHECK = "open_leak_lift"
+SECONDS = {"open_droop": 7.0}
 
 
 @pytest.mark.parametrize("name", sorted(ANSWERS))
@@ -44,7 +45,7 @@ def test_an_open_case_is_diagnosed(name):
     learn, check = (Recording.load(DATA / f"{name}_{part}.csv.gz") for part in ("learn", "check"))
     whole = name == WITH_CHECK
     if not whole:
-        learn = learn.window(0.0, 10.0)
+        learn = learn.window(0.0, SECONDS.get(name, 10.0))
     found = diagnose(Crane.load("patu655"), learn, check if whole else None, jobs=2)
     answer = ANSWERS[name]
     assert found.verdict == answer["verdict"]
