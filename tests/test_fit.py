@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, Recording
-from validation.fit.data import FitData, Samples
+from validation.fit.data import ACCURACY, FitData, Samples
 from validation.fit.linear import PRESSURE_RATE, columns_of, cut, forgotten, model_at, normal_equations, robust
 from validation.fit.model import lagged, shown
 from validation.fit.solve import bounded_step, covariance, fit, prior_start, reduce, reknot
@@ -196,7 +196,7 @@ def test_windows_that_begin_within_a_run_begin_on_it(nominal):
     windows = cut(data, 0.5)
     knots = reknot(whole, windows)
     W = model_at(crane, (), np.zeros(0), data).W
-    X = SemiRecursiveEngine(crane).simulate(whole.knots[0], data.time, W, step=data.step)
+    X = SemiRecursiveEngine(crane, accuracy=ACCURACY).simulate(whole.knots[0], data.time, W, step=data.step)
     assert knots == pytest.approx(X[[w.start for w in windows]], rel=1e-6, abs=1e-6)
     assert np.ptp(knots[:, 0]) > 1e-3
 
