@@ -122,7 +122,7 @@ def fluid(P):
     """Return (1/B, 1/Bw, vapour pressure, zero) of `laws.oil`; pressures as the crane's gauges read them."""
     zero = P[REFERENCE] * P[AIR]
     softness = 1.0 / P[FLUID + OIL] + 1.0 / P[FLUID + WALL]
-    return softness, 1.0 / P[FLUID + HOSE] - 1.0 / P[FLUID + WALL], P[FLUID + VAPOUR] - zero, zero
+    return softness, 1.0 / P[FLUID + HOSE] - 1.0 / P[FLUID + WALL], vapour_pressure(P), zero
 
 
 @njit

@@ -53,7 +53,7 @@ def pressure_of(E, amount, chamber_volume, hose_volume, softness, hose_softness,
         y = math.log1p((amount - volume) / (volume + hose_volume * hose_softness / softness)) / softness
         if y >= vapour:
             return y
-    empty, slope, _, density = filling(E, vapour, chamber_volume, hose_volume, softness, hose_softness, vapour, zero)
+    empty, _, _, density = filling(E, vapour, chamber_volume, hose_volume, softness, hose_softness, vapour, zero)
     if not amount > empty:
         slope = density * ((chamber_volume + hose_volume) * softness + hose_volume * hose_softness)
         return vapour + (amount - empty) / slope
