@@ -13,6 +13,7 @@ from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath
 from crane_exudyn.recording import Recording
+from crane_exudyn.statics import visible
 from patu.estimate import sensor_noise
 from ukf.augment import Augment
 from ukf.bounds import Bounds, crane_bounds
@@ -56,6 +57,7 @@ TIME, COMMANDS, INPUTS, TRUTH = run_of()
 
 
 def readings(names, rng, std=STD, states=TRUTH):
+    states = visible(CRANE, states)
     out = {n: states[:, ROWS[n]].copy() for n in names if n in ROWS}
     if "z4_abs" in names:
         out["z4_abs"] = states[:, 0] + states[:, 1]
@@ -82,13 +84,16 @@ def error(estimate, states=TRUTH, time=TIME, after=0.5):
     return np.sqrt(np.mean(((estimate.mean[:, :8] - states[at])[late] * unit) ** 2, axis=0))
 
 
-@pytest.mark.parametrize("make", [SemiRecursiveEngine, lambda crane: ExudynEngine(crane, 17)])
+@pytest.mark.parametrize("make", [SemiRecursiveEngine, lambda crane, **more: ExudynEngine(crane, 17, **more)])
 def test_equals_filterpy_on_the_crane(make):
-    """filterpy gets one sigma point at a time, we all 17 at once: the engines are pure, so only rounding is left."""
+    """filterpy gets one sigma point at a time, we all 17 at once: the engines are pure, so only rounding is left.
+
+    No step is halved here: whether one is may depend on the Newton matrix, which the points of a batch share.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-    engine, single = make(CRANE), make(CRANE)
+    engine, single = make(CRANE, accuracy=1e9), make(CRANE, accuracy=1e9)
     names, steps, noise = list(FOUR), 40, PaperNoise(pressure=2e8)  # all sigma points stay above the vapour floor
     start = Belief(TRUTH[300] + np.array([0.01, -0.01, 0, 0, 3e5, 3e5, 3e5, 3e5]), 1e-4 * paper_start_covariance())
     part = slice(300, 300 + steps + 1)
@@ -329,7 +334,8 @@ def test_both_engines_carry_extra_states_alike():
     names = ("payload.mass", "torque.O", "flow.p2", "joints.A.x", "bodies.lift_boom.mass")
     sensors = {n: (t[300:340], v[300:340]) for n, (t, v) in recording().sensors.items()}
     part = Signals(TIME[300:340], COMMANDS[300:340], sensors)
-    one, other = (estimator(engine=e, augment=names).run(part) for e in ("exudyn", "semi-recursive"))
+    engines = ExudynEngine(CRANE, accuracy=0.01), SemiRecursiveEngine(CRANE, accuracy=0.01)
+    one, other = (estimator(engine=e, augment=names).run(part) for e in engines)
     difference = np.abs(one.mean - other.mean).max(axis=0) / other.std.max(axis=0)
     assert (difference < 1e-4).all()  # the engines' solvers stop at 1e-11 and 1e-12, the filter adds 40 steps
 
@@ -384,15 +390,17 @@ def test_sensor_effects_of_the_crane_are_in_the_measurement_function():
 def test_smoother_is_better_than_the_filter():
     off = TRUTH[0] + np.array([0.0, 0.0, 0.0, 0.0, 8e5, 8e5, -8e5, -8e5])
     start = Belief(off, np.diag([0.01, 0.01, 0.05, 0.05, *[1e6] * 4]) ** 2)
-    estimate = estimator(("z1", "z4"), start=start).run(recording(("z1", "z4"), every=10), smooth=True)
-    assert estimate.smoothed is not None
-    early = (estimate.time > 0.05) & (estimate.time < 1.5)
-    truth = TRUTH[::10]
-    for i in (2, 3, 4, 7):
-        filtered = np.sqrt(np.mean((estimate.mean[early, i] - truth[early, i]) ** 2))
-        smoothed = np.sqrt(np.mean((estimate.smoothed.mean[early, i] - truth[early, i]) ** 2))
-        assert smoothed < filtered
-    assert (estimate.smoothed.std <= estimate.std * (1 + 1e-9)).all()
+    truth, filtered, smoothed = visible(CRANE, TRUTH[::10]), np.zeros(8), np.zeros(8)
+    for seed in range(5):
+        signals = recording(("z1", "z4"), every=10, seed=seed)
+        estimate = estimator(("z1", "z4"), start=start).run(signals, smooth=True)
+        assert estimate.smoothed is not None
+        assert (estimate.smoothed.std <= estimate.std * (1 + 1e-9)).all()
+        early = (estimate.time > 0.05) & (estimate.time < 1.5)
+        filtered += np.mean((estimate.mean[early] - truth[early]) ** 2, axis=0)
+        smoothed += np.mean((estimate.smoothed.mean[early] - truth[early]) ** 2, axis=0)
+    # dz4 is known three times better than its interval says, so there is nothing to gain from later samples
+    assert (np.delete(smoothed, 3) < np.delete(filtered, 3)).all()
 
 
 def test_tuning_raises_the_likelihood():
@@ -482,7 +490,7 @@ def test_mean_is_projected_along_the_covariance():
 
 def test_bounds_are_the_ends_of_the_strokes():
     bounds = crane_bounds(CRANE, lambda z: cylinder_lengths(CRANE, z), 8)
-    assert (bounds.lower[4:] == CRANE["fluid.vapour_pressure"]).all()
+    assert (bounds.lower[4:] == -0.5 * CRANE["fluid.oil_bulk_modulus"]).all()  # a chamber that is half empty
     finite = 0
     for i, cylinder in enumerate(("lift", "tilt")):
         empty = CRANE[f"cylinders.{cylinder}.empty_length"]

@@ -147,7 +147,7 @@ def test_an_empty_file_holds_nothing_to_lose(patu: Callable[..., SimpleNamespace
 def test_where_the_list_cannot_be_kept_it_is_said(
     patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(Path("l.csv").resolve()))
+    monkeypatch.setattr(outputs, "written_list", lambda: Path("l.csv", "written"))
     done = patu("effects", "--json", "e.json")
     assert done.status == 0 and "--force" in done.err and json.loads(Path("e.json").read_text())
     assert patu("effects", "--json", "e.json").status == 2

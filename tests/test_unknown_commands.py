@@ -14,6 +14,7 @@ from crane_exudyn.drive import spool_on
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import initial_state
+from crane_exudyn.statics import visible
 from validation.compare import compare
 from validation.fit.data import FitData
 from validation.fit.linear import cut, follows
@@ -34,7 +35,7 @@ def moved(hole: tuple[float, float] | None = None) -> Recording:
     states = engine.simulate(
         initial_state(crane, engine), time, np.column_stack([spool, np.full((time.size, 2), np.nan)])
     )
-    rng = np.random.default_rng(5)
+    states, rng = visible(crane, states), np.random.default_rng(5)
     shown = {n: states[::5, engine.state_names.index(n)] for n in STD}
     values = {n: y + STD[n] * rng.standard_normal(y.size) for n, y in shown.items()}
     time, u1 = time[::5], u1[::5].copy()
