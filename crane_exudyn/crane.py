@@ -223,7 +223,7 @@ def complete(effect: type[registry.Effect], values: Mapping[str, float]) -> dict
 
 #: last part of a name -> (smallest value, whether that value itself is allowed)
 _LIMITS = {
-    "air_pressure": (0.0, True), "pressure_reference": (0.0, True),
+    "air_pressure": (0.0, True),
     "mass": (0.0, False), "inertia": (0.0, False), "width": (0.0, True), "height": (0.0, True), "bore": (0.0, False),
     "rod": (0.0, True), "empty_length": (0.0, True), "chamber_range": (0.0, False), "hose_volume_piston": (0.0, False),
     "hose_volume_rod": (0.0, False), "coulomb_friction": (0.0, True), "static_friction": (0.0, True),
@@ -232,6 +232,8 @@ _LIMITS = {
     "hose_bulk_modulus": (0.0, False), "vapour_pressure": (0.0, True), "laminar_pressure": (0.0, False),
     "pump_pressure": (0.0, False), "tank_pressure": (0.0, True), "gravity": (0.0, True),
 }  # fmt: skip
+#: last part of a name -> the only values that it may have, with what they stand for
+_CHOICES = {"pressure_reference": {0.0: "absolute", 1.0: "gauge"}}
 
 
 def check(where: str, values: Mapping[str, float], effects: Sequence[Acting]) -> None:
@@ -273,7 +275,11 @@ def check_values(where: str, values: Mapping[str, float]) -> None:
 def _check_one(where: str, name: str, value: float) -> None:
     if not math.isfinite(value):
         raise CraneError(f"{where}: {name} = {value} is not finite. Give a number in {parameters.unit_of(name)}.")
-    limit = _LIMITS.get(name.rsplit(".", 1)[-1])
+    last = name.rsplit(".", 1)[-1]
+    if value not in _CHOICES.get(last, (value,)):
+        known = " or ".join(f"{number:g} ({meaning})" for number, meaning in _CHOICES[last].items())
+        raise CraneError(f"{where}: {name} = {value:g} is impossible: it must be {known}.")
+    limit = _LIMITS.get(last)
     if limit is None:
         return
     least, allowed = limit if name != "payload.mass" else (0.0, True)

@@ -96,6 +96,7 @@ def test_files_of_editors_on_windows_are_read(crane, tmp_path, encoding):
         ({"cylinders.tilt.chamber_range": 0.0}, ["chamber_range", "> 0"]),
         ({"supply.pump_pressure": 0.5e5}, ["pump_pressure", "tank"]),
         ({"fluid.oil_bulk_modulus": float("nan")}, ["oil_bulk_modulus", "finite"]),
+        ({"supply.pressure_reference": 2.0}, ["supply.pressure_reference = 2", "0 (absolute) or 1 (gauge)"]),
     ],
 )
 def test_impossible_values_are_refused_with_field_value_and_limit(crane, change, words):

@@ -15,6 +15,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.hydraulics import vapour_pressure
 
 from .augment import SENSORS, Augment, resolve
 from .bounds import Bounds, crane_bounds
@@ -146,7 +147,8 @@ class Estimator:
         self.time: float | None = None
         self.count = 0
         self.events: list[tuple[float, str, str]] = []
-        self._monitor = Monitor(self._channels.names, self._std, self._gate, self.crane["fluid.vapour_pressure"])
+        vapour = float(vapour_pressure(self.crane.parameter_vector()))
+        self._monitor = Monitor(self._channels.names, self._std, self._gate, vapour)
         self._opinion: SecondOpinion | None = None
         self._spool = None
         self._last_input: np.ndarray | None = None

@@ -10,6 +10,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import CYLINDERS
 from crane_exudyn.errors import CraneError
+from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import SpoolPath
 
 from .semi_recursive import SemiRecursiveEngine
@@ -19,6 +20,8 @@ OUTSIDE_ENGINES = {"command", "delay", "backlash", "creep", "measurement", "lag"
 #: smallest chamber length of a random state, m
 MARGIN = 0.03
 SAMPLE = 1e-3
+#: what a crane that is drawn at random has of the given one: two constants of nature, and what its gauges count from
+_KEPT = ("gravity", "fluid.vapour_pressure", "supply.pressure_reference")
 #: changes (m) that bring both ends of both strokes into the range of random poses, for end stops
 _SHORT_STROKES = {
     f"cylinders.{c}.{n}": by for c in CYLINDERS for n, by in (("empty_length", 0.3), ("chamber_range", -0.5))
@@ -71,7 +74,7 @@ def _drawn(crane: Crane, nx: int, count: int, rng: np.random.Generator) -> np.nd
     x[:, 2:4] = rng.normal(0.0, 0.3, (count, 2))
     x[:, 4:8] = rng.uniform(0.2e5, 1.5 * crane["supply.pump_pressure"], (count, 4))
     x[rng.random(count) < 1.0 / 3.0, 4:8] *= 0.1
-    x[:, 4:8][rng.random((count, 4)) < 0.05] = crane["fluid.vapour_pressure"]
+    x[:, 4:8][rng.random((count, 4)) < 0.05] = vapour_pressure(crane.parameter_vector())
     x[:, 8:] = rng.normal(0.0, 0.4, (count, nx - 8))
     return x
 
@@ -98,15 +101,13 @@ def other_cranes(crane: Crane, rng: np.random.Generator) -> dict[str, Crane]:
 
 
 def _drawn_crane(crane: Crane, rng: np.random.Generator) -> Crane:
-    """Return a crane with points moved by up to 60 mm and every other number but gravity changed by up to 40 %."""
+    """Return a crane with points moved by up to 60 mm and every quantity but gravity changed by up to 40 %."""
     for _ in range(100):
         changes = {}
         for name, value in crane.values.items():
             if name.endswith((".x", ".y")):
                 changes[name] = value + rng.uniform(-0.06, 0.06)
-            elif name not in ("gravity", "fluid.vapour_pressure") and not name.endswith(
-                ("empty_length", "chamber_range")
-            ):
+            elif name not in _KEPT and not name.endswith(("empty_length", "chamber_range")):
                 changes[name] = value * rng.uniform(0.6, 1.4)
         for c in CYLINDERS:
             changes[f"cylinders.{c}.rod"] = changes[f"cylinders.{c}.bore"] * rng.uniform(0.3, 0.7)
