@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from types import SimpleNamespace
+
 import pytest
 
 
@@ -11,3 +14,21 @@ def _own_list_of_written_files(tmp_path_factory: pytest.TempPathFactory) -> obje
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+class Ended(SimpleNamespace):
+    """A finished run of `patu`: status, out, err."""
+
+
+@pytest.fixture
+def patu(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """Run one command line in this process, as the shell would."""
+    from patu import main
+
+    def call(*words: str) -> Ended:
+        with pytest.raises(SystemExit) as leaving:
+            main.run(words)
+        captured = capsys.readouterr()
+        return Ended(status=leaving.value.code, out=captured.out, err=captured.err)
+
+    return call

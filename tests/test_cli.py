@@ -25,23 +25,6 @@ from patu import main, options, output
 HEAVY = ("numpy", "numba", "scipy", "exudyn", "matplotlib", "pint", "pydantic", "pyarrow", "h5py", "rich", "typer")
 
 
-class Ended(SimpleNamespace):
-    """A finished run: status, out, err."""
-
-
-@pytest.fixture
-def patu(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
-    """Run one command line in this process."""
-
-    def call(*words: str) -> Ended:
-        with pytest.raises(SystemExit) as leaving:
-            main.run(words)
-        captured = capsys.readouterr()
-        return Ended(status=leaving.value.code, out=captured.out, err=captured.err)
-
-    return call
-
-
 def as_process(*words: str, code: str | None = None) -> subprocess.CompletedProcess[str]:
     start = ["-c", code] if code else ["-m", "patu"]
     return subprocess.run([sys.executable, *start, *words], capture_output=True, text=True, timeout=120)
@@ -60,22 +43,22 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("words", [("--help",), ("-h",), ("help",)])
-def test_help_is_an_answer(patu: Callable[..., Ended], words: tuple[str, ...]) -> None:
+def test_help_is_an_answer(patu: Callable[..., SimpleNamespace], words: tuple[str, ...]) -> None:
     assert (patu(*words).status, patu(*words).err) == (0, "")
 
 
-def test_no_command_is_bad_input(patu: Callable[..., Ended]) -> None:
+def test_no_command_is_bad_input(patu: Callable[..., SimpleNamespace]) -> None:
     assert patu().status == 2
 
 
-def test_version(patu: Callable[..., Ended]) -> None:
+def test_version(patu: Callable[..., SimpleNamespace]) -> None:
     from crane_exudyn import __version__
 
     assert patu("--version").out == f"patu {__version__}\n"
 
 
 @pytest.mark.parametrize("name", list(main.COMMANDS))
-def test_every_command_has_help_with_an_example_and_json(patu: Callable[..., Ended], name: str) -> None:
+def test_every_command_has_help_with_an_example_and_json(patu: Callable[..., SimpleNamespace], name: str) -> None:
     done = patu(name, "--help")
     assert done.status == 0
     assert f"Example: patu {name}" in done.out
@@ -84,7 +67,7 @@ def test_every_command_has_help_with_an_example_and_json(patu: Callable[..., End
 
 
 @pytest.mark.parametrize("name", list(main.COMMANDS))
-def test_options_mean_the_same_everywhere(patu: Callable[..., Ended], name: str) -> None:
+def test_options_mean_the_same_everywhere(patu: Callable[..., SimpleNamespace], name: str) -> None:
     out = patu(name, "--help").out
     assert "--effects" in out
     assert ("--crane" in out) == (name != "effects")
@@ -125,7 +108,7 @@ def test_loading_a_command_imports_no_engine() -> None:
     ],
 )
 def test_bad_input_is_one_message_and_status_2(
-    patu: Callable[..., Ended], tmp_path: Path, words: tuple[str, ...], parts: list[str]
+    patu: Callable[..., SimpleNamespace], tmp_path: Path, words: tuple[str, ...], parts: list[str]
 ) -> None:
     good = "time[s],u1,u2,z1[deg]\n0,0,0,10\n0.1,0,0,10\n0.2,0,0,10\n"
     (tmp_path / "good.csv").write_text(good)
@@ -141,14 +124,14 @@ def test_bad_input_is_one_message_and_status_2(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["good.csv", "half.csv"]
 
 
-def test_an_unknown_option_is_bad_input(patu: Callable[..., Ended]) -> None:
+def test_an_unknown_option_is_bad_input(patu: Callable[..., SimpleNamespace]) -> None:
     done = patu("effects", "--nonsense")
     assert (done.status, done.out) == (2, "")
     assert "--nonsense" in done.err
 
 
 def test_an_unreadable_file_is_bad_input(
-    patu: Callable[..., Ended], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    patu: Callable[..., SimpleNamespace], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usual = Path.open
 
@@ -173,7 +156,7 @@ def a_command(monkeypatch: pytest.MonkeyPatch, does: Callable[[], object]) -> No
 
 
 def test_a_fault_of_the_program_is_one_message_that_names_the_file_with_its_traceback(
-    patu: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
@@ -200,7 +183,7 @@ def test_a_fault_of_the_program_is_one_message_that_names_the_file_with_its_trac
     ],
 )
 def test_what_the_machine_refuses_is_one_message(
-    patu: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch, problem: Exception, said: str
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch, problem: Exception, said: str
 ) -> None:
     def fail() -> None:
         raise problem
@@ -212,7 +195,7 @@ def test_what_the_machine_refuses_is_one_message(
 @pytest.mark.parametrize(
     "words", [("--duration", "inf"), ("--error", "nan"), ("--jobs", "0"), ("--step", "inf"), ("--step", "1e-9")]
 )
-def test_numbers_that_are_none_are_refused(patu: Callable[..., Ended], words: tuple[str, str]) -> None:
+def test_numbers_that_are_none_are_refused(patu: Callable[..., SimpleNamespace], words: tuple[str, str]) -> None:
     done = patu("montecarlo", *words)
     assert done.status == 2 and words[0] in done.err and "Traceback" not in done.err
 
@@ -316,7 +299,7 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
 # -- JSON and printing -----------------------------------------------------------------------------------------------
 
 
-def test_json_on_standard_output_stands_there_alone(patu: Callable[..., Ended], tmp_path: Path) -> None:
+def test_json_on_standard_output_stands_there_alone(patu: Callable[..., SimpleNamespace], tmp_path: Path) -> None:
     done = patu("effects", "dead_band", "--json", "-")
     document = json.loads(done.out)
     assert [p["name"] for p in document[0]["parameters"]] == ["lower", "upper"]
@@ -324,7 +307,7 @@ def test_json_on_standard_output_stands_there_alone(patu: Callable[..., Ended], 
     assert json.loads((tmp_path / "e.json").read_text()) == document
 
 
-def test_effects_lists_all_of_them(patu: Callable[..., Ended]) -> None:
+def test_effects_lists_all_of_them(patu: Callable[..., SimpleNamespace]) -> None:
     from crane_exudyn.effects import registry
 
     out = patu("effects").out

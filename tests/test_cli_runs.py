@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,15 +20,13 @@ FAST = ("--engine", "semi-recursive")
 
 
 @pytest.fixture
-def patu(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+def printed(patu: Callable[..., SimpleNamespace]) -> Callable[..., str]:
     """Run one command line that must succeed, and return what it printed."""
 
     def call(*words: str) -> str:
-        with pytest.raises(SystemExit) as leaving:
-            main.run(words)
-        captured = capsys.readouterr()
-        assert leaving.value.code == 0, captured.err
-        return captured.out
+        done = patu(*words)
+        assert done.status == 0, done.err
+        return str(done.out)
 
     return call
 
@@ -52,9 +51,9 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("engine", ["exudyn", "semi-recursive"])
 def test_simulate_follows_a_recording_on_either_engine(
-    patu: Callable[..., str], lift: Path, tmp_path: Path, engine: str
+    printed: Callable[..., str], lift: Path, tmp_path: Path, engine: str
 ) -> None:
-    out = patu(
+    out = printed(
         "simulate", "--inputs", str(lift), "--start-from-recording", "--engine", engine, "-o", str(tmp_path / "run.csv")
     )
     assert "driven by lift" in out and str(tmp_path / "run.csv") in out
@@ -67,24 +66,24 @@ def test_simulate_follows_a_recording_on_either_engine(
     assert np.ptp(run["z1"].values) > np.radians(5.0)
 
 
-def test_unmeasured_pressures_follow_from_the_balance(patu: Callable[..., str], lift: Path, tmp_path: Path) -> None:
+def test_unmeasured_pressures_follow_from_the_balance(printed: Callable[..., str], lift: Path, tmp_path: Path) -> None:
     """The recording has p1 and p4 only; the less loaded chambers were at 12 bar, not at the crane file's 20 bar."""
-    patu("simulate", "--inputs", str(lift), "--start-from-recording", *FAST, "-o", str(tmp_path / "run.csv"))
+    printed("simulate", "--inputs", str(lift), "--start-from-recording", *FAST, "-o", str(tmp_path / "run.csv"))
     run = Recording.load(tmp_path / "run.csv")
     assert run["p2"].values[0] == pytest.approx(12e5, rel=1e-3)
     assert run["p3"].values[0] == pytest.approx(12e5, rel=1e-3)
 
 
-def test_simulate_starts_as_the_crane_file_says(patu: Callable[..., str], lift: Path) -> None:
-    document = json.loads(patu("simulate", "--inputs", str(lift), *FAST, "--json", "-"))
+def test_simulate_starts_as_the_crane_file_says(printed: Callable[..., str], lift: Path) -> None:
+    document = json.loads(printed("simulate", "--inputs", str(lift), *FAST, "--json", "-"))
     assert document["channels"]["z1"]["first"] == pytest.approx(np.radians(10.0))
     assert document["channels"]["z4"]["first"] == pytest.approx(np.radians(-40.0))
     assert document["channels"]["p2"]["first"] == pytest.approx(20e5)
     assert document["engine"] == "semi-recursive" and document["instants"] == 401
 
 
-def test_simulate_without_inputs_is_the_papers_cycle(patu: Callable[..., str], tmp_path: Path) -> None:
-    patu("simulate", *FAST, "-o", str(tmp_path / "cycle.parquet"))
+def test_simulate_without_inputs_is_the_papers_cycle(printed: Callable[..., str], tmp_path: Path) -> None:
+    printed("simulate", *FAST, "-o", str(tmp_path / "cycle.parquet"))
     run = Recording.load(tmp_path / "cycle.parquet")
     time, commands = run.commands()
     assert (time[0], time[-1]) == (0.0, 25.0)
@@ -130,10 +129,10 @@ def test_options_that_make_no_sense_are_refused(
 # -- estimate --------------------------------------------------------------------------------------------------------
 
 
-def test_estimate_leaves_states_picture_and_report(patu: Callable[..., str], lift: Path, tmp_path: Path) -> None:
+def test_estimate_leaves_states_picture_and_report(printed: Callable[..., str], lift: Path, tmp_path: Path) -> None:
     paths = {"-o": tmp_path / "states.parquet", "--plot": tmp_path / "states.png", "--report": tmp_path / "report"}
     words = [part for option, path in paths.items() for part in (option, str(path))]
-    out = patu("estimate", str(lift), *FAST, *words, "--json", str(tmp_path / "estimate.json"))
+    out = printed("estimate", str(lift), *FAST, *words, "--json", str(tmp_path / "estimate.json"))
     document = json.loads((tmp_path / "estimate.json").read_text())
     assert set(document["filter"]) >= {"nis_mean", "nis_bounds", "whiteness", "consistent"}
     estimated, measured = Recording.load(paths["-o"], {"u1": "U_lift", "u2": "U_tilt"}), Recording.load(lift)
@@ -167,8 +166,8 @@ def test_steps_without_number_are_refused(capsys: pytest.CaptureFixture[str]) ->
 # -- demo ------------------------------------------------------------------------------------------------------------
 
 
-def test_demo_prints_the_table_and_leaves_plots_states_and_report(patu: Callable[..., str], tmp_path: Path) -> None:
-    out = patu("demo", "-o", str(tmp_path / "a" / "demo"), *FAST, "--json", str(tmp_path / "demo.json"))
+def test_demo_prints_the_table_and_leaves_plots_states_and_report(printed: Callable[..., str], tmp_path: Path) -> None:
+    out = printed("demo", "-o", str(tmp_path / "a" / "demo"), *FAST, "--json", str(tmp_path / "demo.json"))
     document = json.loads((tmp_path / "demo.json").read_text())
     case = document["cases"][0]
     assert (case["model_error"], case["inputs"], case["engine"]) == (0.15, 1, "semi-recursive")
@@ -186,8 +185,8 @@ def test_demo_prints_the_table_and_leaves_plots_states_and_report(patu: Callable
 # -- benchmark -------------------------------------------------------------------------------------------------------
 
 
-def test_benchmark_json_has_ratios_of_one_run(patu: Callable[..., str]) -> None:
-    document = json.loads(patu("benchmark", "--only", "open_loop", "--only", "memory", "--json", "-"))
+def test_benchmark_json_has_ratios_of_one_run(printed: Callable[..., str]) -> None:
+    document = json.loads(printed("benchmark", "--only", "open_loop", "--only", "memory", "--json", "-"))
     assert document["real_time"] == {"value": 25.0, "unit": "s", "ratio_to": None, "ratio": None}
     for entry in document.values():
         if entry["ratio_to"]:

@@ -18,7 +18,6 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import noise_std
 from crane_exudyn.simulation import Simulation, simulate
-from patu import main
 from validation import balances, phases
 from validation.balances import EQUATIONS, Balances, Steps
 from validation.compare import Comparison, compare
@@ -401,17 +400,6 @@ def test_unknown_engine_is_refused() -> None:
 
 
 # -- the command -----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def patu(capsys: pytest.CaptureFixture[str]) -> Callable[..., SimpleNamespace]:
-    def call(*words: str) -> SimpleNamespace:
-        with pytest.raises(SystemExit) as leaving:
-            main.run(words)
-        captured = capsys.readouterr()
-        return SimpleNamespace(status=leaving.value.code, out=captured.out, err=captured.err)
-
-    return call
 
 
 def test_command_prints_writes_and_reports(

@@ -25,19 +25,12 @@ GOOD = "time[s],u1,u2,z1[deg],z4[deg]\n" + "".join(f"{0.01 * k:.2f},0,0,10,-40\n
 
 @pytest.fixture
 def patu(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    patu: Callable[..., SimpleNamespace], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., SimpleNamespace]:
     """Run one command line in an empty folder that holds the recording l.csv."""
     monkeypatch.chdir(tmp_path)
     Path("l.csv").write_text(GOOD)
-
-    def call(*words: str) -> SimpleNamespace:
-        with pytest.raises(SystemExit) as leaving:
-            main.run(words)
-        captured = capsys.readouterr()
-        return SimpleNamespace(status=leaving.value.code, out=captured.out, err=captured.err)
-
-    return call
+    return patu
 
 
 SIMULATE = ("simulate", "--inputs", "l.csv", "--engine", "semi-recursive")
