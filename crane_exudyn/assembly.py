@@ -155,7 +155,8 @@ def _clock_of(
 def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table: RawTable) -> np.ndarray:
     """Return the times of a clock in s, finite and never going back."""
     column, unit = (clock, clock.unit or "s") if isinstance(clock, RawColumn) else clock
-    time = column.values * _factor(path, "time", column.header, unit, "s")
+    with np.errstate(over="ignore"):  # what is infinite in s is refused below
+        time = column.values * _factor(path, "time", column.header, unit, "s")
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         raise CraneError(
@@ -237,7 +238,8 @@ def _channel(
             f"{path}, column {raw.header}: found {raw.values.size} samples, expected {time.size} as its time has. "
             f"Give it a time of its own, or export it again."
         )
-    values = raw.values * _factor(path, name, raw.header, unit, CHANNELS[name])
+    with np.errstate(over="ignore"):  # what is infinite in SI is refused below
+        values = raw.values * _factor(path, name, raw.header, unit, CHANNELS[name])
     there = ~np.isnan(values)
     infinite = np.flatnonzero(np.isinf(values))
     if len(infinite):
