@@ -104,9 +104,10 @@ def first_state(crane: Crane, engine: Any, recording: Recording) -> np.ndarray:
 
     A pressure that was not measured follows from the measured one of its cylinder and the balance of moments.
     """
+    from crane_exudyn.vetting import vetted
     from ukf.start import start_belief
 
-    first = recording.require(sensors=1).first_values()
+    first = vetted(recording.require(sensors=1), crane).first_values()
     mean: np.ndarray = start_belief(crane, engine, first, recording.noise()).mean
     mean[2:4] = 0.0
     return mean
