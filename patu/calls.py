@@ -36,10 +36,13 @@ def checked(command: Callable[..., None]) -> Callable[..., None]:
     def call(*, force: bool, **values: Any) -> None:
         for name, value in values.items():
             _check_finite(known[name].flag, value)
-        plan(_targets(known, values), _inputs(known, values), force=force)
+        read = _inputs(known, values)
+        plan(_targets(known, values), read, force=force)
         with noting_written() as written:
             try:
                 command(**values)
+            except CraneError as problem:
+                raise _naming(problem, read) from problem
             finally:
                 remember(written)
 
@@ -76,6 +79,14 @@ def _check_finite(flag: str, value: Any) -> None:
     for number in value if isinstance(value, list | tuple) else [value]:
         if isinstance(number, float) and not math.isfinite(number):
             raise CraneError(f"{flag} {number}: expected a finite number.")
+
+
+def _naming(problem: CraneError, read: list[str]) -> CraneError:
+    """Return the error with the files that were read, where its message names none: engines know a crane's name only."""
+    files = [name for name in read if os.path.isfile(name)]
+    if not files or any(name in str(problem) for name in files):
+        return problem
+    return CraneError(f"{problem} Read: {', '.join(files)}.")
 
 
 def _targets(known: Mapping[str, Option], values: Mapping[str, Any]) -> list[Target]:

@@ -232,7 +232,21 @@ def _complain(message: str, status: int) -> int:
     return status
 
 
+def _check_signs(words: Sequence[str]) -> None:
+    """Refuse what no shell can type, but another program may give: no file can have such a name, nothing can write it."""
+    from crane_exudyn.errors import CraneError
+
+    for word in words:
+        try:
+            typed = b"\0" not in os.fsencode(word)
+        except UnicodeEncodeError:
+            typed = False
+        if not typed:
+            raise CraneError(f"{word!r}: has a sign that no name and no value can have. Leave it out.")
+
+
 def _dispatch(words: list[str]) -> int:
+    _check_signs(words)
     if not words or words[0] in ("--help", "-h", "help"):
         print(help_text())
         return 0 if words else BAD_INPUT
