@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from . import faulty_laws
 from .compiled import njit
 from .crane import Crane
 from .effects import hooks
@@ -37,6 +38,13 @@ def _apply_command_hooks(E, commands, out):
     for k in range(commands.shape[0]):
         for c in range(2):
             out[k, c] = hooks.command(E, c, commands[k, c])
+
+
+def _commands_after(E: np.ndarray, commands: np.ndarray) -> np.ndarray:
+    """Return the commands (n, 2) after the effects E that act on them."""
+    changed = np.empty_like(commands)
+    _apply_command_hooks(E, np.ascontiguousarray(commands), changed)
+    return changed
 
 
 @njit
@@ -100,8 +108,12 @@ class SpoolPath:
 
     def __init__(self, crane: Crane) -> None:
         P, self._E = crane.parameter_vector(), crane.effect_vector()
-        self._name = crane.name
+        self._crane, self._name = crane, crane.name
         self._valves = [valve_of(P, self._E, c) for c in range(len(CYLINDERS))]
+        for c, valve in enumerate(self._valves):
+            if not np.isfinite(valve).all():
+                finite = lambda tried, c=c: bool(np.isfinite(valve_of(P, tried.effect_vector(), c)).all())  # noqa: E731
+                faulty_laws.check_law(crane, finite, f"the {CYLINDERS[c]} valve")
         self._past: deque[tuple[float, np.ndarray]] = deque()
         self._states: list[tuple[float, float, float]] = []
 
@@ -122,8 +134,7 @@ class SpoolPath:
                 f"spool path: time {t.shape} and commands {u.shape} do not match; expected (n,) and (n, 2)."
             )
         self._check(t, u)
-        changed = np.empty_like(u)
-        _apply_command_hooks(self._E, np.ascontiguousarray(u), changed)
+        changed = self._changed(u)
         out = np.zeros_like(changed)
         for c in range(2) if valve is None else (valve,):
             out[:, c] = _run_one(t, np.ascontiguousarray(changed[:, c]), self._valves[c])
@@ -137,8 +148,7 @@ class SpoolPath:
         u = np.asarray(command, dtype=float).reshape(1, 2)
         times = np.array([*([self._past[-1][0]] if self._past else []), time], dtype=float)
         self._check(times, np.broadcast_to(u, (times.size, 2)))
-        changed = np.empty((1, 2))
-        _apply_command_hooks(self._E, u, changed)
+        changed = self._changed(u)
         self._past.append((time, changed[0]))
         if not self._states:
             self._states = [(u0, u0, u0) for u0 in changed[0].tolist()]
@@ -150,6 +160,16 @@ class SpoolPath:
             ]
             self._forget(time)
         return np.array([_position(s, v) for s, v in zip(self._states, self._valves, strict=True)])
+
+    def _changed(self, commands: np.ndarray) -> np.ndarray:
+        """Return the commands (n, 2) after the effects that act on them."""
+        changed = _commands_after(self._E, commands)
+        bad = np.argwhere(~np.isfinite(changed))
+        if bad.size:
+            k, c = bad[0]
+            finite = lambda tried: bool(np.isfinite(_commands_after(tried.effect_vector(), commands[k, None])).all())  # noqa: E731
+            faulty_laws.check_law(self._crane, finite, f"the {CYLINDERS[c]} command {commands[k, c]:g}")
+        return changed
 
     def _forget(self, time: float) -> None:
         oldest = time - max(valve.delay for valve in self._valves)

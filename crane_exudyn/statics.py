@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from . import faulty_laws, trapezoidal
 from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
-from . import trapezoidal
 from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
@@ -38,6 +38,11 @@ def _reduce(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
     kinematics = red.cylinder_kinematics(P, arms, q, v)
     D = np.array([red.cylinder_rates(arms, row, *kinematics[4:]) for row in N])  # ds_c / du_i
     return locals()
+
+
+def size_of_state(crane: Crane) -> int:
+    """Return how many numbers a state of the crane has: two more where its payload hangs on a pendulum."""
+    return 10 if hooks.pendulum(crane.effect_vector())[0] > 0.0 else 8
 
 
 def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) -> np.ndarray:
@@ -73,6 +78,14 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
                 f"{math.degrees(z4):.2f} deg, so no pressure balances the load. Start at another pose."
             )
         state[4 + 2 * c : 6 + 2 * c] = _pressures(P, c, needed[c] / leverage, low[c])
+    if not np.isfinite(state).all():
+        known = np.where(np.isfinite(state), state, 0.0)
+        raise faulty_laws.where_run_failed(
+            crane, known, np.array([0.0, 0.0, math.nan, math.nan]), 0.0, 0.0
+        ) or CraneError(
+            f"{crane.name}: there is no static start at z1 = {math.degrees(z1):.2f} deg, z4 = {math.degrees(z4):.2f} deg: "
+            "the forces there are not finite. Look for numbers of the crane that are out of proportion."
+        )
     return state
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.faulty_laws import check_law
 from crane_exudyn.hydraulics import vapour_pressure
 
 from .augment import SENSORS, Extra
@@ -48,7 +49,7 @@ class Channels:
                 raise CraneError(f"sensor {name!r} is not known.{nearest(name, list(SENSORS))}")
             if name in ("s1", "s2") and lengths is None:
                 raise CraneError(f"sensor {name!r} needs the crane's geometry, which this engine does not offer.")
-        self.names = tuple(names)
+        self.names, self._crane = tuple(names), crane
         self.lags = lags(crane, self.names)
         self._engine_states, self._least = engine_states, float(vapour_pressure(crane.parameter_vector()))
         self._lengths = lengths
@@ -89,7 +90,9 @@ class Channels:
             for row, cylinder in self._distances:
                 out[:, row] += lengths[:, cylinder]
         for row, reading in self._gains:
-            out[:, row] = reading(out[:, row])
+            true, out[:, row] = out[:, row].copy(), reading(out[:, row])
+            if not np.isfinite(out[:, row]).all():
+                _refuse_reading(self._crane, self.names[row], true[~np.isfinite(out[:, row])][0])
         return out
 
     def observe(self, points: np.ndarray) -> np.ndarray:
@@ -121,6 +124,19 @@ def lags(crane: Crane, names: Sequence[str]) -> tuple[tuple[int, float], ...]:
         if acting is not None and acting.parameters["tau"] > 0:
             found.append((row, float(acting.parameters["tau"])))
     return tuple(found)
+
+
+def _refuse_reading(crane: Crane, name: str, true: float) -> None:
+    """Say which effect makes no number of the true value (SI) of a sensor's quantity."""
+    from crane_exudyn.effects import hooks
+    from crane_exudyn.effects.base import SENSORS as PLACES
+
+    place = PLACES.index(name)
+    check_law(
+        crane,
+        lambda tried: bool(np.isfinite(hooks.measurement(tried.effect_vector(), place, true))),
+        f"{name} = {true:g}",
+    )
 
 
 def _sensor_effects(crane: Crane, names: Sequence[str]) -> list[tuple[int, Callable[[np.ndarray], np.ndarray]]]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from crane_exudyn import faulty_laws
 from crane_exudyn import parameters as names
 from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane
@@ -95,7 +96,11 @@ class SemiRecursiveEngine:
         if len(x) > 8:
             x[8] = angle
         if not np.all(np.isfinite(x)):
-            raise CraneError(f"{self._unreachable(x)} There is no static start.")
+            known = np.where(np.isfinite(x), x, 0.0)
+            closed = np.array([0.0, 0.0, math.nan, math.nan])
+            raise faulty_laws.where_run_failed(self.crane, known, closed, 0.0, 0.0) or CraneError(
+                f"{self._unreachable(x)} There is no static start."
+            )
         return x
 
     def propagate(
@@ -132,7 +137,9 @@ class SemiRecursiveEngine:
         out, status, row, halved = kernel.propagate_batch(x, w[0], w[1], float(time), float(dt), n, P, E, self.accuracy)
         self.halved += halved
         if status != kernel.OK:
-            raise CraneError(self._failure(status, out[row], time, dt / n, f"row {row} of the batch"))
+            raise faulty_laws.where_run_failed(
+                self.crane, x[row], w[0, min(row, w.shape[1] - 1)], time, dt
+            ) or CraneError(self._failure(status, out[row], time, dt / n, f"row {row} of the batch"))
         return out
 
     def _by_row(
@@ -171,7 +178,10 @@ class SemiRecursiveEngine:
         self.halved += halved
         self._refuse_stroke_end(X[: k + 1] if status != kernel.OK else X, t)
         if status != kernel.OK:
-            raise CraneError(self._failure(status, X[k + 1], t[k], h, f"sample {k}"))
+            last = X[k + 1] if np.isfinite(X[k + 1]).all() else X[k]
+            raise faulty_laws.where_run_failed(self.crane, last, w[k], t[k], t[k + 1] - t[k]) or CraneError(
+                self._failure(status, X[k + 1], t[k], h, f"sample {k}")
+            )
         return X
 
     def terms(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
