@@ -17,7 +17,7 @@ from .crane import Crane
 from .effects import registry
 from .errors import CraneError
 
-#: an engine halves a failing step this often; the state of the failure may lie that little, or a few steps, behind the last good one
+#: parts of the failing step at which to look: an engine has halved it so often, or its iterates went beyond its end
 _FRACTIONS = (0.0, *(2.0**k for k in range(-14, 3)))
 
 
@@ -63,8 +63,8 @@ def refusal(crane: Crane, keys: list[str], where: str) -> CraneError:
     """Return the error that says of which effects a law gives no number, and where."""
     named = " and ".join(f"{key!r}{_file_of(key)}" for key in keys)
     return CraneError(
-        f"{crane.name}: effect {named} gives no finite number (NaN or infinite) at {where}. Mend its law so that it gives a number "
-        "at every state, or its parameters in the crane file."
+        f"{crane.name}: effect {named} gives no finite number (NaN or infinite) at {where}. "
+        "Mend its law so that it gives a number at every state, or its parameters in the crane file."
     )
 
 
