@@ -53,7 +53,8 @@ class Work(NamedTuple):
 
     Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the step size `made`
     for which it was made (0: there is none), and the contraction `rate` that Newton's method had with it.
-    `said` holds how many steps were halved, the error of the last step in units of `ERROR_*`, and how many of these are allowed.
+    `said` holds how many steps were halved, the error of the last step in units of `ERROR_*`, how many of these are allowed, and
+    the PATIENCE: after a step of more iterations the next one has a new tangent.
     """
 
     primary: np.ndarray
@@ -68,7 +69,7 @@ class Work(NamedTuple):
     said: np.ndarray
 
 
-HALVED, ERROR, ALLOWED = range(3)
+HALVED, ERROR, ALLOWED, PATIENCE = range(4)
 
 
 @njit(cache=False)
@@ -92,7 +93,7 @@ def workspace(nx, n_inputs):
     n = index.size
     return Work(
         index, np.empty((levels, n, n)), np.empty((levels, n), np.int64), np.zeros(levels), np.ones(levels),
-        np.empty((3, n)), point(nx), point(nx), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0]),
+        np.empty((3, n)), point(nx), point(nx), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0, MAX_ITERATIONS]),
     )  # fmt: skip
 
 
@@ -230,7 +231,7 @@ def newton(start, w1, t1, h, P, E, work, level):
     index, r, end, made, rate = work.primary, work.rows[0], work.end, work.made, work.rate
     predict(start, h, index, end)
     before = math.inf
-    for _ in range(MAX_ITERATIONS):
+    for iteration in range(MAX_ITERATIONS):
         if not abs(made[level] - h) <= 1e-6 * h and not tangent(start, w1, t1, h, P, E, work, level):
             return False
         residual(start, end, w1, t1, h, P, E, index, r)
@@ -252,6 +253,8 @@ def newton(start, w1, t1, h, P, E, work, level):
             for i in range(index.size - 4):
                 k = index[i]
                 end.x[rate_of(k)] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[rate_of(k)]
+            if iteration >= work.said[PATIENCE]:
+                made[level] = 0.0
             return True
         before = size
     made[level] = 0.0
@@ -400,7 +403,7 @@ def simulate(x0, W, time, step, P, E, allowed=1.0):
     n_times, nx = W.shape[0], x0.size
     X = np.full((n_times, nx), math.nan)
     work, now = workspace(nx, 4), point(nx)
-    work.said[ALLOWED] = allowed
+    work.said[ALLOWED], work.said[PATIENCE] = allowed, 3  # a tangent costs seven iterations, and serves for hundreds of steps
     wa, wb = np.empty(4), np.empty(4)
     now.x[:] = x0
     begin(now, W[0], time[0], P, E)
