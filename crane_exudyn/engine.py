@@ -313,7 +313,7 @@ class _System:
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
         ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self._udd, self.status, self._last)
-        if not trapezoidal.predict(plant.P, plant.E, time, h, before, x, w0, *ends):
+        if not trapezoidal.predict(plant.P, plant.E, time, h, before, plant.inertia, x, w0, *ends):
             self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
             return out, -1
         plant.inputs[...] = w1

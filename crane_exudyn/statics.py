@@ -77,7 +77,7 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
                 f"{crane.name}: the {CYLINDERS[c]} cylinder has no leverage at z1 = {math.degrees(z1):.2f} deg, z4 = "
                 f"{math.degrees(z4):.2f} deg, so no pressure balances the load. Start at another pose."
             )
-        state[4 + 2 * c : 6 + 2 * c] = _pressures(P, c, needed[c] / leverage, low[c])
+        state[4 + 2 * c : 6 + 2 * c] = _pressures(P, E, c, r["kinematics"][c], needed[c] / leverage, low[c])
     if not np.isfinite(state).all():
         known = np.where(np.isfinite(state), state, 0.0)
         raise faulty_laws.where_run_failed(
@@ -97,13 +97,24 @@ def _at_rest(crane: Crane, r: dict[str, Any]) -> np.ndarray:
     return r["N"] @ f
 
 
-def _pressures(P: np.ndarray, c: int, force: float, low: float) -> tuple[float, float]:
-    """Return (p_piston, p_rod) that give a force, with the less loaded chamber at `low`."""
+def _pressures(P: np.ndarray, E: np.ndarray, c: int, s: float, force: float, low: float) -> tuple[float, float]:
+    """Return (p_piston, p_rod) that give a force at rest, with the less loaded chamber at `low`.
+
+    Effects may hold a part of it (a seal that sticks, an end stop): by the cylinder's length, which a spring in series lets depend
+    on the pressures. So the pressures are found again with what the effects hold at them.
+    """
     area_a, area_b = hyd.areas(P, c)
-    force += (1.0 - P[hyd.REFERENCE]) * P[hyd.AIR] * (area_a - area_b)
-    if force + low * area_b >= low * area_a:
-        return (force + low * area_b) / area_a, low
-    return low, (low * area_a - force) / area_b
+    found = low, low
+    for _ in range(50):
+        rest, before = force - hyd.extra_force(P, E, c, s, 0.0, found[0], found[1]), found
+        found = (
+            ((rest + low * area_b) / area_a, low)
+            if rest >= low * (area_a - area_b)
+            else (low, (low * area_a - rest) / area_b)
+        )
+        if abs(found[0] - before[0]) + abs(found[1] - before[1]) <= 1e-6:
+            break
+    return found
 
 
 def visible(crane: Crane, states: np.ndarray) -> np.ndarray:

@@ -76,13 +76,34 @@ def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp, held, udd):
 
 
 @njit
-def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, held, udd, status, last):
+def _refer(P, E, before, inertia, x, udd, arms, N, q, v, a):
+    """Refer q, v, a of one crane to the centres of mass that it has at the end of a step, if they move within it.
+
+    A payload that is taken up moves the centre of its body, but not the body.
+    """
+    if np.array_equal(before, inertia):
+        return
+    u = np.empty(udd.size)
+    u[0], u[1] = x[2], x[3]
+    if udd.size > 2:
+        u[2] = x[9]
+    red.close_position(P, E, inertia, x[0], x[1], x[8] if udd.size > 2 else 0.0, arms, q)
+    red.null_space(arms, N)
+    red.velocities(N, u, v)
+    red.centripetal(arms, v, a)
+    for j in range(a.size):
+        for i in range(udd.size):
+            a[j] += N[i, j] * udd[i]
+
+
+@njit
+def predict(P, E, t, h, start_inertia, inertia, x, w, q, v, a, p, dp, held, udd, status, last):
     """Fill the (n, .) arrays of the end of the step with a first guess: a1 = a0 and dp1 = dp0.
 
     Args:
         t, h: start and length of the step in s.
         P, E: (n, .) parameters.
-        start_inertia: (n, 5, 4) masses at the start of the step.
+        start_inertia, inertia: (n, 5, 4) masses at the start and the end of the step.
         x, w: states (n, nx) and inputs (n, 12) at the start of the step.
         held: (n, N_START, 4) filled with amounts of oil and their rates at the start;  udd: (n, nu) accelerations there.
         status, last: (n,), set for the first iteration.
@@ -98,11 +119,12 @@ def predict(P, E, t, h, start_inertia, x, w, q, v, a, p, dp, held, udd, status, 
         status[k] = start(P[k], E[k], t, start_inertia[k], x[k], w[k], arms, N, *ends)
         last[k] = math.inf
         good = good and status[k] == ITERATING
+        _refer(P[k], E[k], start_inertia[k], inertia[k], x[k], udd[k], arms, N, q[k], v[k], a[k])
         for j in range(width):
             v1 = v[k, j] + h * a[k, j]
             q[k, j] += 0.5 * h * (v[k, j] + v1)
             v[k, j] = v1
-        red.arms_of(P[k], start_inertia[k], q[k], arms)
+        red.arms_of(P[k], inertia[k], q[k], arms)
         for j in range(4):
             p[k, j] += h * dp[k, j]
         s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P[k], arms, q[k], v[k])

@@ -99,6 +99,42 @@ def test_trajectories_agree_with_order_two(
     assert np.ptp(runs[-1].second[:, 0]) > 0.05  # the boom did move
 
 
+#: what a crane file may state at the ends of its ranges
+ENDS = {
+    "empty": {"payload.mass": 0.0},
+    "spools without lag": {"valves.lift.time_constant": 0.0, "valves.tilt.time_constant": 0.0},
+    "turbulent from 1 Pa": {"fluid.laminar_pressure": 1.0},
+    "turbulent from 100 Pa": {"fluid.laminar_pressure": 100.0},
+    "laminar throughout": {"fluid.laminar_pressure": 1e9},
+}
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_cranes_at_the_ends_of_the_ranges_agree(crane: Crane, name: str) -> None:
+    rng, odd = np.random.default_rng(SEED), crane.with_parameters(ENDS[name])
+    first, second = ExudynEngine(odd), SemiRecursiveEngine(odd)
+    drawn = cases.random_states(odd, 20, rng)
+    assert_ok([*cc.compare_terms(first, second, drawn), *cc.compare_static_starts(first, second, drawn)])
+    assert len(cases.other_cranes(odd, rng)) == 2
+    manoeuvre, time, commands = cc.manoeuvres(odd, second, 2.0, rng)[1]
+    w = cases.spool_inputs(odd, time, commands)
+    assert_ok(cc.compare_runs(manoeuvre, first, second, time, w, 1e-3, lambda fraction: None)[0])
+
+
+def test_only_what_is_left_by_newtons_methods_has_no_order(crane: Crane) -> None:
+    def runs(sizes: list[float]) -> list[cc.Run]:
+        scale = np.array([1.0, 1.0, 1.0, 1.0, 1e9, 1e9, 1e9, 1e9])
+        return [
+            cc.Run("run", h, np.arange(3.0), np.full((3, 8), size) * scale, np.zeros((3, 8)), 3)
+            for h, size in zip(cc.ORDER_STEPS, sizes, strict=True)
+        ]
+
+    assert_ok(cc._orders(runs([3e-10, 1e-10, 2e-10])))
+    assert_ok(cc._orders(runs([16e-7, 4e-7, 1e-7])))
+    for sizes in ([16e-7, 8e-7, 4e-7], [1e-7, 1e-7, 1e-7], [1e-10, 1e-9, 1e-8], [0.0, 0.0, 0.0]):
+        assert not any(q.ok for q in cc._orders(runs(sizes)))
+
+
 def test_joystick_keeps_off_the_ends(crane: Crane, semi_recursive: SemiRecursiveEngine) -> None:
     x0 = semi_recursive.static_start(crane.initial.z1, crane.initial.z4)
     time, commands = cases.joystick(crane, x0, 12.0, np.random.default_rng(SEED))

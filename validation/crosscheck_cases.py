@@ -22,6 +22,8 @@ MARGIN = 0.03
 SAMPLE = 1e-3
 #: what a crane that is drawn at random has of the given one: two constants of nature, and what its gauges count from
 _KEPT = ("gravity", "fluid.vapour_pressure", "supply.pressure_reference")
+#: when probes of effects begin that begin at a time, s: within the run that excites them, and between samples
+BEGIN = 2.5003
 #: changes (m) that bring both ends of both strokes into the range of random poses, for end stops
 _SHORT_STROKES = {
     f"cylinders.{c}.{n}": by for c in CYLINDERS for n, by in (("empty_length", 0.3), ("chamber_range", -0.5))
@@ -133,7 +135,8 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
             base = crane.with_parameters({"payload.mass": 100.0})
         if effect.name == "end_stop":  # bring both ends into the range of random states
             base = crane.with_parameters({n: crane[n] + by for n, by in _SHORT_STROKES.items()})
-        probes[key] = base.with_effect(key, {p.name: p.typical for p in effect.parameters})
+        begins = {p.name: BEGIN for p in effect.parameters if p.name == "T" and p.shape}
+        probes[key] = base.with_effect(key, {p.name: p.typical for p in effect.parameters} | begins)
     return probes
 
 
