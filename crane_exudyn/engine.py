@@ -291,7 +291,7 @@ class _System:
         self._p, self._dp, self._held = (
             np.zeros((size, 4)),
             np.zeros((size, 4)),
-            np.zeros((size, trapezoidal.N_START, 4)),
+            np.zeros((size, trapezoidal.N_BALANCES, 4)),
         )
         self._udd = np.zeros((size, width // 2 - 4))
         self._P, self._E = self.plant.P.copy(), self.plant.E.copy()
@@ -312,8 +312,8 @@ class _System:
         """Return (states, first crane beyond its stroke or -1); `status` says crane by crane whether the step was solved."""
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
-        ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self._udd, self.status, self._last)
-        if not trapezoidal.predict(plant.P, plant.E, time, h, before, plant.inertia, x, w0, *ends):
+        ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self.status, self._last)
+        if not trapezoidal.predict(plant.P, plant.E, time, h, before, plant.inertia, x, w0, self._udd, *ends):
             self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
             return out, -1
         plant.inputs[...] = w1

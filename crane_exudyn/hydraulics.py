@@ -29,6 +29,10 @@ DISTURBANCES = ("torque.O", "torque.A", "force.x", "force.y", "flow.p1", "flow.p
 #: length of w, and where moments, forces and flows begin in it
 N_W, TORQUE, FORCE, FLOW = 12, 4, 6, 8
 
+#: rows of a table (N_BALANCES, 4) of the chambers: dN/dt in m^3/s, the amounts of oil N in m^3, by the cylinder's length dN/ds in
+#: m^2 and by pressure dN/dy in m^3/Pa; and behind them the flows in (m^3/s) and the pressures (Pa)
+GAIN, AMOUNT, DRAW, SLOPE, INTO, REAL, N_BALANCES = range(7)
+
 #: the loop between supply pressure and flow is solved to this fraction of the pressure
 _LOOP_TOLERANCE = 1e-13
 
@@ -172,14 +176,20 @@ def chambers(P, E, c, s, ya, yb):
 
 
 @njit
-def changed_amounts(P, E, c, s, ya, yb, ds, dya, dyb):
-    """Return the amounts (m^3) in both chambers of cylinder c after small changes of length (m) and pressures (Pa), linearly."""
-    area_a, area_b = areas(P, c)
-    least = vapour_pressure(P)
-    (amount_a, slope_a, volume_a, _), (amount_b, slope_b, volume_b, _) = fillings(P, E, c, s, ya, yb)
-    force = area_a * (dya if ya > least else 0.0) - area_b * (dyb if yb > least else 0.0)
-    moved = ds + hooks.series_compliance(E, c) * force
-    return amount_a + slope_a * dya + volume_a * area_a * moved, amount_b + slope_b * dyb - volume_b * area_b * moved
+def changed_amounts(P, E, c, balances, ya, yb, ds, dya, dyb):
+    """Return the amounts (m^3) in both chambers of cylinder c after small changes of length (m) and pressures (Pa), linearly.
+
+    `balances` is the table of `chamber_balances` before the changes, at the state's pressures ya, yb.
+    """
+    a, b, moved = 2 * c, 2 * c + 1, ds
+    inv_k = hooks.series_compliance(E, c)
+    if inv_k != 0.0:
+        least = vapour_pressure(P)
+        moved += inv_k * pressure_force(P, c, dya if ya > least else 0.0, dyb if yb > least else 0.0)
+    return (
+        balances[AMOUNT, a] + balances[SLOPE, a] * dya + balances[DRAW, a] * moved,
+        balances[AMOUNT, b] + balances[SLOPE, b] * dyb + balances[DRAW, b] * moved,
+    )
 
 
 @njit
@@ -257,42 +267,48 @@ def _piston_speed(P, E, c, ds, ya, yb, fill_a, fill_b, into_a, into_b):
 
 
 @njit
-def chamber_balances(P, E, w, s1, s2, ds1, ds2, y, gain, amount, growth, slope):
-    """Fill four (4,) arrays for all chambers at a state's pressures y (4,): dN/dt, N, what motion takes of it, and dN/dy.
+def chamber_balances(P, E, w, s1, s2, ds1, ds2, y, balances):
+    """Fill the table (N_BALANCES, 4) of all chambers at a state's pressures y (4,).
 
-    (34) is slope dy/dt = gain - growth, with gain = density (flow in) in m^3/s and growth = dN/dV A v, v the piston's speed.
+    (34) is dN/dy dy/dt = dN/dt - dN/ds v, with dN/dt = density (flow in) and the piston's speed v.
 
     Returns:
         (v1, v2, tied): the pistons' speeds, and whether an effect ties both cylinders to the supply.
     """
-    into, p = np.empty(4), np.empty(4)
-    real_pressures(P, y, p)
-    tied = flows_in(P, E, w, p, into)
-    v1 = _cylinder_balances(P, E, 0, s1, ds1, y, into, gain, amount, growth, slope)
-    v2 = _cylinder_balances(P, E, 1, s2, ds2, y, into, gain, amount, growth, slope)
+    real_pressures(P, y, balances[REAL])
+    tied = flows_in(P, E, w, balances[REAL], balances[INTO])
+    v1 = _cylinder_balances(P, E, 0, s1, ds1, y, balances)
+    v2 = _cylinder_balances(P, E, 1, s2, ds2, y, balances)
     return v1, v2, tied
 
 
 @njit
-def _cylinder_balances(P, E, c, s, ds, y, into, gain, amount, growth, slope):
+def _cylinder_balances(P, E, c, s, ds, y, balances):
     a, b = 2 * c, 2 * c + 1
     area_a, area_b = areas(P, c)
+    into_a, into_b = balances[INTO, a], balances[INTO, b]
     fill_a, fill_b = fillings(P, E, c, s, y[a], y[b])
-    v = _piston_speed(P, E, c, ds, y[a], y[b], fill_a, fill_b, into[a], into[b])
-    amount[a], slope[a], volume_a, density_a = fill_a
-    amount[b], slope[b], volume_b, density_b = fill_b
-    gain[a], gain[b] = density_a * into[a], density_b * into[b]
-    growth[a], growth[b] = volume_a * area_a * v, -volume_b * area_b * v
+    v = _piston_speed(P, E, c, ds, y[a], y[b], fill_a, fill_b, into_a, into_b)
+    balances[AMOUNT, a], balances[SLOPE, a], volume_a, density_a = fill_a
+    balances[AMOUNT, b], balances[SLOPE, b], volume_b, density_b = fill_b
+    balances[GAIN, a], balances[GAIN, b] = density_a * into_a, density_b * into_b
+    balances[DRAW, a], balances[DRAW, b] = volume_a * area_a, -volume_b * area_b
     return v
+
+
+@njit
+def pressure_rates(balances, v1, v2, out):
+    """Fill out (4,) with the rates of the state's pressures in Pa/s, (34), from the table of balances and the pistons' speeds."""
+    for j in range(4):
+        out[j] = (balances[GAIN, j] - balances[DRAW, j] * (v1 if j < 2 else v2)) / balances[SLOPE, j]
 
 
 @njit
 def all_pressure_rates(P, E, w, s1, s2, ds1, ds2, y, out):
     """Fill out (4,) with the rates of the state's pressures in Pa/s, (34)."""
-    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    chamber_balances(P, E, w, s1, s2, ds1, ds2, y, gain, amount, growth, slope)
-    for j in range(4):
-        out[j] = (gain[j] - growth[j]) / slope[j]
+    balances = np.empty((N_BALANCES, 4))
+    v1, v2, _ = chamber_balances(P, E, w, s1, s2, ds1, ds2, y, balances)
+    pressure_rates(balances, v1, v2, out)
 
 
 @njit
@@ -300,8 +316,7 @@ def piston_speeds(P, E, w, s1, s2, ds1, ds2, y):
     """Return (v1, v2) in m/s: the cylinders' rates, less what springs in series take up."""
     if hooks.series_compliance(E, 0) == 0.0 and hooks.series_compliance(E, 1) == 0.0:
         return ds1, ds2
-    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    v1, v2, _ = chamber_balances(P, E, w, s1, s2, ds1, ds2, y, gain, amount, growth, slope)
+    v1, v2, _ = chamber_balances(P, E, w, s1, s2, ds1, ds2, y, np.empty((N_BALANCES, 4)))
     return v1, v2
 
 

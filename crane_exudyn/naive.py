@@ -56,7 +56,7 @@ class SolveDynamicEngine:
         plant, width = self.plant, self.plant.coordinates
         q, v, a, p, dp = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(4), np.zeros(4)
         arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-        held, udd = np.zeros((trapezoidal.N_START, 4)), np.zeros(width // 2 - 4)
+        held, udd = np.zeros((trapezoidal.N_BALANCES, 4)), np.zeros(width // 2 - 4)
         wide = np.concatenate([w, np.zeros(8)])
         flag = trapezoidal.start(
             plant.P[0], plant.E[0], time, plant.inertia[0], x, wide, arms, N, q, v, a, p, dp, held, udd

@@ -39,8 +39,7 @@ TOLERANCE = 1e-9
 _DV, _DP = 1e-7, 20.0
 #: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the oil of its chamber
 POSITION_ERROR, RATE_ERROR, PRESSURE_ERROR = 1e-8, 3e-6, 300.0
-# rows of the (n, N_START, 4) table of what the chambers had at the start of a step
-AMOUNT, GAIN, N_START = 0, 1, 2
+GAIN, AMOUNT, DRAW, SLOPE, N_BALANCES = hyd.GAIN, hyd.AMOUNT, hyd.DRAW, hyd.SLOPE, hyd.N_BALANCES
 
 
 @njit
@@ -48,7 +47,7 @@ def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp, held, udd):
     """Fill q, v, a, p, dp of one crane from its state x (8 or 10,): joints closed, accelerations and rates consistent.
 
     Args:
-        held: (N_START, 4), filled with the amounts of oil and their rates; udd: (nu,), with the independent accelerations.
+        held: (N_BALANCES, 4), filled with `hydraulics.chamber_balances`; udd: (nu,), with the independent accelerations.
 
     Returns:
         ITERATING, or UNREACHABLE or SINGULAR.
@@ -68,10 +67,8 @@ def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp, held, udd):
     if not red.accelerations(P, E, t, w, inertia, N, arms, q, v, p, work, f, M, udd, a):
         return SINGULAR
     s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
-    growth, slope = np.empty(4), np.empty(4)
-    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, held[GAIN], held[AMOUNT], growth, slope)
-    for j in range(4):
-        dp[j] = (held[GAIN, j] - growth[j]) / slope[j]
+    v1, v2, _ = hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, held)
+    hyd.pressure_rates(held, v1, v2, dp)
     return ITERATING
 
 
@@ -97,7 +94,7 @@ def _refer(P, E, before, inertia, x, udd, arms, N, q, v, a):
 
 
 @njit
-def predict(P, E, t, h, start_inertia, inertia, x, w, q, v, a, p, dp, held, udd, status, last):
+def predict(P, E, t, h, start_inertia, inertia, x, w, udd, q, v, a, p, dp, held, status, last):
     """Fill the (n, .) arrays of the end of the step with a first guess: a1 = a0 and dp1 = dp0.
 
     Args:
@@ -105,14 +102,14 @@ def predict(P, E, t, h, start_inertia, inertia, x, w, q, v, a, p, dp, held, udd,
         P, E: (n, .) parameters.
         start_inertia, inertia: (n, 5, 4) masses at the start and the end of the step.
         x, w: states (n, nx) and inputs (n, 12) at the start of the step.
-        held: (n, N_START, 4) filled with amounts of oil and their rates at the start;  udd: (n, nu) accelerations there.
+        held: (n, N_BALANCES, 4) filled with the chambers' balances at the start;  udd: (n, nu) with the accelerations there.
         status, last: (n,), set for the first iteration.
 
     Returns:
         False if a crane's status tells that it has no start.
     """
     width = q.shape[1]
-    arms, N = np.zeros((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
+    arms, N, balances = np.zeros((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width)), np.empty((N_BALANCES, 4))
     good = True
     for k in range(x.shape[0]):
         ends = (q[k], v[k], a[k], p[k], dp[k], held[k], udd[k])
@@ -128,70 +125,62 @@ def predict(P, E, t, h, start_inertia, inertia, x, w, q, v, a, p, dp, held, udd,
         for j in range(4):
             p[k, j] += h * dp[k, j]
         s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P[k], arms, q[k], v[k])
-        _required_rates(P[k], E[k], w[k], h, s1, s2, ds1, ds2, p[k], held[k], dp[k])
+        _required_rates(P[k], E[k], w[k], h, s1, s2, ds1, ds2, p[k], held[k], balances, dp[k])
     return good
 
 
 @njit
-def _required_rates(P, E, w, h, s1, s2, ds1, ds2, p, held, dp):
+def _required_rates(P, E, w, h, s1, s2, ds1, ds2, p, held, balances, dp):
     """Fill dp (4,) with the pressure rates at the end of a step with which the rule holds for the amounts of oil."""
-    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, gain, amount, growth, slope)
+    v1, v2, _ = hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, balances)
     for j in range(4):
-        dp[j] = (2.0 / h * (amount[j] - held[AMOUNT, j]) - held[GAIN, j] - growth[j]) / slope[j]
+        growth = balances[DRAW, j] * (v1 if j < 2 else v2)
+        wanted = 2.0 / h * (balances[AMOUNT, j] - held[AMOUNT, j]) - held[GAIN, j]
+        dp[j] = (wanted - growth) / balances[SLOPE, j]
 
 
 @njit
-def _defects(P, E, w, h, s1, s2, ds1, ds2, p, scale, out):
-    """Fill out (4,) with (N' - 2/h N)/scale of the chambers, and scale with their dN/dy if it is not positive.
+def _tangents(P, E, w, h, s1, s2, ds1, ds2, p, base, Fv, Fp, Rv, Rp):
+    """Fill the derivatives of cylinder forces and chambers' defects after cylinder speeds and pressures.
 
-    Returns:
-        whether an effect ties both cylinders to the supply.
-    """
-    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    _, _, tied = hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, gain, amount, growth, slope)
-    for j in range(4):
-        if scale[j] <= 0.0:
-            scale[j] = slope[j]
-        out[j] = (gain[j] - 2.0 / h * amount[j]) / scale[j]
-    return tied
+    The defect of a chamber is (dN/dt - 2/h N)/(dN/dy). A speed at the end of the step moves the length by h/2 of it, which
+    belongs to the derivative after the speed; flows do not depend on it. The rest is by differences.
 
-
-@njit
-def _tangents(P, E, w, h, s1, s2, ds1, ds2, p, Fv, Fp, Rv, Rp):
-    """Fill the derivatives of cylinder forces and chambers' defects after cylinder speeds and pressures, by differences.
-
-    A speed at the end of the step moves the length by h/2 of it, which belongs to the derivative after the speed.
-
-    Fv (2,): dF_c/dv_c. Fp (2, 4), Rv (4, 2), Rp (4, 4) likewise. Chamber j and j + 2 belong to
-    different cylinders and are moved together, except where an effect ties both cylinders to the supply.
+    base (N_BALANCES, 4): filled with the balances here. Fv (2,): dF_c/dv_c. Fp (2, 4), Rv (4, 2), Rp (4, 4) likewise. Chamber j
+    and j + 2 belong to different cylinders and are moved together, except where an effect ties both cylinders to the supply.
     """
     F1, F2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
-    base, moved, scale, ds = np.empty(4), np.empty(4), np.zeros(4), 0.5 * h * _DV
-    tied = _defects(P, E, w, h, s1, s2, ds1, ds2, p, scale, base)
+    moved, ds = np.empty((N_BALANCES, 4)), 0.5 * h * _DV
+    _, _, tied = hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, base)
     G1, G2 = hyd.cylinder_forces(P, E, w, s1 + ds, s2 + ds, ds1 + _DV, ds2 + _DV, p)
     Fv[0], Fv[1] = (G1 - F1) / _DV, (G2 - F2) / _DV
-    _defects(P, E, w, h, s1 + ds, s2 + ds, ds1 + _DV, ds2 + _DV, p, scale, moved)
     for i in range(4):
-        Rv[i, i // 2] = (moved[i] - base[i]) / _DV
+        Rv[i, i // 2] = -base[DRAW, i] / base[SLOPE, i]
     for j in range(2):
         pa, pb = p[j], p[j + 2]
         p[j], p[j + 2] = pa + _DP, pb + _DP
         G1, G2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
         Fp[0, j], Fp[1, j + 2] = (G1 - F1) / _DP, (G2 - F2) / _DP
         if not tied:
-            _defects(P, E, w, h, s1, s2, ds1, ds2, p, scale, moved)
-            Rp[0, j], Rp[1, j] = (moved[0] - base[0]) / _DP, (moved[1] - base[1]) / _DP
-            Rp[2, j + 2], Rp[3, j + 2] = (moved[2] - base[2]) / _DP, (moved[3] - base[3]) / _DP
+            hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, moved)
+            Rp[0, j], Rp[1, j] = _defect_by_pressure(base, moved, h, 0), _defect_by_pressure(base, moved, h, 1)
+            Rp[2, j + 2], Rp[3, j + 2] = _defect_by_pressure(base, moved, h, 2), _defect_by_pressure(base, moved, h, 3)
         p[j], p[j + 2] = pa, pb
     if tied:
         for j in range(4):
             saved = p[j]
             p[j] = saved + _DP
-            _defects(P, E, w, h, s1, s2, ds1, ds2, p, scale, moved)
+            hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, moved)
             p[j] = saved
             for i in range(4):
-                Rp[i, j] = (moved[i] - base[i]) / _DP
+                Rp[i, j] = _defect_by_pressure(base, moved, h, i)
+
+
+@njit
+def _defect_by_pressure(base, moved, h, i):
+    """Return the derivative of the defect of chamber i, from the balances before and after a change by _DP."""
+    change = moved[GAIN, i] - base[GAIN, i] - 2.0 / h * (moved[AMOUNT, i] - base[AMOUNT, i])
+    return change / (_DP * base[SLOPE, i])
 
 
 @njit
@@ -204,7 +193,7 @@ def _joint_tangents(E, v):
 
 
 @njit
-def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held, udd, status, last):
+def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held, status, last):
     """Improve the end of the step by one Newton iteration for every crane that needs it, given Exudyn's residual there.
 
     A crane that has converged is left alone, so that its result does not depend on its neighbours.
@@ -214,7 +203,7 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held, udd, sta
         h: step in s.
         scale: factor that Exudyn's solver has put on the ODE2 rows.
         residual: Exudyn's [M a - f, rates - dp, G v] of all cranes, joint forces left out.
-        q, v, a, p, dp: (n, .) end of the step, improved in place;  held: (n, N_START, 4) amounts of oil at its start.
+        q, v, a, p, dp: (n, .) end of the step, improved in place;  held: (n, N_BALANCES, 4) the chambers' balances at its start.
         status: (n,) updated;  last: (n,) size of each crane's last increment in RATE_UNIT and PRESSURE_UNIT.
 
     Returns:
@@ -227,14 +216,14 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held, udd, sta
     arms, N = np.zeros((red.N_ARMS, 2)), np.zeros((nu, width))
     D, d, work, g = np.zeros((2, nu)), np.zeros(width), np.zeros(width), np.zeros(red.N_JOINT_ROWS + 1)
     A, b = np.zeros((size, size)), np.zeros(size)
-    Fv, Rv = np.zeros(2), np.zeros((4, 2))
+    Fv, Rv, balances = np.zeros(2), np.zeros((4, 2)), np.empty((N_BALANCES, 4))
     active = 0
     for k in range(n):
         if status[k] != ITERATING:
             continue
         Pk, Ek, mk, qk, vk, pk = P[k], E[k], inertia[k], q[k], v[k], p[k]
         red.arms_of(Pk, mk, qk, arms)
-        e1x, e1y, e2x, e2y = _linearised(Pk, Ek, h, mk, w[k], qk, vk, pk, arms, N, D, Fv, Rv, work, A)
+        e1x, e1y, e2x, e2y = _linearised(Pk, Ek, h, mk, w[k], qk, vk, pk, arms, N, D, Fv, Rv, balances, work, A)
         start_g = n * (width + 4) + rows * k
         for i in range(rows):
             g[i] = -residual[start_g + i]
@@ -247,21 +236,25 @@ def correct(P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held, udd, sta
         if not red.solve(A, b):
             status[k] = SINGULAR
             continue
-        change = _apply(Pk, Ek, w[k], h, mk, N, d, b, arms, qk, vk, a[k], pk, dp[k], held[k])
+        change = _apply(Pk, Ek, w[k], h, mk, N, d, b, arms, balances, qk, vk, a[k], pk, dp[k], held[k])
         status[k], last[k] = _judge(change, last[k]), change
         active += status[k] == ITERATING
     return active
 
 
 @njit
-def _linearised(P, E, h, inertia, w, q, v, p, arms, N, D, Fv, Rv, work, A):
-    """Fill null space N, cylinder rates D, derivatives Fv, Rv and the system A of a crane; return the cylinders' directions."""
+def _linearised(P, E, h, inertia, w, q, v, p, arms, N, D, Fv, Rv, balances, work, A):
+    """Fill null space N, cylinder rates D, derivatives Fv, Rv, the chambers' balances and the system A of a crane.
+
+    Returns:
+        the cylinders' directions.
+    """
     red.null_space(arms, N)
     s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = red.cylinder_kinematics(P, arms, q, v)
     for i in range(N.shape[0]):
         D[0, i], D[1, i] = red.cylinder_rates(arms, N[i], e1x, e1y, e2x, e2y)
     Fp, Rp = np.zeros((2, 4)), np.zeros((4, 4))
-    _tangents(P, E, w, h, s1, s2, ds1, ds2, p, Fv, Fp, Rv, Rp)
+    _tangents(P, E, w, h, s1, s2, ds1, ds2, p, balances, Fv, Fp, Rv, Rp)
     _fill_system(E, h, inertia, N, D, v, Fv, Fp, Rv, Rp, work, A)
     return e1x, e1y, e2x, e2y
 
@@ -307,8 +300,8 @@ def _fill_system(E, h, inertia, N, D, v, Fv, Fp, Rv, Rp, work, A):
 
 
 @njit
-def _apply(P, E, w, h, inertia, N, d, change, arms, q, v, a, p, dp, held):
-    """Add one Newton increment; return its size.
+def _apply(P, E, w, h, inertia, N, d, change, arms, balances, q, v, a, p, dp, held):
+    """Add one Newton increment; return its size. `balances` are those before it, and scratch.
 
     The amounts of oil take the linear change, the pressures follow from them: so the iteration meets no kink where a void
     closes or gas is pressed together.
@@ -328,11 +321,11 @@ def _apply(P, E, w, h, inertia, N, d, change, arms, q, v, a, p, dp, held):
         size = max(size, step) if not math.isnan(step + size) else math.nan
     red.arms_of(P, inertia, q, arms)
     s3, s4, ds3, ds4, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
-    a1, a2 = hyd.changed_amounts(P, E, 0, s1, p[0], p[1], s3 - s1, change[nu], change[nu + 1])
-    a3, a4 = hyd.changed_amounts(P, E, 1, s2, p[2], p[3], s4 - s2, change[nu + 2], change[nu + 3])
+    a1, a2 = hyd.changed_amounts(P, E, 0, balances, p[0], p[1], s3 - s1, change[nu], change[nu + 1])
+    a3, a4 = hyd.changed_amounts(P, E, 1, balances, p[2], p[3], s4 - s2, change[nu + 2], change[nu + 3])
     p[0], p[1] = hyd.settled_pressures(P, E, 0, s3, a1, a2, p[0], p[1])
     p[2], p[3] = hyd.settled_pressures(P, E, 1, s4, a3, a4, p[2], p[3])
-    _required_rates(P, E, w, h, s3, s4, ds3, ds4, p, held, dp)
+    _required_rates(P, E, w, h, s3, s4, ds3, ds4, p, held, balances, dp)
     return size
 
 
@@ -351,16 +344,16 @@ def finish(P, E, t, h, allowed, inertia, x, w0, w1, q, v, p, held, udd, status, 
         the first crane that is beyond its stroke, or -1.
     """
     width = q.shape[1]
-    arms, N = np.zeros((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
+    arms, N, balances = np.zeros((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width)), np.empty((N_BALANCES, 4))
     beyond = -1
     for k in range(q.shape[0]):
         if status[k] != DONE:
             continue
         read_motion(P[k], inertia[k], x[k], q[k], v[k], arms, out[k])
-        s1, s2, gain = _settle(P[k], E[k], h, inertia[k], w1[k], arms, N, q[k], v[k], p[k], held[k], out[k])
+        s1, s2 = _settle(P[k], E[k], h, inertia[k], w1[k], arms, q[k], v[k], p[k], held[k], balances, out[k])
         if beyond < 0 and stroke_end(P[k], E[k], s1, s2, out[k, 4:8]) > 0:
             beyond = k
-        what = (inertia[k], x[k], out[k], w0[k], w1[k], arms, N, q[k], v[k], held[k], gain, udd[k])
+        what = (inertia[k], x[k], out[k], w0[k], w1[k], arms, N, q[k], v[k], held[k], balances[GAIN], udd[k])
         if not _local_error(P[k], E[k], t, h, allowed, *what) <= allowed:
             status[k] = COARSE
     return beyond
@@ -379,22 +372,22 @@ def read_motion(P, inertia, x, q, v, arms, out):
 
 
 @njit
-def _settle(P, E, h, inertia, w, arms, N, q, v, p, held, out):
+def _settle(P, E, h, inertia, w, arms, q, v, p, held, balances, out):
     """Write the pressures that belong to the amounts of oil at the end of a step to out (nx,), at its pose with all joints closed.
 
     Returns:
-        pin-to-pin lengths of the cylinders in m, and the rates (4,) of the amounts.
+        pin-to-pin lengths of the cylinders in m; `balances` (N_BALANCES, 4) is filled.
     """
     theta = out[8] if q.size > 12 else 0.0
     red.close_position(P, E, inertia, out[0], out[1], theta, arms, q)
     s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
-    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, gain, amount, growth, slope)
+    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, balances)
     for j in range(4):
-        amount[j] = held[AMOUNT, j] + 0.5 * h * (held[GAIN, j] + gain[j])
-    out[4], out[5] = hyd.settled_pressures(P, E, 0, s1, amount[0], amount[1], p[0], p[1])
-    out[6], out[7] = hyd.settled_pressures(P, E, 1, s2, amount[2], amount[3], p[2], p[3])
-    return s1, s2, gain
+        balances[AMOUNT, j] = held[AMOUNT, j] + 0.5 * h * (held[GAIN, j] + balances[GAIN, j])
+    N1, N2, N3, N4 = balances[AMOUNT]
+    out[4], out[5] = hyd.settled_pressures(P, E, 0, s1, N1, N2, p[0], p[1])
+    out[6], out[7] = hyd.settled_pressures(P, E, 1, s2, N3, N4, p[2], p[3])
+    return s1, s2
 
 
 @njit
@@ -419,7 +412,7 @@ def _local_error(P, E, t, h, allowed, inertia, x, out, w0, w1, arms, N, q, v, he
     middle, w, width = np.empty(x.size), np.empty(w0.size), q.size
     for i in range(w.size):
         w[i] = 0.5 * (w0[i] + w1[i])
-    amount, between, dp = np.empty(4), np.empty((N_START, 4)), np.empty(4)
+    amount, between, dp = np.empty(4), np.empty((N_BALANCES, 4)), np.empty(4)
     for i in range(nu):
         place, rate = (i, 2 + i) if i < 2 else (8, 9)
         middle[place] = 0.5 * (x[place] + out[place]) + 0.125 * h * (x[rate] - out[rate])
@@ -444,7 +437,7 @@ def _local_error(P, E, t, h, allowed, inertia, x, out, w0, w1, arms, N, q, v, he
     error = _size(P, held, defect, positions)
     if error <= allowed:
         return error
-    return _stiff_error(P, E, h, inertia, w, arms, N, q, v, p, held, defect, positions)
+    return _stiff_error(P, E, h, inertia, w, arms, N, q, v, p, held, between, defect, positions)
 
 
 @njit
@@ -459,26 +452,23 @@ def _size(P, held, defect, positions):
 
 
 @njit
-def _stiff_error(P, E, h, inertia, w, arms, N, q, v, p, held, defect, positions):
+def _stiff_error(P, E, h, inertia, w, arms, N, q, v, p, held, balances, defect, positions):
     """Return the error left of a defect by one iteration of Newton's method towards Simpson's rule, around the middle of the step."""
     nu, width = positions.size, q.size
     D, Fv, Rv, work = np.zeros((2, nu)), np.zeros(2), np.zeros((4, 2)), np.zeros(width)
     A, b, M = np.zeros((nu + 4, nu + 4)), np.empty(nu + 4), np.zeros((nu, nu))
-    _linearised(P, E, h, inertia, w, q, v, p, arms, N, D, Fv, Rv, work, A)
+    _linearised(P, E, h, inertia, w, q, v, p, arms, N, D, Fv, Rv, balances, work, A)
     red.reduced_mass(inertia, N, work, M)
-    gain, amount, growth, slope = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P, arms, q, v)
-    hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, gain, amount, growth, slope)
     for i in range(nu):
         b[i] = 2.0 / h * red.dot(M[i], defect[:nu])
     for j in range(4):
-        b[nu + j] = -2.0 / h * defect[nu + j] / slope[j]
+        b[nu + j] = -2.0 / h * defect[nu + j] / balances[SLOPE, j]
     if not red.solve(A, b):
         return math.inf
     left = np.empty(nu + 4)
     left[:nu] = b[:nu]
     for j in range(4):
-        left[nu + j] = b[nu + j] * slope[j]
+        left[nu + j] = b[nu + j] * balances[SLOPE, j]
     return _size(P, held, left, positions)
 
 
