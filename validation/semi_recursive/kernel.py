@@ -54,7 +54,7 @@ class Work(NamedTuple):
     Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the step size `made`
     for which it was made (0: there is none), and the contraction `rate` that Newton's method had with it.
     `said` holds how many steps were halved, the error of the last step in units of `ERROR_*`, how many of these are allowed, and
-    the PATIENCE: after a step of more iterations the next one has a new tangent.
+    the PATIENCE: after a step of more iterations the next one has a new tangent; and how often the next step is halved at once.
     """
 
     primary: np.ndarray
@@ -69,7 +69,9 @@ class Work(NamedTuple):
     said: np.ndarray
 
 
-HALVED, ERROR, ALLOWED, PATIENCE = range(4)
+HALVED, ERROR, ALLOWED, PATIENCE, LEVEL = range(5)
+#: the patience of a run: a tangent costs as much as seven iterations, and serves for hundreds of steps
+PATIENT = 3.0
 
 
 @njit(cache=False)
@@ -93,7 +95,7 @@ def workspace(nx, n_inputs):
     n = index.size
     return Work(
         index, np.empty((levels, n, n)), np.empty((levels, n), np.int64), np.zeros(levels), np.ones(levels),
-        np.empty((3, n)), point(nx), point(nx), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0, MAX_ITERATIONS]),
+        np.empty((3, n)), point(nx), point(nx), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0]),
     )  # fmt: skip
 
 
@@ -359,13 +361,23 @@ def try_step(now, wa, wb, t, h, P, E, work, level):
     return OK if work.said[ERROR] <= work.said[ALLOWED] else TOO_COARSE
 
 
+@njit(inline="always")
+def next_level(level, done, work):
+    """Return how often the next part is halved, after one that was good: once less where a part of twice the length can begin.
+
+    Its error is that of the last part times four at most, which has to be allowed.
+    """
+    fits = (done * 2.0**level) % 2.0 == 0.0
+    return level - 1 if level > 0 and fits and 4.0 * work.said[ERROR] <= work.said[ALLOWED] else level
+
+
 @njit(cache=False)
 def advance(now, w0, w1, t0, h, P, E, work, last):
     """Move the Point `now` by h in place; a step that fails is halved, and its halves again. Return a status.
 
-    With `last` nobody asks for the rates at the end any more.
+    It begins with parts as long as the last one. With `last` nobody asks for the rates at the end any more.
     """
-    done, level = 0.0, 0
+    done, level = 0.0, int(work.said[LEVEL])
     while done < 1.0:
         part = 0.5**level
         wa, wb = work.w[0], work.w[1]
@@ -379,13 +391,13 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
                 settle(now, wb, t0 + done * h, P, E)
             else:
                 settle_pressures(now.x, now.N, P, E)
-            while level > 0 and (done * 2.0**level) % 2.0 == 0.0:
-                level -= 1
+            level = next_level(level, done, work)
         elif level < MOST_HALVINGS:
             level += 1
             work.said[HALVED] += 1.0
         else:
             return status
+    work.said[LEVEL] = level
     return OK
 
 
@@ -403,7 +415,7 @@ def simulate(x0, W, time, step, P, E, allowed=1.0):
     n_times, nx = W.shape[0], x0.size
     X = np.full((n_times, nx), math.nan)
     work, now = workspace(nx, 4), point(nx)
-    work.said[ALLOWED], work.said[PATIENCE] = allowed, 3  # a tangent costs seven iterations, and serves for hundreds of steps
+    work.said[ALLOWED], work.said[PATIENCE] = allowed, PATIENT
     wa, wb = np.empty(4), np.empty(4)
     now.x[:] = x0
     begin(now, W[0], time[0], P, E)
@@ -438,7 +450,7 @@ def propagate_batch(states, W0, W1, t0, dt, n, P, E, allowed=1.0):
     for row in range(rows):
         a, b = W0[row % W0.shape[0]], W1[row % W1.shape[0]]
         p, e = P[row % P.shape[0]], E[row % E.shape[0]]
-        now.x[:] = states[row]
+        now.x[:], work.said[LEVEL] = states[row], 0.0
         begin(now, a, t0, p, e)
         for i in range(n):
             between(a, b, i / n, wa)

@@ -26,13 +26,17 @@ from .equations import settle_pressures
 from .kernel import (
     ALLOWED,
     HALVED,
+    LEVEL,
     MOST_HALVINGS,
     NOT_CONVERGED,
     OK,
+    PATIENCE,
+    PATIENT,
     Point,
     begin,
     between,
     factorise,
+    next_level,
     point,
     try_step,
     workspace,
@@ -265,7 +269,7 @@ def copy_tangents(source, target):
 def advance_sample(base, k, v, work):
     """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a status."""
     wa, wb = v.inputs[0], v.inputs[1]
-    done, level = 0.0, 0  # in steps
+    done, level = 0.0, int(work.said[LEVEL])  # in steps
     while done < base.substeps:
         part = 0.5**level
         start, end = done / base.substeps, (done + part) / base.substeps
@@ -281,13 +285,13 @@ def advance_sample(base, k, v, work):
                 return NOT_CONVERGED
             copy_tangents(v.after, v.before)
             done += part
-            while level > 0 and (done * 2.0**level) % 2.0 == 0.0:
-                level -= 1
+            level = next_level(level, done, work)
         elif level < MOST_HALVINGS:
             level += 1
             work.said[HALVED] += 1.0
         else:
             return status
+    work.said[LEVEL] = level
     return OK
 
 
@@ -298,7 +302,7 @@ def begin_window(base, k, start, v, work):
     v.S[:] = 0.0
     set_identity(v.S, 0)
     evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before)
-    work.made[:] = 0.0
+    work.made[:], work.said[LEVEL] = 0.0, 0.0
 
 
 @njit(cache=False)
@@ -319,7 +323,7 @@ def _sweep(x0_knots, knot_index, base, want_phi):
     Phi = np.zeros((N if want_phi else 0, nx, nx))
     v = new_moving(nx, m, n_own, M + (nx if want_phi else 0), base.W_all.shape[2])
     work = workspace(nx, base.W_all.shape[2])
-    work.said[ALLOWED] = base.allowed
+    work.said[ALLOWED], work.said[PATIENCE] = base.allowed, PATIENT
     status, failed, window, alive = OK, -1, -1, False
     for k in range(N):
         if window + 1 < K and knot_index[window + 1] == k:
