@@ -159,6 +159,14 @@ def test_live_survives_bad_commands_and_says_so():
     assert [e[1] for e in live.events] == ["commands", "commands"]
 
 
+def test_live_says_in_one_line_what_was_given():
+    live = estimator()
+    for commands, measurements in ((np.zeros((9, 9)), {}), ((0.0, 0.0), np.zeros((9, 9)))):
+        with pytest.raises(CraneError, match="found array") as refusal:
+            live.step(commands, measurements)
+        assert len(str(refusal.value).splitlines()) == 1
+
+
 @pytest.mark.parametrize("method", ["ukf", "sr-ukf", "ckf", "ekf"])
 def test_all_filters_follow_the_crane(method):
     estimate = estimator(method=method).run(recording())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -29,7 +30,9 @@ def command_of(commands: Sequence[float] | Mapping[str, float]) -> np.ndarray:
     except (TypeError, ValueError):
         found = np.empty(0)
     if found.shape != (2,):
-        raise CraneError(f"commands: found {commands!r}. Give two numbers in [-1, 1], one for each valve: (u1, u2).")
+        raise CraneError(
+            f"commands: found {_shown(commands)}. Give two numbers in [-1, 1], one for each valve: (u1, u2)."
+        )
     return found
 
 
@@ -41,12 +44,17 @@ def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.n
     """
     if not isinstance(measurements, Mapping):
         raise CraneError(
-            f"measurements: found {measurements!r}. Give a mapping such as {{'z1': 0.17, 'p1': 62e5}}, SI."
+            f"measurements: found {_shown(measurements)}. Give a mapping such as {{'z1': 0.17, 'p1': 62e5}}, SI."
         )
     for name in measurements:
         if name not in names:
             raise CraneError(f"measurements: {name!r} is no sensor of this estimator.{nearest(str(name), list(names))}")
     return np.array([number(measurements.get(n), f"measurements: {n}") for n in names])
+
+
+def _shown(value: Any) -> str:
+    """Return what was given in one line, shortened."""
+    return textwrap.shorten(repr(value), 80)
 
 
 def first_stamp(time: Any) -> float:
