@@ -188,13 +188,8 @@ class ExudynEngine:
         status = system.status.copy() if system.status.any() else None
         for k in () if status is None else np.flatnonzero(status):
             if status[k] == trapezoidal.UNREACHABLE or halved == _MOST_HALVINGS:  # type: ignore[index]
-                raise faulty_laws.where_run_failed(self.crane, x[k], w0[k], time, h) or self._failure(
-                    int(status[k]),  # type: ignore[index]
-                    x[k],
-                    time,
-                    h,
-                    halved,
-                )
+                law = faulty_laws.where_run_failed(self.crane, x[k], w0[k], time, h)
+                raise law or self._failure(int(status[k]), x[k], time, h, halved)  # type: ignore[index]
             a, b, middle = w0[k, None], w1[k, None], 0.5 * (w0[k, None] + w1[k, None])
             own = (None, None) if P is None or E is None else (P[k, None], E[k, None])
             self.halved += 1

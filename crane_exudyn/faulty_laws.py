@@ -40,6 +40,12 @@ def where_run_failed(crane: Crane, state: np.ndarray, w: np.ndarray, time: float
     return None
 
 
+def where_start_failed(crane: Crane, state: np.ndarray) -> CraneError | None:
+    """Return the same for a static start (nx,) that is not finite; valves are closed there."""
+    known = np.where(np.isfinite(state), state, 0.0)
+    return where_run_failed(crane, known, np.array([0.0, 0.0, np.nan, np.nan]), 0.0, 0.0)
+
+
 def without_numbers(crane: Crane, finite: Callable[[Crane], bool]) -> list[str]:
     """Return the effects "name@place" without which `finite` would hold, or with which alone it does not; none where it holds."""
     if finite(crane):

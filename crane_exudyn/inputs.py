@@ -108,7 +108,7 @@ class SpoolPath:
 
     def __init__(self, crane: Crane) -> None:
         P, self._E = crane.parameter_vector(), crane.effect_vector()
-        self._crane, self._name = crane, crane.name
+        self._crane = crane
         self._valves = [valve_of(P, self._E, c) for c in range(len(CYLINDERS))]
         for c, valve in enumerate(self._valves):
             if not np.isfinite(valve).all():
@@ -181,14 +181,14 @@ class SpoolPath:
         if bad.size:
             k, c = bad[0]
             raise CraneError(
-                f"{self._name}: the {CYLINDERS[c]} command at t = {t[k]:g} s is {u[k, c]:g}, expected a number from -1 to "
+                f"{self._crane.name}: the {CYLINDERS[c]} command at t = {t[k]:g} s is {u[k, c]:g}, expected a number from -1 to "
                 "1. Scale the commands, or calibrate the valve voltages (valves.*.voltage in the crane file)."
             )
         back = np.flatnonzero(~(np.diff(t) > 0.0))
         if back.size:
             k = int(back[0])
             raise CraneError(
-                f"{self._name}: command times do not increase at {t[k + 1]:g} s (before: {t[k]:g} s). Sort them and remove "
+                f"{self._crane.name}: command times do not increase at {t[k + 1]:g} s (before: {t[k]:g} s). Sort them and remove "
                 "repeated ones."
             )
 

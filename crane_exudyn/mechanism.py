@@ -434,17 +434,6 @@ def _all_rates(P, E, w, inertia, q, v, p, out):
         hyd.all_pressure_rates(P[k], E[k], w[k], s1, s2, ds1, ds2, pk, out[k])
 
 
-@njit
-def _redundant(P, E, inertia, x, arms, N, q, v):
-    theta, dtheta = (x[8], x[9]) if q.size > 12 else (0.0, 0.0)
-    if not red.close_position(P, E, inertia, x[0], x[1], theta, arms, q):
-        return False
-    red.null_space(arms, N)
-    u = np.array([x[2], x[3], dtheta])
-    red.velocities(N, u, v)
-    return True
-
-
 def redundant(plant: Plant, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (q, v) of one state: redundant coordinates and velocities with all joints closed.
 
@@ -454,7 +443,7 @@ def redundant(plant: Plant, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     width = plant.coordinates
     q, v = np.zeros(width), np.zeros(width)
     arms, N = np.empty((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-    if not _redundant(plant.P[0], plant.E[0], plant.inertia[0], np.asarray(state, dtype=float), arms, N, q, v):
+    if not red.place(plant.P[0], plant.E[0], plant.inertia[0], np.asarray(state, dtype=float), arms, N, q, v):
         raise geo.unreachable(plant.crane.name, state[0], state[1])
     return q, v
 

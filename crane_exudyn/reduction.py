@@ -177,6 +177,17 @@ def velocities(N, u, v):
 
 
 @njit
+def place(P, E, inertia, x, arms, N, q, v):
+    """Fill arms, null space N, q and v (12 or 14,) of a state x (8 or 10,), all joints closed; return whether the loop can be closed."""
+    theta, dtheta = (x[8], x[9]) if q.size > 12 else (0.0, 0.0)
+    if not close_position(P, E, inertia, x[0], x[1], theta, arms, q):
+        return False
+    null_space(arms, N)
+    velocities(N, np.array([x[2], x[3], dtheta]), v)
+    return True
+
+
+@njit
 def centripetal(arms, v, out):
     """Fill out (12 or 14,) with the part of the accelerations that comes from the velocities alone."""
     g = np.zeros(N_JOINT_ROWS + 1)

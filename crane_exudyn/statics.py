@@ -28,11 +28,8 @@ def _reduce(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
     inertia, arms, N = np.zeros((5, 4)), np.zeros((red.N_ARMS, 2)), np.zeros((nu, width))
     q, v, bias, work, M = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width), np.zeros((nu, nu))
     red.inertias(P, E, time, inertia)
-    theta, dtheta = (x[8], x[9]) if nu > 2 else (0.0, 0.0)
-    if not red.close_position(P, E, inertia, x[0], x[1], theta, arms, q):
+    if not red.place(P, E, inertia, x, arms, N, q, v):
         raise geo.unreachable(crane.name, x[0], x[1])
-    red.null_space(arms, N)
-    red.velocities(N, np.array([x[2], x[3], dtheta]), v)
     red.centripetal(arms, v, bias)
     red.reduced_mass(inertia, N, work, M)
     kinematics = red.cylinder_kinematics(P, arms, q, v)
@@ -79,10 +76,7 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
             )
         state[4 + 2 * c : 6 + 2 * c] = _pressures(P, E, c, r["kinematics"][c], needed[c] / leverage, low[c])
     if not np.isfinite(state).all():
-        known = np.where(np.isfinite(state), state, 0.0)
-        raise faulty_laws.where_run_failed(
-            crane, known, np.array([0.0, 0.0, math.nan, math.nan]), 0.0, 0.0
-        ) or CraneError(
+        raise faulty_laws.where_start_failed(crane, state) or CraneError(
             f"{crane.name}: there is no static start at z1 = {math.degrees(z1):.2f} deg, z4 = {math.degrees(z4):.2f} deg: "
             "the forces there are not finite. Look for numbers of the crane that are out of proportion."
         )
@@ -170,14 +164,10 @@ def _geometry_terms(crane: Crane, x: np.ndarray, r: dict[str, Any]) -> dict[str,
 def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str, float]:
     P, E = r["P"], r["E"]
     s1, s2, ds1, ds2 = r["kinematics"][:4]
-    rates = np.zeros(4)
-    hyd.all_pressure_rates(P, E, w, s1, s2, ds1, ds2, p, rates)
-    real = np.zeros(4)
-    hyd.real_pressures(P, p, real)
-    amounts = [
-        filling[0] for c, s in enumerate((s1, s2)) for filling in hyd.fillings(P, E, c, s, p[2 * c], p[2 * c + 1])
-    ]
-    speeds = hyd.piston_speeds(P, E, w, s1, s2, ds1, ds2, p)
+    balances, rates = np.zeros((hyd.N_BALANCES, 4)), np.zeros(4)
+    *speeds, _ = hyd.chamber_balances(P, E, w, s1, s2, ds1, ds2, p, balances)
+    hyd.pressure_rates(balances, *speeds, rates)
+    amounts, real = balances[hyd.AMOUNT], balances[hyd.REAL]
     forces = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
     pp, pt = hyd.supply_loop(P, E, w, real)
     out = (

@@ -53,15 +53,8 @@ def start(P, E, t, inertia, x, w, arms, N, q, v, a, p, dp, held, udd):
         ITERATING, or UNREACHABLE or SINGULAR.
     """
     width, nu = q.size, N.shape[0]
-    theta = x[8] if width > 12 else 0.0
-    if not red.close_position(P, E, inertia, x[0], x[1], theta, arms, q):
+    if not red.place(P, E, inertia, x, arms, N, q, v):
         return UNREACHABLE
-    red.null_space(arms, N)
-    u = np.empty(nu)
-    u[0], u[1] = x[2], x[3]
-    if nu > 2:
-        u[2] = x[9]
-    red.velocities(N, u, v)
     p[:] = x[4:8]
     f, work, M = np.empty(width), np.empty(width), np.empty((nu, nu))
     if not red.accelerations(P, E, t, w, inertia, N, arms, q, v, p, work, f, M, udd, a):
@@ -80,13 +73,7 @@ def _refer(P, E, before, inertia, x, udd, arms, N, q, v, a):
     """
     if np.array_equal(before, inertia):
         return
-    u = np.empty(udd.size)
-    u[0], u[1] = x[2], x[3]
-    if udd.size > 2:
-        u[2] = x[9]
-    red.close_position(P, E, inertia, x[0], x[1], x[8] if udd.size > 2 else 0.0, arms, q)
-    red.null_space(arms, N)
-    red.velocities(N, u, v)
+    red.place(P, E, inertia, x, arms, N, q, v)
     red.centripetal(arms, v, a)
     for j in range(a.size):
         for i in range(udd.size):

@@ -96,9 +96,7 @@ class SemiRecursiveEngine:
         if len(x) > 8:
             x[8] = angle
         if not np.all(np.isfinite(x)):
-            known = np.where(np.isfinite(x), x, 0.0)
-            closed = np.array([0.0, 0.0, math.nan, math.nan])
-            raise faulty_laws.where_run_failed(self.crane, known, closed, 0.0, 0.0) or CraneError(
+            raise faulty_laws.where_start_failed(self.crane, x) or CraneError(
                 f"{self._unreachable(x)} There is no static start."
             )
         return x
