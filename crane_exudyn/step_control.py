@@ -9,7 +9,7 @@ from __future__ import annotations
 from .compiled import njit
 
 #: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the oil of its chamber
-POSITION_ERROR, RATE_ERROR, PRESSURE_ERROR = 1.5e-8, 4.5e-6, 450.0
+POSITION_ERROR, RATE_ERROR, PRESSURE_ERROR = 1e-8, 3e-6, 300.0
 #: a step that cannot be solved, or whose local error is too large, is halved this often before a run ends
 MOST_HALVINGS = 14
 #: what parts may have of a step's error together: what is hard comes again, and its errors add up (a valve that chatters)

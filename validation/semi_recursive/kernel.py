@@ -31,8 +31,9 @@ OK, NOT_CONVERGED, TOO_COARSE = 0, 1, 2
 MAX_ITERATIONS = 16
 #: amounts of oil are counted in this unit, m^3: about what 1 Pa more presses into a chamber
 AMOUNT = 1e-12
-#: Newton stops when no position moves by more than this (rad) and no amount by more than that (AMOUNT)
-POSITION_TOLERANCE, AMOUNT_TOLERANCE = 1e-13, 1e-4
+#: Newton stops when no position moves by more than the step times this (rad/s), or by what it is rounded to (rad), and no amount by more
+#: than that (AMOUNT)
+RATE_TOLERANCE, ROUNDING, AMOUNT_TOLERANCE = 1e-10, 1e-15, 1e-4
 #: forward differences (25): large against rounding, small against the 2 bar and 2 mrad/s over which laws bend
 POSITION_EPSILON, AMOUNT_EPSILON = 1e-7, 1e2
 
@@ -217,11 +218,11 @@ def predict(start, h, work):
 
 
 @njit(cache=False)
-def change_size(index, r):
-    """Return the largest change in units of its tolerance; NaN if any is not a number."""
-    largest = 0.0
+def change_size(index, r, h):
+    """Return the largest change in units of its tolerance in a step h; NaN if any is not a number."""
+    largest, tolerance = 0.0, max(RATE_TOLERANCE * h, ROUNDING)
     for i in range(index.size):
-        size = abs(r[i]) / (AMOUNT_TOLERANCE if 4 <= index[i] < 8 else POSITION_TOLERANCE)
+        size = abs(r[i]) / (AMOUNT_TOLERANCE if 4 <= index[i] < 8 else tolerance)
         if not size <= largest:
             largest = size
         if math.isnan(size):
@@ -240,7 +241,7 @@ def newton(start, w1, t1, h, P, E, work, level):
             return False
         residual(start, end, w1, t1, h, P, E, index, r)
         solve_factorised(work.A[level], work.pivot[level], r)
-        size = change_size(index, r)
+        size = change_size(index, r, h)
         if not size < 1e15:  # a pose that cannot be reached, or far out: smaller steps
             made[level] = 0.0
             return False
