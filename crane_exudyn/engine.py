@@ -14,12 +14,11 @@ from . import parameters as parameter_index
 from .crane import Crane
 from .effects import hooks, registry
 from .errors import CraneError, nearest
+from .step_control import MOST_HALVINGS, limit, next_level
 
 STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
 SWING_NAMES = ("theta", "dtheta")
 _MOST_ITERATIONS = 15
-#: a step that Newton cannot solve, or whose local error is too large, is halved this often before the engine gives up
-_MOST_HALVINGS = 14
 #: systems that are kept for further steps, one a batch size
 _MOST_SYSTEMS = 6
 
@@ -33,7 +32,7 @@ class ExudynEngine:
     Args:
         crane: the crane.
         size: batch size that is built at once; others are built when first asked for.
-        accuracy: local error that a step may have, in units of `trapezoidal.*_ERROR`; a step beyond it is halved.
+        accuracy: local error that a step may have, in units of `step_control.*_ERROR`; a step beyond it is halved.
 
     Example:
         >>> engine = ExudynEngine(Crane.load("patu655"))
@@ -96,7 +95,7 @@ class ExudynEngine:
         rows = np.zeros((2, len(x), hydraulics.N_W))
         rows[:, :, :4] = w[:, None, :] if w.ndim == 2 else w
         P, E = self._rows(parameters, rows) if parameters else (None, None)
-        return self._step(x, rows[0], rows[1], dt, time, 0, P, E)
+        return self._step(x, rows[0], rows[1], dt, time, P, E)
 
     def _rows(self, parameters: Mapping[str, np.ndarray], w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return P (n, .) and E (n, .) with what differs from row to row; disturbances go into w (2, n, 12)."""
@@ -174,30 +173,57 @@ class ExudynEngine:
         w1: np.ndarray,
         h: float,
         time: float,
-        halved: int = 0,
         P: np.ndarray | None = None,
         E: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Take one step; a crane whose Newton iteration does not converge takes two steps of half the length.
+        """Take one step; a crane that cannot take it, or whose error would be too large, goes on alone in parts of it.
 
         Args:
             x: (n, nx);  w0, w1: (n, 12) inputs and disturbances at start and end;  P, E: (n, .), or None for the crane's own.
         """
         system = self._system(len(x))
         out, beyond = system.step(x, w0, w1, h, time, P, E, self.accuracy)
-        status = system.status.copy() if system.status.any() else None
-        for k in () if status is None else np.flatnonzero(status):
-            if status[k] == trapezoidal.UNREACHABLE or halved == _MOST_HALVINGS:  # type: ignore[index]
-                law = faulty_laws.where_run_failed(self.crane, x[k], w0[k], time, h)
-                raise law or self._failure(int(status[k]), x[k], time, h, halved)  # type: ignore[index]
-            a, b, middle = w0[k, None], w1[k, None], 0.5 * (w0[k, None] + w1[k, None])
+        status = system.status.tolist() if system.status.any() else []
+        for k, cause in enumerate(status):
+            if cause == trapezoidal.DONE:
+                continue
+            if cause == trapezoidal.UNREACHABLE:
+                raise self._failure(cause, x[k], w0[k], time, h, 0)
             own = (None, None) if P is None or E is None else (P[k, None], E[k, None])
-            self.halved += 1
-            half = self._step(x[k, None], a, middle, 0.5 * h, time, halved + 1, *own)
-            out[k] = self._step(half, middle, b, 0.5 * h, time + 0.5 * h, halved + 1, *own)[0]
+            out[k] = self._in_parts(x[k, None], w0[k, None], w1[k, None], h, time, *own)[0]
         if beyond >= 0:
             raise self._stroke_end(out[beyond], time + h)
         return out
+
+    def _in_parts(
+        self,
+        x: np.ndarray,
+        w0: np.ndarray,
+        w1: np.ndarray,
+        h: float,
+        time: float,
+        P: np.ndarray | None,
+        E: np.ndarray | None,
+    ) -> np.ndarray:
+        """Return the state (1, nx) of one crane after a step that is taken in parts, each as long as it can be."""
+        system, done, level, left = self._system(1), 0.0, 1, self.accuracy
+        self.halved += 1
+        while done < 1.0:
+            part = 0.5**level
+            start, t = w0 + done * (w1 - w0), time + done * h
+            rows = (x, start, w0 + (done + part) * (w1 - w0), part * h, t, P, E, limit(level, done, left))
+            out, beyond = system.step(*rows)
+            cause = int(system.status[0])
+            if cause == trapezoidal.DONE:
+                if beyond >= 0:
+                    raise self._stroke_end(out[0], t + part * h)
+                x, done, left = out, done + part, left - system.errors[0]
+                level = next_level(level, done, system.errors[0], left) if done < 1.0 else level
+            elif cause == trapezoidal.UNREACHABLE or level == MOST_HALVINGS:
+                raise self._failure(cause, x[0], start[0], t, part * h, level)
+            else:
+                level, self.halved = level + 1, self.halved + 1
+        return x
 
     def _told(self, state: np.ndarray) -> str:
         return ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.state_names, state, strict=True))
@@ -208,7 +234,10 @@ class ExudynEngine:
             "Add the effect end_stop to this cylinder, shorten the command, or mend the cylinder's lengths."
         )
 
-    def _failure(self, status: int, state: np.ndarray, time: float, h: float, halved: int) -> CraneError:
+    def _failure(self, status: int, state: np.ndarray, w: np.ndarray, time: float, h: float, halved: int) -> CraneError:
+        law = faulty_laws.where_run_failed(self.crane, state, w, time, h)
+        if law is not None:
+            return law
         if status == trapezoidal.UNREACHABLE:
             return geometry.unreachable(f"{self.crane.name}, t = {time:.6g} s", state[0], state[1])
         what, mend = {
@@ -291,7 +320,7 @@ class _System:
         self._udd = np.zeros((size, width // 2 - 4))
         self._P, self._E = self.plant.P.copy(), self.plant.E.copy()
         self._before, self._varied, self._payload = np.zeros((size, 5, 4)), False, crane["payload.mass"]
-        self.status, self._last = np.zeros(size, dtype=np.int64), np.zeros(size)
+        self.status, self.errors, self._last = np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size)
 
     def step(
         self,
@@ -304,7 +333,7 @@ class _System:
         E: np.ndarray | None,
         allowed: float,
     ) -> tuple[np.ndarray, int]:
-        """Return (states, first crane beyond its stroke or -1); `status` says crane by crane whether the step was solved."""
+        """Return (states, first crane beyond its stroke or -1); `status` and `errors` say crane by crane how the step went."""
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
         ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self.status, self._last)
@@ -317,7 +346,7 @@ class _System:
             residual = self._residual()
             if not trapezoidal.correct(plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends):
                 break
-        found = (self._q, self._v, self._p, self._held, self._udd, self.status, out)
+        found = (self._q, self._v, self._p, self._held, self._udd, self.status, self.errors, out)
         return out, trapezoidal.finish(plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found)
 
     def _set_parameters(self, P: np.ndarray | None, E: np.ndarray | None, start: float, end: float) -> np.ndarray:

@@ -28,6 +28,7 @@ from . import reduction as red
 from .compiled import njit
 from .effects import hooks
 from .parameters import FLUID
+from .step_control import POSITION_ERROR, PRESSURE_ERROR, RATE_ERROR
 
 # status of a crane in a step
 DONE, ITERATING, UNREACHABLE, SINGULAR, DIVERGED, COARSE = 0, 1, -1, -2, -3, -4
@@ -37,8 +38,6 @@ RATE_UNIT, PRESSURE_UNIT = 1.0, 1e7
 TOLERANCE = 1e-9
 #: finite differences of forces and flows: m/s, rad/s and Pa
 _DV, _DP = 1e-7, 20.0
-#: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the oil of its chamber
-POSITION_ERROR, RATE_ERROR, PRESSURE_ERROR = 1e-8, 3e-6, 300.0
 GAIN, AMOUNT, DRAW, SLOPE, N_BALANCES = hyd.GAIN, hyd.AMOUNT, hyd.DRAW, hyd.SLOPE, hyd.N_BALANCES
 
 
@@ -317,14 +316,14 @@ def _apply(P, E, w, h, inertia, N, d, change, arms, balances, q, v, a, p, dp, he
 
 
 @njit
-def finish(P, E, t, h, allowed, inertia, x, w0, w1, q, v, p, held, udd, status, out):
+def finish(P, E, t, h, allowed, inertia, x, w0, w1, q, v, p, held, udd, status, errors, out):
     """Fill out (n, nx) with the independent states at the end of the step, of the cranes that are DONE.
 
-    A crane whose local error is too large becomes COARSE.
+    `errors` (n,) get the local errors of their steps. A crane whose error is too large becomes COARSE.
 
     Args:
         t, h: start and length of the step in s;  x, w0: (n, .) states and inputs at its start;  w1: inputs at its end.
-        allowed: local error in units of `*_ERROR`.
+        allowed: local error in units of `step_control.*_ERROR`.
         inertia: (n, 5, 4) masses at the end of the step.
 
     Returns:
@@ -341,7 +340,8 @@ def finish(P, E, t, h, allowed, inertia, x, w0, w1, q, v, p, held, udd, status, 
         if beyond < 0 and stroke_end(P[k], E[k], s1, s2, out[k, 4:8]) > 0:
             beyond = k
         what = (inertia[k], x[k], out[k], w0[k], w1[k], arms, N, q[k], v[k], held[k], balances[GAIN], udd[k])
-        if not _local_error(P[k], E[k], t, h, allowed, *what) <= allowed:
+        errors[k] = _local_error(P[k], E[k], t, h, allowed, *what)
+        if not errors[k] <= allowed:
             status[k] = COARSE
     return beyond
 
@@ -379,7 +379,7 @@ def _settle(P, E, h, inertia, w, arms, q, v, p, held, balances, out):
 
 @njit
 def _local_error(P, E, t, h, allowed, inertia, x, out, w0, w1, arms, N, q, v, held, gain, udd):
-    """Return the local error of one crane's step in units of `*_ERROR`; arms, N, q, v are scratch.
+    """Return the local error of one crane's step in units of `step_control.*_ERROR`; arms, N, q, v are scratch.
 
     First by the change of the rates over the step, which bounds the defect of rates that change one way; then by the rates in
     the middle; then after what the system's stiffness makes of it.
@@ -429,7 +429,7 @@ def _local_error(P, E, t, h, allowed, inertia, x, out, w0, w1, arms, N, q, v, he
 
 @njit
 def _size(P, held, defect, positions):
-    """Return the largest of the defects (nu + 4,) of rates and amounts, and of the positions' (nu,), in units of `*_ERROR`."""
+    """Return the largest of the defects (nu + 4,) of rates and amounts, and of the positions' (nu,), in units of `step_control.*_ERROR`."""
     nu, error = positions.size, 0.0
     for i in range(nu):
         error = max(error, abs(defect[i]) / RATE_ERROR, positions[i] / POSITION_ERROR)

@@ -65,9 +65,9 @@ class Process:
         return out if excess is None else out + excess
 
 
-#: local error of a filter's step, in units of the engines': 1 bar and 3e-6 rad. Finer steps of single sigma points move the
-#: estimate by a thousandth of its standard deviation (sensors of 1.5 bar) at three times the cost; this keeps out steps that are wrong
-ACCURACY = 300.0
+#: local error of a filter's step, in units of the engines': 2 bar and 6e-6 rad. Finer steps of single sigma points move the
+#: estimate by less than a hundredth of its standard deviation (sensors of 1.5 bar) at three times the cost; this keeps out steps that are wrong
+ACCURACY = 600.0
 
 
 def accepts_parameters(engine: Any) -> bool:

@@ -13,6 +13,7 @@ from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.step_control import MOST_HALVINGS
 
 from . import equations, kernel
 from .terms import TERM_NAMES, terms
@@ -63,7 +64,7 @@ class SemiRecursiveEngine:
     Args:
         crane: the crane, with its effects.
         step: longest inner time step, s.
-        accuracy: local error that a step may have, in units of `kernel.ERROR_*`; a step beyond it is halved.
+        accuracy: local error that a step may have, in units of `step_control.*_ERROR`; a step beyond it is halved.
     """
 
     def __init__(self, crane: Crane, *, step: float = 1e-3, accuracy: float = 1.0):
@@ -239,7 +240,7 @@ class SemiRecursiveEngine:
         what = "did not converge" if status == kernel.NOT_CONVERGED else "is not accurate"
         return (
             f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) {what}, neither with {h:g} s nor "
-            f"halved up to {kernel.MOST_HALVINGS} times. State: {self._told(x)}. Shortest chamber: "
+            f"halved up to {MOST_HALVINGS} times. State: {self._told(x)}. Shortest chamber: "
             f"{_CHAMBERS[chamber].replace(' empty', '')}, {1e3 * lengths[chamber]:.1f} mm. Look for a pose near the limit of the "
             "loop A-B-C-D, a chamber near its end, or parameters out of proportion."
         )

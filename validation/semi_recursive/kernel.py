@@ -8,7 +8,7 @@ by the equation of state. So what flows into a chamber is what is in it more at 
 Newton's method uses the numerical tangent (25), (26) and keeps it from step to step as long as it converges.
 
 Every step is compared with the fourth-order rule (Simpson's, with Hermite's midpoint): the defect h/3 (f0 + f1 - 2 fm) of the
-trapezoidal rule is the local error. A step whose error is beyond `ERROR_*`, or that does not converge, is halved. Compiled
+trapezoidal rule is the local error. A step whose error is beyond what it may be, or that does not converge, is halved. Compiled
 code raises nothing: it returns a status and the index of the step.
 """
 
@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crane_exudyn.compiled import njit
+from crane_exudyn.step_control import MOST_HALVINGS, POSITION_ERROR, PRESSURE_ERROR, RATE_ERROR, limit, next_level
 
 from .equations import OIL, amounts, balance, balance_of_amounts, pin_to_pin, rates, settle_pressures
 
@@ -27,17 +28,14 @@ __all__ = ["NOT_CONVERGED", "OK", "TOO_COARSE", "cylinder_lengths", "propagate_b
 
 #: status of a run
 OK, NOT_CONVERGED, TOO_COARSE = 0, 1, 2
-#: a step is halved so often at most
-MOST_HALVINGS = 14
 MAX_ITERATIONS = 16
 #: amounts of oil are counted in this unit, m^3: about what 1 Pa more presses into a chamber
 AMOUNT = 1e-12
-#: Newton stops when no position moves by more than this (rad) and no amount by more than that (AMOUNT)
-POSITION_TOLERANCE, AMOUNT_TOLERANCE = 1e-13, 1e-4
+#: Newton stops when no position moves by more than the step times this (rad/s), or by what it is rounded to (rad), and no amount by more
+#: than that (AMOUNT)
+RATE_TOLERANCE, ROUNDING, AMOUNT_TOLERANCE = 1e-10, 1e-15, 1e-4
 #: forward differences (25): large against rounding, small against the 2 bar and 2 mrad/s over which laws bend
 POSITION_EPSILON, AMOUNT_EPSILON = 1e-7, 1e2
-#: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the chamber without gas
-ERROR_POSITION, ERROR_RATE, ERROR_PRESSURE = 1e-8, 3e-6, 300.0
 
 
 class Point(NamedTuple):
@@ -53,7 +51,7 @@ class Work(NamedTuple):
 
     Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the step size `made`
     for which it was made (0: there is none), and the contraction `rate` that Newton's method had with it.
-    `said` holds how many steps were halved, the error of the last step in units of `ERROR_*`, how many of these are allowed, and
+    `said` holds how many steps were halved, the error of the last step in units of `step_control.*_ERROR`, how many of these are allowed, and
     the PATIENCE: after a step of more iterations the next one has a new tangent; and how often the next step is halved at once.
     """
 
@@ -67,9 +65,10 @@ class Work(NamedTuple):
     moved: Point
     w: np.ndarray
     said: np.ndarray
+    past: np.ndarray
 
 
-HALVED, ERROR, ALLOWED, PATIENCE, LEVEL = range(5)
+HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE = range(7)
 #: the patience of a run: a tangent costs as much as seven iterations, and serves for hundreds of steps
 PATIENT = 3.0
 
@@ -95,7 +94,8 @@ def workspace(nx, n_inputs):
     n = index.size
     return Work(
         index, np.empty((levels, n, n)), np.empty((levels, n), np.int64), np.zeros(levels), np.ones(levels),
-        np.empty((3, n)), point(nx), point(nx), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0]),
+        np.empty((3, n)), point(nx), point(nx), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0]),
+        np.zeros(nx),
     )  # fmt: skip
 
 
@@ -202,24 +202,27 @@ def tangent(start, w1, t1, h, P, E, work, level):
 
 
 @njit(cache=False)
-def predict(start, h, index, end):
-    """Write an explicit first guess of the primary variables to the end of the step."""
+def predict(start, h, work):
+    """Write a first guess of the primary variables to the end of the step: rates go on as they changed in the part before."""
+    end, bend = work.end, 0.0
+    if 0.0 < h <= 2.0 * work.said[BEFORE]:
+        bend = h / work.said[BEFORE]
     end.x[:] = start.x
-    for i in range(index.size):
-        k = index[i]
+    for i in range(work.primary.size):
+        k = work.primary[i]
         if 4 <= k < 8:
-            end.N[k - 4] = start.N[k - 4] + h * start.g[k]
+            end.N[k - 4] = start.N[k - 4] + h * (start.g[k] + 0.5 * bend * (start.g[k] - work.past[k]))
         else:
-            rate = rate_of(k)
-            end.x[k] = start.x[k] + h * (start.x[rate] + 0.5 * h * start.g[rate])
+            r = rate_of(k)
+            end.x[k] = start.x[k] + h * (start.x[r] + 0.5 * h * (start.g[r] + bend / 3.0 * (start.g[r] - work.past[r])))
 
 
 @njit(cache=False)
-def change_size(index, r):
-    """Return the largest change in units of its tolerance; NaN if any is not a number."""
-    largest = 0.0
+def change_size(index, r, h):
+    """Return the largest change in units of its tolerance in a step h; NaN if any is not a number."""
+    largest, tolerance = 0.0, max(RATE_TOLERANCE * h, ROUNDING)
     for i in range(index.size):
-        size = abs(r[i]) / (AMOUNT_TOLERANCE if 4 <= index[i] < 8 else POSITION_TOLERANCE)
+        size = abs(r[i]) / (AMOUNT_TOLERANCE if 4 <= index[i] < 8 else tolerance)
         if not size <= largest:
             largest = size
         if math.isnan(size):
@@ -231,14 +234,14 @@ def change_size(index, r):
 def newton(start, w1, t1, h, P, E, work, level):
     """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not converge."""
     index, r, end, made, rate = work.primary, work.rows[0], work.end, work.made, work.rate
-    predict(start, h, index, end)
+    predict(start, h, work)
     before = math.inf
     for iteration in range(MAX_ITERATIONS):
         if not abs(made[level] - h) <= 1e-6 * h and not tangent(start, w1, t1, h, P, E, work, level):
             return False
         residual(start, end, w1, t1, h, P, E, index, r)
         solve_factorised(work.A[level], work.pivot[level], r)
-        size = change_size(index, r)
+        size = change_size(index, r, h)
         if not size < 1e15:  # a pose that cannot be reached, or far out: smaller steps
             made[level] = 0.0
             return False
@@ -265,7 +268,7 @@ def newton(start, w1, t1, h, P, E, work, level):
 
 @njit(cache=False)
 def local_error(start, w0, w1, t0, h, P, E, work, level):
-    """Return the local error of the step from `start` to `work.end` in units of `ERROR_*`.
+    """Return the local error of the step from `start` to `work.end` in units of `step_control.*_ERROR`.
 
     It is the defect of the trapezoidal rule against Simpson's. Three ever better estimates, each only where the one before is not
     enough: by the change of the rates over the step, which bounds the defect of rates that change one way; by the rates in the
@@ -276,14 +279,23 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
         k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
         work.rows[2][i] = h / 3.0 * abs(start.g[k] - end.g[k])
     worst = defect_size(work.rows[2], index, h, start, end, P)
-    if worst <= work.said[ALLOWED]:
+    if worst <= work.said[LIMIT]:
         return worst
+    back = work.said[BEFORE]
+    if 0.5 * h <= back <= 2.0 * h:
+        for i in range(index.size):
+            k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
+            bend = ((end.g[k] - start.g[k]) / h - (start.g[k] - work.past[k]) / back) / (h + back)
+            work.rows[2][i] = h**3 / 6.0 * abs(bend)
+        worst = defect_size(work.rows[2], index, h, start, end, P)
+        if worst <= work.said[LIMIT]:
+            return worst
     middle_rates(start, w0, w1, t0, h, P, E, work)
     for i in range(index.size):
         k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
         work.rows[2][i] = h / 3.0 * abs(start.g[k] + end.g[k] - 2.0 * middle.g[k])
     worst = defect_size(work.rows[2], index, h, start, end, P)
-    if not worst > work.said[ALLOWED]:
+    if not worst > work.said[LIMIT]:
         return worst if worst == worst else math.inf
     for i in range(index.size):
         k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
@@ -297,7 +309,7 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
         )
     worst = defect_size(work.rows[2], index, h, start, end, P)
     for i in range(index.size - 4):
-        worst = max(worst, abs(r[i]) / ERROR_POSITION)
+        worst = max(worst, abs(r[i]) / POSITION_ERROR)
     return worst if worst == worst else math.inf
 
 
@@ -327,17 +339,17 @@ def middle_rates(start, w0, w1, t0, h, P, E, work):
 
 @njit(cache=False)
 def defect_size(defects, index, h, start, end, P):
-    """Return the largest of the defects of rates and amounts, and of those of the positions, in units of `ERROR_*`.
+    """Return the largest of the defects of rates and amounts, and of those of the positions, in units of `step_control.*_ERROR`.
 
-    An amount may be wrong by what ERROR_PRESSURE presses into the oil of its chamber.
+    An amount may be wrong by what PRESSURE_ERROR presses into the oil of its chamber.
     """
     worst = 0.0
     for i in range(index.size):
         k = index[i]
         if 4 <= k < 8:
-            size = defects[i] * P[OIL] / (start.N[k - 4] * ERROR_PRESSURE)
+            size = defects[i] * P[OIL] / (start.N[k - 4] * PRESSURE_ERROR)
         else:
-            size = max(defects[i] / ERROR_RATE, abs(of_position(start, end, rate_of(k), h)) / ERROR_POSITION)
+            size = max(defects[i] / RATE_ERROR, abs(of_position(start, end, rate_of(k), h)) / POSITION_ERROR)
         if not size <= worst:
             worst = size
         if math.isnan(size):
@@ -358,17 +370,19 @@ def try_step(now, wa, wb, t, h, P, E, work, level):
         work.said[ERROR] = math.inf
         return NOT_CONVERGED
     work.said[ERROR] = local_error(now, wa, wb, t, h, P, E, work, level)
-    return OK if work.said[ERROR] <= work.said[ALLOWED] else TOO_COARSE
+    return OK if work.said[ERROR] <= work.said[LIMIT] else TOO_COARSE
 
 
 @njit(inline="always")
-def next_level(level, done, work):
-    """Return how often the next part is halved, after one that was good: once less where a part of twice the length can begin.
+def remember(start, h, work):
+    """Keep the rates at the start of a part of length h that was good, for the first guess and the error of the next."""
+    work.past[:], work.said[BEFORE] = start.g, h
 
-    Its error is that of the last part times four at most, which has to be allowed.
-    """
-    fits = (done * 2.0**level) % 2.0 == 0.0
-    return level - 1 if level > 0 and fits and 4.0 * work.said[ERROR] <= work.said[ALLOWED] else level
+
+@njit(inline="always")
+def forget(work):
+    """Begin anew: no part lies before the next."""
+    work.said[LEVEL], work.said[BEFORE] = 0.0, 0.0
 
 
 @njit(cache=False)
@@ -377,21 +391,24 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
 
     It begins with parts as long as the last one. With `last` nobody asks for the rates at the end any more.
     """
-    done, level = 0.0, int(work.said[LEVEL])
+    done, level, left = 0.0, int(work.said[LEVEL]), work.said[ALLOWED]
     while done < 1.0:
         part = 0.5**level
         wa, wb = work.w[0], work.w[1]
         between(w0, w1, done, wa)
         between(w0, w1, done + part, wb)
+        work.said[LIMIT] = limit(level, done, left)
         status = try_step(now, wa, wb, t0 + done * h, part * h, P, E, work, level)
         if status == OK:
             done += part
+            left = left - work.said[ERROR] if done < 1.0 else work.said[ALLOWED]
+            remember(now, part * h, work)
             now.x[:], now.N[:] = work.end.x, work.end.N
             if done < 1.0 or not last:
                 settle(now, wb, t0 + done * h, P, E)
             else:
                 settle_pressures(now.x, now.N, P, E)
-            level = next_level(level, done, work)
+            level = next_level(level, done % 1.0, work.said[ERROR], left)
         elif level < MOST_HALVINGS:
             level += 1
             work.said[HALVED] += 1.0
@@ -410,7 +427,7 @@ def simulate(x0, W, time, step, P, E, allowed=1.0):
         W: inputs [U1 U2 pp pt] (N, 4) at the times, linear between; NaN in pp or pt: the crane's own.
         time, step: s; each interval is cut into equal steps of at most `step`.
         P, E: parameter and effect vectors.
-        allowed: local error of a step in units of `ERROR_*`; a step beyond it is halved.
+        allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
     """
     n_times, nx = W.shape[0], x0.size
     X = np.full((n_times, nx), math.nan)
@@ -450,7 +467,8 @@ def propagate_batch(states, W0, W1, t0, dt, n, P, E, allowed=1.0):
     for row in range(rows):
         a, b = W0[row % W0.shape[0]], W1[row % W1.shape[0]]
         p, e = P[row % P.shape[0]], E[row % E.shape[0]]
-        now.x[:], work.said[LEVEL] = states[row], 0.0
+        now.x[:] = states[row]
+        forget(work)
         begin(now, a, t0, p, e)
         for i in range(n):
             between(a, b, i / n, wa)

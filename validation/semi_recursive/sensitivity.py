@@ -21,13 +21,15 @@ from typing import NamedTuple
 import numpy as np
 
 from crane_exudyn.compiled import njit
+from crane_exudyn.step_control import MOST_HALVINGS, limit, next_level
 
 from .equations import settle_pressures
 from .kernel import (
     ALLOWED,
+    ERROR,
     HALVED,
     LEVEL,
-    MOST_HALVINGS,
+    LIMIT,
     NOT_CONVERGED,
     OK,
     PATIENCE,
@@ -36,8 +38,9 @@ from .kernel import (
     begin,
     between,
     factorise,
-    next_level,
+    forget,
     point,
+    remember,
     try_step,
     workspace,
 )
@@ -152,7 +155,7 @@ class Base(NamedTuple):
     h: float
     t0: float
     substeps: int
-    allowed: float  # local error of a step, in units of kernel.ERROR_*
+    allowed: float  # local error of a step, in units of step_control.*_ERROR
 
 
 class Tangents(NamedTuple):
@@ -269,15 +272,17 @@ def copy_tangents(source, target):
 def advance_sample(base, k, v, work):
     """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a status."""
     wa, wb = v.inputs[0], v.inputs[1]
-    done, level = 0.0, int(work.said[LEVEL])  # in steps
+    done, level, left = 0.0, int(work.said[LEVEL]), work.said[ALLOWED]  # in steps, and of one
     while done < base.substeps:
         part = 0.5**level
         start, end = done / base.substeps, (done + part) / base.substeps
         h, t = part * base.h / base.substeps, base.t0 + (k + start) * base.h
         between(base.W_all[0, k], base.W_all[0, k + 1], start, wa)
         between(base.W_all[0, k], base.W_all[0, k + 1], end, wb)
+        work.said[LIMIT] = limit(level, done % 1.0, left)
         status = try_step(v.now, wa, wb, t, h, base.P, base.E, work, level)
         if status == OK:
+            remember(v.now, h, work)
             v.now.x[:] = work.end.x
             settle_pressures(v.now.x, work.end.N, base.P, base.E)
             evaluate(base, v, k, end, t + h, v.after)
@@ -285,7 +290,8 @@ def advance_sample(base, k, v, work):
                 return NOT_CONVERGED
             copy_tangents(v.after, v.before)
             done += part
-            level = next_level(level, done, work)
+            left = left - work.said[ERROR] if done % 1.0 > 0.0 else work.said[ALLOWED]
+            level = next_level(level, done % 1.0, work.said[ERROR], left)
         elif level < MOST_HALVINGS:
             level += 1
             work.said[HALVED] += 1.0
@@ -302,7 +308,8 @@ def begin_window(base, k, start, v, work):
     v.S[:] = 0.0
     set_identity(v.S, 0)
     evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before)
-    work.made[:], work.said[LEVEL] = 0.0, 0.0
+    work.made[:] = 0.0
+    forget(work)
 
 
 @njit(cache=False)
@@ -383,7 +390,7 @@ def sweep(
         W_index: (m,) which input signal a probe has; the base's by default.
         own: (m,) bool, which probes use the tangent of their own.
         substeps: steps of the trapezoidal rule per sample interval.
-        allowed: local error of a step in units of `kernel.ERROR_*`; a step beyond it is halved.
+        allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
         want_phi: whether to return the one-sample transition matrices.
     """
     m = len(delta)
