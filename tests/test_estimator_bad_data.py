@@ -186,11 +186,16 @@ def test_calls_of_a_wrong_shape_are_refused_by_name_and_change_nothing(commands,
     assert running.time == 0.0 and running.belief.mean is mean and not running.events
 
 
-def test_infinite_readings_are_missing_ones():
+@pytest.mark.parametrize(("name", "value"), [("z1", float("inf")), ("z1", -1e3), ("p1", 1e308), ("p4", -1e9)])
+def test_readings_that_no_crane_shows_are_missing_ones(name, value):
     running = estimator()
     running.step((0.0, 0.0), SAMPLE, 0.0)
-    now = running.step((0.0, 0.0), SAMPLE | {"z1": float("inf")}, 0.01)
-    assert "z1" not in now.innovation and np.isfinite(now.mean).all() and "infinite" in running.events[0][2]
+    now = running.step((0.0, 0.0), SAMPLE | {name: value}, 0.01)
+    assert name not in now.innovation and np.isfinite(now.mean).all()
+    assert [e[1] for e in running.events] == [name] and f"{value:g}: taken as missing" in running.events[0][2]
+    estimate = estimator().run(spoilt(0.5, **{name: (slice(10, 12), value, False)}))
+    assert [(e.where, e.count) for e in estimate.events] == [(name, 1)] and "2 such samples" in estimate.events[0].text
+    assert not np.isfinite(estimate.innovation[10:12, list(STD).index(name)]).any()
 
 
 @pytest.mark.parametrize("options", [{"max_step": 0.0}, {"max_step": float("nan")}, {"gate": -1.0}])
