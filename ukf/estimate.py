@@ -379,7 +379,7 @@ class Recorder:
             return result
         return replace(result, smoothed=replace(result, **smoothed, method=method + " + RTS smoother"))
 
-    def _smoothed(self, floor: float) -> dict[str, np.ndarray]:
+    def _smoothed(self, floor: float) -> dict[str, Any]:
         """Return what the smoother makes of mean, std and covariance."""
         mean, covariance = smooth(self.mean, self.covariance, self._prior_mean, self._prior_covariance, self._cross)
         variance = np.einsum("nii->ni", covariance).copy()

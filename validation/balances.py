@@ -168,7 +168,7 @@ def _joined(parts: list[Balances]) -> Balances:
     names = ("time", "states", "values", "std", "_covariance", "_gains")
     pieces = {n: [getattr(part, n)[end] for part, end in zip(parts, ends, strict=True)] for n in names}
     parts.clear()  # of ten minutes they are 150 MB: each column is let go once it is joined
-    return Balances(**whole, **{n: np.concatenate(pieces.pop(n)) for n in names})
+    return Balances(**whole | {n: np.concatenate(pieces.pop(n)) for n in names})
 
 
 def _stride(data: FitData) -> int:
