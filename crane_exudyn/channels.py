@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -18,6 +19,8 @@ SENSORS: Mapping[str, str] = MappingProxyType(
     | dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa")
     | dict.fromkeys(("s1", "s2"), "m")
 )
+#: by unit, the size that no reading of a crane has: turns that no boom makes, rad/s, 1000 bar, m
+BEYOND: Mapping[str, float] = MappingProxyType({"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0})
 #: what no sensor measures, but simulations and estimates hold: angle and rate of a payload on a pendulum
 UNSEEN: Mapping[str, str] = MappingProxyType({"theta": "rad", "dtheta": "rad/s"})
 #: all channels that a recording may have, and their SI units ("" is a pure number)

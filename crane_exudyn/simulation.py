@@ -128,7 +128,7 @@ def simulate(
         step: largest time step in s.
 
     Raises:
-        CraneError: a recording without commands, or a run that leaves what the crane can do.
+        CraneError: a recording without commands, a payload of negative mass, or a run that leaves what the crane can do.
     """
     crane = Crane.load(crane) if isinstance(crane, str) else crane
     if engine is None:
@@ -138,9 +138,24 @@ def simulate(
     time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
     grid, rows = inner_grid(time, step)
     commands, w = _driven(crane, inputs, grid)
+    _check_payload(crane, grid)
     x0 = initial_state(crane, engine) if start is None else np.asarray(start, dtype=float)
     states = engine.simulate(x0, grid, w, step=step)
     return Simulation(crane, time, tuple(engine.state_names), states[rows], commands[rows], w[rows])
+
+
+def _check_payload(crane: Crane, time: np.ndarray) -> None:
+    """Raise CraneError where effects make the payload's mass negative at an instant of `time` (n,)."""
+    from .effects import hooks
+
+    effects, nominal = crane.effect_vector(), crane["payload.mass"]
+    masses = np.array([hooks.payload_mass(effects, t, nominal) for t in time]) if crane.effects else np.zeros(1)
+    if masses.min() < 0.0:
+        worst = int(np.argmin(masses))
+        raise CraneError(
+            f"{crane.name}: the effects leave the payload of {nominal:g} kg a mass of {masses[worst]:g} kg at t = {time[worst]:g} s. "
+            "Give a larger payload.mass, or an effect that takes away less."
+        )
 
 
 def paper_time() -> np.ndarray:

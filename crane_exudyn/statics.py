@@ -60,7 +60,7 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
     gx, gy = hooks.gravity(E, 0.0, -1.0)
     state = np.array([z1, z4, *[0.0] * 6, *([math.atan2(gx, -gy), 0.0] if swings else [])])
     low = np.broadcast_to(np.asarray(less_loaded, dtype=float), (2,))
-    floor = hyd.vapour_pressure(P)
+    floor = vapour_pressure(crane)
     if not np.all(low >= floor):
         raise CraneError(
             f"{crane.name}: the less loaded chamber cannot be at {low.min():g} Pa, below vapour pressure ({floor:g} Pa)."
@@ -111,10 +111,15 @@ def _pressures(P: np.ndarray, E: np.ndarray, c: int, s: float, force: float, low
     return found
 
 
+def vapour_pressure(crane: Crane) -> float:
+    """Return the pressure in Pa, absolute or gauge as the crane's are, at which its oil boils: the lowest that a gauge shows."""
+    return float(hyd.vapour_pressure(crane.parameter_vector()))
+
+
 def visible(crane: Crane, states: np.ndarray) -> np.ndarray:
     """Return states (…, nx) with the pressures that a gauge would show: vapour pressure where the state remembers a void."""
     shown = np.array(states, dtype=float)
-    shown[..., 4:8] = np.maximum(shown[..., 4:8], hyd.vapour_pressure(crane.parameter_vector()))
+    shown[..., 4:8] = np.maximum(shown[..., 4:8], vapour_pressure(crane))
     return shown
 
 

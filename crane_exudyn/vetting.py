@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from . import geometry as geo
-from .channels import SENSORS, SUPPLY, Channel
+from .channels import BEYOND, SENSORS, SUPPLY, Channel
 from .crane import Crane
 from .errors import CraneError
 from .parameters import CYLINDERS
@@ -29,9 +29,8 @@ Kind = Literal["scale", "clock", "pose", "swapped", "offset"]
 
 _SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
 #: pressures in Pa that a working crane stays between, most of the time; a chamber may stand at vapour pressure, but not all the time
-_LOW, _HIGH, _VACUUM = 0.1e5, 1000e5, -0.5e5
-#: turns in rad that no boom makes, and rates in rad/s
-_TURNS, _FASTEST = 2.5 * math.pi, 20.0
+_LOW, _HIGH, _VACUUM = 0.1e5, BEYOND["Pa"], -0.5e5
+_TURNS, _FASTEST = BEYOND["rad"], BEYOND["rad/s"]
 #: samples a second between which sensors of a crane are read
 _SLOWEST_CLOCK, _FASTEST_CLOCK = 2.0, 2e5
 #: m by which a cylinder may seem longer or shorter than it can be: pins and zero points are known to that

@@ -10,6 +10,7 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import pose
 from crane_exudyn.naive import SolveDynamicEngine
 from crane_exudyn.parameters import POINT_NAMES
+from crane_exudyn.simulation import simulate
 from crane_exudyn.statics import visible
 
 CRANE = Crane.load("patu655")
@@ -283,6 +284,12 @@ def test_unknown_parameter_of_a_row_is_refused():
         ENGINE.propagate(moving_states(1), INPUTS, 1e-3, parameters={"payload.mas": np.ones(1)})
     with pytest.raises(CraneError, match=r"effect 'internal_leakage@lift' has no parameter 'q'"):
         ENGINE.propagate(moving_states(1), INPUTS, 1e-3, parameters={"internal_leakage@lift.q": np.ones(1)})
+
+
+def test_a_payload_cannot_lose_more_than_it_weighs():
+    crane = CRANE.with_effect("payload_change", {"dm": -CRANE["payload.mass"] - 1.0, "T": 5.0})
+    with pytest.raises(CraneError, match="mass of -1 kg at t = 5 s"):
+        simulate(crane)
 
 
 def test_payload_change_takes_place_at_its_time():

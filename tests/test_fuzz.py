@@ -24,7 +24,9 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, Recording, simulate
+from crane_exudyn.errors import CraneError
 from patu import main
+from ukf.estimator import Estimator
 from validation.semi_recursive import SemiRecursiveEngine
 
 FIRST, COUNT = int(os.environ.get("PATU_FUZZ_FIRST", "0")), int(os.environ.get("PATU_FUZZ_COUNT", "0"))
@@ -615,6 +617,76 @@ def test_an_answer_or_one_message(
     found = [tried(kind, number, patu, sound, tmp_path, clean) for number in range(FIRST, FIRST + (COUNT or count))]
     wrong = list(filter(None, found))
     assert not wrong, f"{len(wrong)} of {len(found)}:\n" + "\n".join(wrong)
+
+
+# -- live calls ------------------------------------------------------------------------------------------------------
+
+SOUND = {"z1": 0.2, "z4": -0.75, "p1": 48.7e5, "p4": 37.7e5}
+SENSORS = {"z1": 1e-3, "z4": 1e-3, "p1": 1e5, "p4": 1e5}
+#: what a program may hand over in place of a number, of the commands, of the readings, and seconds by which a clock may leap
+ODD_NUMBERS = (
+    float("nan"), float("inf"), -float("inf"), 1e308, -1e9, 0.0, None, "0.2", "bar", [1.0], {}, True, 1 + 2j, np.float32(0.1),
+)  # fmt: skip
+ODD_COMMANDS = (
+    0.5, [], [0.0], [0.0] * 3, {"u1": 0.0}, {"u9": 1.0, "u1": 0.0}, None, "u1", np.zeros((2, 2)), [[0.0], 0.0], [True, 0.0],
+)  # fmt: skip
+ODD_READINGS = (SOUND | {"z9": 1.0}, {1: 0.2}, [0.2, -0.75], None, "z1")
+LEAPS = (-1e9, -1.0, -1e-3, 0.0, 1e-12, 5.0, 600.0, 1e9)
+
+
+def live_call(draw: random.Random, now: float) -> list[object]:
+    """Return commands, readings and a time, one of which may be odd."""
+    readings = SOUND | {draw.choice(list(SOUND)): draw.choice(ODD_NUMBERS)}
+    some = {n: v for n, v in SOUND.items() if draw.random() < 0.5}
+    kinds = (
+        {},
+        {0: [draw.choice(ODD_NUMBERS), 0.0]},
+        {0: draw.choice(ODD_COMMANDS)},
+        {1: readings},
+        {1: draw.choice(ODD_READINGS)},
+        {1: some},
+        {2: draw.choice(ODD_NUMBERS)},
+        {2: now + draw.choice(LEAPS)},
+    )
+    odd = draw.choice(kinds)
+    return [odd.get(k, sound) for k, sound in enumerate(([0.0, 0.0], SOUND, now))]
+
+
+def odd_calls(live: Estimator, draw: random.Random) -> float:
+    """Make twelve calls of which many are odd; return the time of the last one."""
+    now = 0.0
+    for _ in range(12):
+        now += STEP
+        begin = time.process_time()
+        try:
+            told = live.step(*live_call(draw, now))  # type: ignore[arg-type]
+        except CraneError as refusal:
+            assert len(str(refusal).splitlines()) == 1
+        else:
+            assert np.isfinite(told.mean).all() and np.isfinite(told.std).all() and told.mean[4:8].min() >= 0.0
+            now = max(now, told.time) if abs(told.time - now) < 1e3 else now
+        assert time.process_time() - begin < LONGEST
+    return max(now, live.time or 0.0)
+
+
+@pytest.fixture(scope="module")
+def crane() -> Crane:
+    """A crane for which everything is compiled that a live call needs."""
+    crane = Crane.load("patu655")
+    live = Estimator(crane, "semi-recursive", SENSORS, max_step=2.5e-3)
+    for k in range(3):
+        live.step([0.0, 0.0], SOUND | {"z1": 0.2 + 0.5 * k}, k * STEP)
+    return crane
+
+
+@pytest.mark.parametrize("number", range(FIRST, FIRST + (COUNT or 30)))
+def test_after_odd_live_calls_the_sensors_are_followed_again(crane: Crane, number: int) -> None:
+    live = Estimator(crane, "semi-recursive", SENSORS, max_step=2.5e-3)
+    now = odd_calls(live, random.Random(f"live {number}"))
+    for k in range(60):
+        told = live.step([0.0, 0.0], SOUND, now + (k + 1) * STEP)
+    assert not told.rejected and abs(told["z1"] - 0.2) < 0.005
+    assert np.abs([told[n] - SOUND[n] for n in ("p1", "p4")]).max() < 5e5
 
 
 # -- what it found ---------------------------------------------------------------------------------------------------

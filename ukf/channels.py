@@ -13,7 +13,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.faulty_laws import check_law
-from crane_exudyn.hydraulics import vapour_pressure
+from crane_exudyn.statics import vapour_pressure
 
 from .augment import SENSORS, Extra
 
@@ -51,7 +51,7 @@ class Channels:
                 raise CraneError(f"sensor {name!r} needs the crane's geometry, which this engine does not offer.")
         self.names, self._crane = tuple(names), crane
         self.lags = lags(crane, self.names)
-        self._engine_states, self._least = engine_states, float(vapour_pressure(crane.parameter_vector()))
+        self._engine_states, self._least = engine_states, vapour_pressure(crane)
         self._lengths = lengths
         self._matrix = self._linear_part(engine_states, extras)
         self._distances = [(i, int(n[1]) - 1) for i, n in enumerate(self.names) if n in ("s1", "s2")]

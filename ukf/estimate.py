@@ -13,6 +13,7 @@ import numpy as np
 from . import consistency
 from .monitor import ABSENT, FROZEN, OUTLIER, USED
 from .smoother import smooth
+from .visible import PRESSURES, show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +44,7 @@ class Estimate:
     Attributes:
         time: (N,) s.
         state_names, channel_names: names of the n quantities and the k sensors.
-        mean, std: (N, n).
+        mean, std: (N, n), pressures as gauges would show them (`visible`).
         measured: (N, k), NaN where there was no sample.
         innovation, innovation_std: (N, k), NaN where there was no sample.
         flags: (N, k) uint8, see `monitor`: used, absent, outlier, frozen.
@@ -52,7 +53,8 @@ class Estimate:
         events: what happened on the way.
         inputs: (N, 4) spool positions and supply pressures.
         sensor_std: (k,) noise that the filter took the sensors to have.
-        covariance: (N, n, n) if it was kept.
+        covariance: (N, n, n) of the filter's own state, which remembers voids, if it was kept.
+        floor: Pa, the lowest pressure that a gauge shows.
         noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed (`consistency.guessed_noise`).
         smoothed: the smoothed estimate if it was asked for.
     """
@@ -75,6 +77,7 @@ class Estimate:
     method: str = "ukf"
     sensor_std: np.ndarray | None = None
     covariance: np.ndarray | None = None
+    floor: float = -np.inf
     noise_slack: float = 0.0
     smoothed: Estimate | None = None
     units: Mapping[str, str] = field(default_factory=dict)
@@ -88,7 +91,12 @@ class Estimate:
         from scipy.stats import norm
 
         half = norm.ppf(0.5 + probability / 2) * self.std
-        return self.mean - half, self.mean + half
+        return self.visible(self.mean - half), self.mean + half
+
+    def visible(self, states: np.ndarray) -> np.ndarray:
+        """Return states (N, m) with no pressure below what a gauge shows; the same array, changed."""
+        np.maximum(states[:, PRESSURES], self.floor, out=states[:, PRESSURES])
+        return states
 
     @property
     def nis_mean(self) -> float:
@@ -200,7 +208,7 @@ class Estimate:
     def coverage(self, truth: np.ndarray, probability: float = 0.95) -> dict[str, float]:
         """Return the share of instants at which the true states (N, m), m <= n, are inside their intervals."""
         m = truth.shape[1]
-        shares = consistency.coverage(truth - self.mean[:, :m], self.std[:, :m], probability)
+        shares = consistency.coverage(self.visible(truth.copy()) - self.mean[:, :m], self.std[:, :m], probability)
         return dict(zip(self.state_names, shares.tolist(), strict=False))
 
     def document(self) -> dict[str, Any]:
@@ -334,9 +342,17 @@ class Recorder:
             self.covariance[k] = covariance
 
     def estimate(
-        self, plan: Any, events: list[tuple[float, str, str]], crane: str, method: str, sensor_std: np.ndarray
+        self,
+        plan: Any,
+        events: list[tuple[float, str, str]],
+        crane: str,
+        method: str,
+        sensor_std: np.ndarray,
+        floor: float,
     ) -> Estimate:
-        """Return what was collected; `sensor_std` (k,) is the noise that the filter took the sensors to have."""
+        """Return what was collected; `sensor_std` (k,) and `floor` as in `Estimate`."""
+        smoothed = self._smoothed(floor) if self.smooth else None
+        show(self.mean, self.std, floor)
         result = Estimate(
             time=plan.time,
             state_names=self.states,
@@ -356,14 +372,19 @@ class Recorder:
             method=method,
             sensor_std=sensor_std,
             covariance=self.covariance if self._keeps else None,
+            floor=floor,
             units={n: unit_of(n) for n in (*self.states, *self.channels)},
         )
-        return replace(result, smoothed=self._smoothed(result)) if self.smooth else result
+        if smoothed is None:
+            return result
+        return replace(result, smoothed=replace(result, **smoothed, method=method + " + RTS smoother"))
 
-    def _smoothed(self, filtered: Estimate) -> Estimate:
+    def _smoothed(self, floor: float) -> dict[str, Any]:
+        """Return what the smoother makes of mean, std and covariance."""
         mean, covariance = smooth(self.mean, self.covariance, self._prior_mean, self._prior_covariance, self._cross)
-        std = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0))
-        return replace(filtered, mean=mean, std=std, covariance=covariance, method=filtered.method + " + RTS smoother")
+        variance = np.einsum("nii->ni", covariance).copy()
+        show(mean, variance, floor)
+        return {"mean": mean, "std": _root_of(variance), "covariance": covariance}
 
 
 def _root_of(variance: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ estimate = estimator.run(recording)                            # the whole state
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
-from crane_exudyn.hydraulics import vapour_pressure
+from crane_exudyn.statics import vapour_pressure
 
 from .augment import SENSORS, Augment, resolve
 from .bounds import Bounds, crane_bounds
@@ -23,13 +23,14 @@ from .channels import Channels
 from .estimate import REJECTED, Estimate, Recorder
 from .filter import Belief, FilterError
 from .methods import method_of
-from .monitor import ABSENT, FASTEST, OUTLIER, USED, Monitor, leaps
+from .monitor import ABSENT, FASTEST, OUTLIER, USED, Doubt, Monitor, leaps
 from .noise import ProcessNoise, measurement_noise
 from .process import Process, engine_of
-from .samples import command_of, first_stamp, number, readings_of
+from .samples import command_of, first_stamp, impossible, number, readings_of
 from .second_opinion import SecondOpinion
 from .signals import LONG_GAP, Plan, Signals
 from .start import ANGLE, RIVALS, start_belief, taken
+from .visible import show
 
 #: noise standard deviations where neither the user, the crane file nor the recording says any, SI
 DEFAULT_STD = {
@@ -49,7 +50,7 @@ _FAILURES = (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError)
 
 @dataclass(frozen=True)
 class Now:
-    """What the estimator knows after one sample: SI units, names as in `Estimator.state_names`."""
+    """What the estimator knows after one sample: SI units, names as in `Estimator.state_names`, pressures as gauges would show them."""
 
     time: float
     mean: np.ndarray
@@ -108,6 +109,7 @@ class Estimator:
             raise CraneError(f"max_step is {max_step}. Give a positive time in seconds, such as 1e-3.")
         if gate is not None and not gate > 0.0:
             raise CraneError(f"gate is {gate}. Give a positive number of standard deviations, or None for no gate.")
+        self._floor = vapour_pressure(crane)
         self._std = np.array(list(self.std_of.values()))
         self._variance = measurement_noise(self._std)
         self._extras = resolve(crane, augment)
@@ -147,8 +149,8 @@ class Estimator:
         self.time: float | None = None
         self.count = 0
         self.events: list[tuple[float, str, str]] = []
-        vapour = float(vapour_pressure(self.crane.parameter_vector()))
-        self._monitor = Monitor(self._channels.names, self._std, self._gate, vapour)
+        self._monitor = Monitor(self._channels.names, self._std, self._gate, self._floor)
+        self._belief_in_doubt = Doubt(self._gate)
         self._opinion: SecondOpinion | None = None
         self._spool = None
         self._last_input: np.ndarray | None = None
@@ -201,9 +203,10 @@ class Estimator:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         command = self._usable(command_of(commands))
         readings = readings_of(measurements, (*self.std_of, *SUPPLY))
-        if np.isinf(readings).any():
-            self.events.append((self._clock, "measurements", "infinite: taken as missing"))
-            readings[np.isinf(readings)] = np.nan
+        for k, name in enumerate((*self.std_of, *SUPPLY)):
+            if impossible(name, readings[k]):
+                self.events.append((self._clock, name, f"no crane shows {readings[k]:g}: taken as missing"))
+                readings[k] = np.nan
         return command, readings[: -len(SUPPLY)], readings[-len(SUPPLY) :]
 
     @property
@@ -269,10 +272,12 @@ class Estimator:
     def _now(self, innovation: np.ndarray, flags: np.ndarray, nis: float) -> Now:
         assert self.time is not None
         names = self._channels.names
+        mean, variance = self.belief.mean.copy(), self.belief.covariance.diagonal().copy()
+        show(mean, variance, self._floor)
         return Now(
             time=self.time,
-            mean=self.belief.mean.copy(),
-            std=np.sqrt(np.diag(self.belief.covariance)),
+            mean=mean,
+            std=np.sqrt(variance),
             innovation={n: float(v) for n, v in zip(names, innovation, strict=True) if np.isfinite(v)},
             rejected=tuple(n for n, f in zip(names, flags, strict=True) if f not in (USED, ABSENT)),
             nis=nis,
@@ -295,9 +300,14 @@ class Estimator:
         self._opened = covariance
         self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)))
         self.belief = self._method.begin(mean, covariance)
-        self._monitor.begin(time, taken(first) if self._start is None else ())
-        self._opinion = None
+        self._forget_doubts(time, taken(first) if self._start is None else ())
         self.time = time
+
+    def _forget_doubts(self, time: float, read: Collection[str]) -> None:
+        """Note that the belief was set at `time` from the channels `read`."""
+        self._monitor.begin(time, read)
+        self._belief_in_doubt = Doubt(self._gate)
+        self._opinion = None
 
     def _shown(self, first: Mapping[str, float], spread: Mapping[str, float]) -> Belief:
         """Return the belief (8, …) in which the sensors show `first`, give or take their noise and `spread`."""
@@ -328,8 +338,11 @@ class Estimator:
                 recorder.cut(self.belief)
         self.time = float(times[-1])
         self.count += 1
-        if self._opinion is not None or (result[2] == OUTLIER).any():
-            self._doubt(times, inputs, values, result, recorder)
+        lost = self._belief_in_doubt.ripe(self.time, result[3])
+        if self._opinion is not None:
+            self._hear(times, inputs, values, result, recorder)
+        elif lost or (result[2] == OUTLIER).any():
+            self._doubt(lost, values, result[2], recorder)
         return result
 
     @staticmethod
@@ -338,7 +351,27 @@ class Estimator:
         unknown = np.full(sensors, np.nan)
         return unknown, unknown.copy(), np.full(sensors, ABSENT, np.uint8), float("nan"), 0.0
 
-    def _doubt(
+    def _doubt(self, lost: bool, values: np.ndarray, flags: np.ndarray, recorder: Recorder | None) -> None:
+        """Set up a second filter that believes a sensor which stays rejected, or the sensors where they do not fit the belief.
+
+        A sensor that is at odds with a few readings of its own only is believed without a hearing.
+        """
+        assert self.time is not None
+        outvoted, disputed = self._monitor.outvoted(flags), self._monitor.disputed(self.time, flags)
+        row = outvoted if outvoted >= 0 else disputed
+        if row < 0 and not lost:
+            return
+        doubted = row if row >= 0 else None
+        since = self._monitor.since(row) if row >= 0 else self._belief_in_doubt.since
+        try:
+            self._opinion = SecondOpinion(doubted, self._believing(doubted, values, flags), self.time, since)
+        except _FAILURES:
+            self._dismiss(doubted)
+        else:
+            if outvoted >= 0:
+                self._overturn(np.full(flags.size, np.nan), recorder)
+
+    def _hear(
         self,
         times: np.ndarray,
         inputs: np.ndarray,
@@ -346,15 +379,12 @@ class Estimator:
         result: tuple[np.ndarray, np.ndarray, np.ndarray, float, float],
         recorder: Recorder | None,
     ) -> None:
-        """Let a second filter weigh whether a sensor that stays rejected is right, and go on with that one if it is."""
-        time, flags = float(times[-1]), result[2]
-        if self._opinion is None:
-            row = self._monitor.disputed(time, flags)
-            if row >= 0:
-                self._opinion = SecondOpinion(row, self._believing(row, values, flags), time, self._monitor.since(row))
-            return
-        row, rows = self._opinion.row, (flags == USED)
-        rows[row] = not np.isnan(values[row])
+        """Let the second filter weigh one more sample, and go on with it where it is right."""
+        assert self._opinion is not None
+        time, flags, row = float(times[-1]), result[2], self._opinion.row
+        rows = flags == USED
+        if row is not None:
+            rows[row] = not np.isnan(values[row])
         try:
             prior = self._method.predict(
                 self._opinion.belief,
@@ -369,19 +399,28 @@ class Estimator:
             self._opinion.belief = self._inside(prior if second is None else second)
             self._opinion.weigh(time, result[:2], (innovation, variance), rows)
             right = self._opinion.right(time)
-        if flags[row] == USED or right is False:
-            self._opinion = None
-            self._monitor.dismiss(time, row)
-        elif right:
-            self._overturn(time, innovation, recorder)
+        if right:
+            self._overturn(innovation, recorder)
+        elif right is False or (row is not None and flags[row] == USED):
+            self._dismiss(row)
 
-    def _believing(self, row: int, values: np.ndarray, flags: np.ndarray) -> Any:
-        """Return a belief from what the believed sensors and the one in `row` read now."""
+    def _dismiss(self, row: int | None) -> None:
+        """Go on with the first filter, and listen to the sensor in `row` (None: to all that do not fit) later again."""
+        assert self.time is not None
+        self._opinion = None
+        if row is None:
+            self._belief_in_doubt.heard()
+        else:
+            self._monitor.dismiss(self.time, row)
+
+    def _believing(self, row: int | None, values: np.ndarray, flags: np.ndarray) -> Any:
+        """Return a belief from what the believed sensors and the one in `row` (None: no other) read now."""
         names = self._channels.names
-        rivals = RIVALS.get(names[row], ())
-        return self._anew(
-            {names[i]: float(values[i]) for i in (*np.flatnonzero(flags == USED), row) if names[i] not in rivals}
-        )
+        believed = {names[i]: float(values[i]) for i in np.flatnonzero(flags == USED)}
+        if row is not None:
+            rivals = RIVALS.get(names[row], ())
+            believed = {n: v for n, v in believed.items() if n not in rivals} | {names[row]: float(values[row])}
+        return self._anew(believed)
 
     def _anew(self, first: Mapping[str, float], spread: Mapping[str, float] | None = None) -> Any:
         """Return a belief from what the sensors read now; what they do not show of pose and motion, and the extras, stay."""
@@ -402,22 +441,25 @@ class Estimator:
         """Go on after a gap that is too long to be predicted through."""
         self.events.append((time, "time", f"clock went on by {time - self._clock:.3g} s: anew from the sensors"))
         self.belief = self._anew(first, spread)
-        self._monitor.begin(time, taken(first))
-        self._opinion = None
+        self._forget_doubts(time, taken(first))
         if recorder is not None and recorder.smooth:
             recorder.cut(self.belief)
         self.time = time
         self.count += 1
 
-    def _overturn(self, time: float, innovation: np.ndarray, recorder: Recorder | None) -> None:
-        """Go on with the second filter: the sensor that was rejected is right."""
-        assert self._opinion is not None
+    def _overturn(self, innovation: np.ndarray, recorder: Recorder | None) -> None:
+        """Go on with the second filter, whose innovations (k,) are given: the sensor that was rejected, or all that did not fit, are right."""
+        assert self._opinion is not None and self.time is not None
         row, since, self.belief = self._opinion.row, self._opinion.since, self._opinion.belief
         self._opinion = None
-        self._monitor.believe(time, row, innovation)
-        name = self._channels.names[row]
-        text = f"believed again: it was right since {since:.3f} s and the filter was not, which went on anew from the sensors"
-        self.events.append((time, name, text))
+        self._belief_in_doubt.heard()
+        self._monitor.believe(self.time, row, innovation)
+        if row is None:
+            where, text = "state", f"given up: since {since:.3f} s the sensors did not fit the filter"
+        else:
+            where = self._channels.names[row]
+            text = f"believed again: it was right since {since:.3f} s and the filter was not"
+        self.events.append((self.time, where, f"{text}, which went on anew from the sensors"))
         if recorder is not None and recorder.smooth:
             recorder.cut(self.belief)
 
@@ -538,7 +580,7 @@ class Estimator:
             recorder.note(k, self.belief, *result)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
-        return recorder.estimate(plan, self.events, self.crane.name, self._method_name, self._std)
+        return recorder.estimate(plan, self.events, self.crane.name, self._method_name, self._std, self._floor)
 
     def _on_plan(
         self, plan: Plan, k: int, recorder: Recorder | None = None

@@ -8,6 +8,11 @@ noise should make that impossible.
 
 A sensor that leapt may have been wrong before it and be right since. Once it has agreed with itself for as long as it had been
 believed before (a second at most), it is *disputed*: the estimator then asks for a second opinion (`second_opinion`).
+Where the belief rests on a few readings of the sensor only, because it has just been opened, or the sensor had paused or leapt,
+twice as many that agree with each other need no second opinion: the sensor has *outvoted* itself.
+
+Innovations that are far too large for long, without a leap, may come from a wrong model, which is no reason to reject anything, or
+from a state that has lost its way: then it is the *belief* that is in doubt (`Doubt`).
 """
 
 from __future__ import annotations
@@ -27,8 +32,12 @@ _FROZEN_AFTER = 25
 _APART = 0.1
 #: a rejected sensor is disputed after so many samples and so many seconds at the latest in which it agreed with itself
 _AGREEING, _PATIENCE = 10, 1.0
+#: readings up to which a belief is outvoted by its own sensor, and the fewest that can outvote it
+_FEW, _VOTES = 4, 3
+#: a belief is in doubt after so many seconds in which the sensors did not fit, and after so many at most once it has often been
+_LOST, _SELDOM = 0.1, 10.0
 # columns of the memory
-_VALUE, _CHANGE, _NOISE, _REPEATS, _LONGEST, _INNOVATION, _TIME, _SINCE, _BELIEVED, _PATIENT, _COUNT = range(11)
+_VALUE, _CHANGE, _NOISE, _REPEATS, _LONGEST, _INNOVATION, _TIME, _SINCE, _BELIEVED, _PATIENT, _COUNT, _TAKEN = range(12)
 
 
 @dataclass
@@ -51,9 +60,9 @@ class Monitor:
         self.fastest = np.array([FASTEST[n[0]] for n in self.names])
         self._least = np.array([self.floor if n[0] == "p" else -np.inf for n in self.names])
         # last value and change; mean size of what changes from change to change; repeats and their longest run; last
-        # innovation and time; off and in agreement with itself since; believed since; seconds and samples until it is disputed
-        self.memory = np.full((len(self.names), 11), np.nan)
-        self.memory[:, [_NOISE, _REPEATS, _LONGEST, _COUNT]] = 0.0
+        # innovation and time; off and in agreement with itself since; believed since; seconds until it is disputed; how many readings were off; how many the belief is taken from
+        self.memory = np.full((len(self.names), 12), np.nan)
+        self.memory[:, [_NOISE, _REPEATS, _LONGEST, _COUNT, _TAKEN]] = 0.0
 
     def begin(self, time: float, taken: Collection[str]) -> None:
         """Note that the belief was set at `time` from these channels: their next samples may not leap away from it."""
@@ -61,6 +70,7 @@ class Monitor:
             self.memory[row, _BELIEVED] = time
             self.memory[row, _SINCE] = np.nan
             self.memory[row, _INNOVATION] = 0.0 if name in taken else np.nan
+            self.memory[row, _TAKEN] = name in taken
             self.memory[row, _TIME] = time
 
     def disputed(self, time: float, flags: np.ndarray) -> int:
@@ -68,6 +78,12 @@ class Monitor:
         off = time - self.memory[:, _SINCE]
         ripe = (flags == OUTLIER) & (off >= self.memory[:, _PATIENT]) & (self.memory[:, _COUNT] >= _AGREEING)
         return int(np.argmax(np.where(ripe, off, -1.0))) if ripe.any() else -1
+
+    def outvoted(self, flags: np.ndarray) -> int:
+        """Return the row of a rejected channel that is at odds with the few readings of its own that were believed; else -1."""
+        taken, against = self.memory[:, _TAKEN], self.memory[:, _COUNT]
+        won = (flags == OUTLIER) & (taken <= _FEW) & (against >= np.maximum(2.0 * taken + 1.0, _VOTES))
+        return int(np.argmax(won)) if won.any() else -1
 
     def since(self, row: int) -> float:
         """Return the time since which a rejected channel has agreed with itself."""
@@ -77,10 +93,15 @@ class Monitor:
         """Note that a channel was heard in vain: it is disputed again when it has agreed with itself for twice as long."""
         self.memory[row, _PATIENT] = 2.0 * (time - self.memory[row, _SINCE])
 
-    def believe(self, time: float, row: int, innovation: np.ndarray) -> None:
-        """Note that a channel was right and the belief wrong: it is replaced by one with these innovations (k,), NaN: none."""
-        self.memory[row, _SINCE], self.memory[row, _BELIEVED] = np.nan, time
+    def believe(self, time: float, row: int | None, innovation: np.ndarray) -> None:
+        """Note that a channel was right (None: no single one) and the belief wrong.
+
+        The belief is replaced by one with these innovations (k,), NaN: none.
+        """
         self.memory[:, _INNOVATION] = innovation
+        if row is not None:
+            self.memory[row, _SINCE], self.memory[row, _BELIEVED] = np.nan, time
+            self.memory[row, _TAKEN] = self.memory[row, _COUNT]
 
     def judge(
         self, time: float, values: np.ndarray, innovation: np.ndarray, variance: np.ndarray
@@ -95,6 +116,36 @@ class Monitor:
         return flags, int(bad)
 
 
+@dataclass
+class Doubt:
+    """How long the sensors, all together, have been further from what the filter expects than `gate` allows one of them to be.
+
+    A belief that was in doubt is so again only after twice as long, until the sensors have fitted for a while: a wrong model is not
+    mended by beginning anew.
+    """
+
+    gate: float
+    patience: float = _LOST
+    since: float = np.nan
+    fits_since: float = np.nan
+    samples: int = 0
+
+    def ripe(self, time: float, nis: float) -> bool:
+        """Add a sample's normalised innovation squared, NaN for none; return whether the belief is in doubt now."""
+        if nis > self.gate**2:
+            self.since, self.fits_since = (self.since if self.samples else time), np.nan
+            self.samples += 1
+        elif not np.isnan(nis):
+            self.fits_since, self.samples = (time if np.isnan(self.fits_since) else self.fits_since), 0
+            if time - self.fits_since > _PATIENCE:
+                self.patience = _LOST
+        return self.samples >= _AGREEING and time - self.since >= self.patience
+
+    def heard(self) -> None:
+        """Note that the belief was weighed, with whatever result."""
+        self.samples, self.patience = 0, min(2.0 * self.patience, _SELDOM)
+
+
 def leaps(time: np.ndarray, values: np.ndarray, std: float, fastest: float, gate: float) -> np.ndarray:
     """Return the indices at which a series (n,) begins anew: the sample leaps from the one before by more than is possible."""
     apart = np.diff(time)
@@ -105,7 +156,7 @@ def leaps(time: np.ndarray, values: np.ndarray, std: float, fastest: float, gate
 @njit()
 def _judge(memory, time, values, innovation, variance, std, fastest, least, gate):  # type: ignore[no-untyped-def]
     count = values.size
-    flags = np.zeros(count, np.uint8)
+    flags, agrees = np.zeros(count, np.uint8), np.zeros(count, np.bool_)
     present, repeating, frozen, leaping, bad = 0, 0, 0, 0, 0
     for k in range(count):
         if np.isnan(values[k]):
@@ -113,7 +164,9 @@ def _judge(memory, time, values, innovation, variance, std, fastest, least, gate
             continue
         row = memory[k]
         present += 1
-        _note_agreement(row, time, values[k], std[k], fastest[k], gate)
+        agrees[k] = _agrees(row, time, values[k], std[k], fastest[k], gate)
+        if not np.isnan(row[_SINCE]) and not agrees[k]:
+            row[_SINCE], row[_COUNT] = time, 0.0
         _note_change(row, values[k])
         repeating += row[_REPEATS] > 0
         stuck = _is_frozen(row, std[k], least[k])
@@ -137,18 +190,16 @@ def _judge(memory, time, values, innovation, variance, std, fastest, least, gate
             row[_COUNT] += 1.0
         else:
             row[_INNOVATION] = innovation[k]
+            row[_TAKEN] = row[_TAKEN] + 1.0 if agrees[k] and time - row[_TIME] <= _APART else 1.0
         row[_TIME] = time
         bad += flags[k] != USED
     return flags, bad
 
 
 @njit()
-def _note_agreement(row, time, value, std, fastest, gate):  # type: ignore[no-untyped-def]
-    """Begin to count anew where a sensor that is off leaps away from itself."""
-    if np.isnan(row[_SINCE]):
-        return
-    if abs(value - row[_VALUE]) > gate * np.sqrt(2.0) * std + fastest * (time - row[_TIME]):
-        row[_SINCE], row[_COUNT] = time, 0.0
+def _agrees(row, time, value, std, fastest, gate):  # type: ignore[no-untyped-def]
+    """Return whether a sensor may read this after what it read last."""
+    return abs(value - row[_VALUE]) <= gate * np.sqrt(2.0) * std + fastest * (time - row[_TIME])
 
 
 @njit()

@@ -10,6 +10,7 @@ from crane_exudyn import plots
 from crane_exudyn.plots import Shown
 
 from .monitor import FROZEN, OUTLIER
+from .visible import PRESSURES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,15 +106,24 @@ def _state(axes: Axes, estimate: Estimate, i: int, truth: np.ndarray | None) -> 
     part = _thin(estimate.time.size)
     time, mean = estimate.time[part], estimate.mean[part, i] * what.factor
     half = 1.96 * estimate.std[part, i] * what.factor
+    floor = estimate.floor * what.factor if i in range(PRESSURES.start, PRESSURES.stop) else -np.inf
+    lower = np.maximum(mean - half, floor)
     with plots.style():
-        axes.fill_between(time, mean - half, mean + half, color=_BLUE, alpha=0.25, lw=0, label="95 % interval")
+        axes.fill_between(time, lower, mean + half, color=_BLUE, alpha=0.25, lw=0, label="95 % interval")
         if name in estimate.channel_names:
             _dots(axes, estimate, estimate.channel_names.index(name), what.factor)
         axes.plot(time, mean, color=_BLUE, lw=1.2, label="estimated")
         if truth is not None and i < truth.shape[1]:
-            axes.plot(time, truth[part, i] * what.factor, color=_BLACK, lw=1.0, ls=(0, (4, 2)), label="true")
+            axes.plot(
+                time,
+                np.maximum(truth[part, i] * what.factor, floor),
+                color=_BLACK,
+                lw=1.0,
+                ls=(0, (4, 2)),
+                label="true",
+            )
     settled = slice(time.size // 6, None)  # the interval at the start may be a hundred times as wide
-    low, high = min(mean.min(), (mean - half)[settled].min()), max(mean.max(), (mean + half)[settled].max())
+    low, high = min(mean.min(), lower[settled].min()), max(mean.max(), (mean + half)[settled].max())
     _widen(axes, low, high)
     plots.name_axes(axes, what)
 

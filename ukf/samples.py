@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from crane_exudyn.channels import BEYOND, CHANNELS
 from crane_exudyn.errors import CraneError, nearest
 
 VALVES = ("u1", "u2")
@@ -25,15 +26,12 @@ def command_of(commands: Sequence[float] | Mapping[str, float]) -> np.ndarray:
                 f"commands: found {', '.join(map(str, commands)) or 'nothing'}. Give u1 and u2 in [-1, 1]."
             )
         commands = [commands[name] for name in VALVES]
-    try:
-        found = np.array(commands, float)
-    except (TypeError, ValueError):
-        found = np.empty(0)
+    found = np.asarray(commands, object)
     if found.shape != (2,):
         raise CraneError(
             f"commands: found {_shown(commands)}. Give two numbers in [-1, 1], one for each valve: (u1, u2)."
         )
-    return found
+    return np.array([number(value, f"commands: {name}") for name, value in zip(VALVES, found, strict=True)])
 
 
 def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
@@ -50,6 +48,11 @@ def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.n
         if name not in names:
             raise CraneError(f"measurements: {name!r} is no sensor of this estimator.{nearest(str(name), list(names))}")
     return np.array([number(measurements.get(n), f"measurements: {n}") for n in names])
+
+
+def impossible(name: str, readings: np.ndarray) -> np.ndarray:
+    """Return which readings (n,) of a channel no crane can show, infinite ones among them; NaN is missing and not among them."""
+    return np.asarray(np.abs(readings) > BEYOND[CHANNELS[name]])
 
 
 def _shown(value: Any) -> str:
@@ -74,8 +77,8 @@ def number(value: Any, what: str) -> float:
     if value is None:
         return float("nan")
     try:
-        if np.ndim(value) == 0 and not isinstance(value, str):
+        if np.ndim(value) == 0 and not isinstance(value, (str, bool, np.bool_)):
             return float(value)
     except (TypeError, ValueError):
         pass
-    raise CraneError(f"{what} is {value!r}. Give one number in SI, or leave it out.")
+    raise CraneError(f"{what} is {_shown(value)}. Give one number in SI, or leave it out.")

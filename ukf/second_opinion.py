@@ -5,6 +5,9 @@ believed first. When the sensor then agrees with itself for long (`monitor`), a 
 read now, the rejected one included, and both go on side by side. The *other* sensors, which both believe, decide: the log of the
 ratio of their likelihoods under the two filters is summed over at most half a second. Without another sensor there is nothing
 that speaks against the rejected one, and it is believed.
+
+A belief that no sensor fits for long is heard in the same way: the second filter is set up from what the believed sensors read now,
+all of them decide, and only clear evidence is enough, because a wrong model fits a little better with every new beginning.
 """
 
 from __future__ import annotations
@@ -27,14 +30,14 @@ class SecondOpinion:
     """A belief under which the sensor in row `row` is right, weighed against the one under which it is not.
 
     Attributes:
-        row: of the sensor among the channels.
+        row: of the sensor among the channels; None where no sensor is in question, but the first belief.
         belief: what the second filter believes.
-        begun: when it was set up, s; `since`: since when the sensor has agreed with itself.
-        evidence: log of the likelihood ratio of the other sensors so far, positive for the second filter.
+        begun: when it was set up, s; `since`: since when the sensor has agreed with itself, or none has fitted the first belief.
+        evidence: log of the likelihood ratio of the (other) sensors so far, positive for the second filter.
         steps: samples weighed; `others`: readings of other sensors among them.
     """
 
-    row: int
+    row: int | None
     belief: Any
     begun: float
     since: float
@@ -50,16 +53,19 @@ class SecondOpinion:
             return
         self.steps += 1
         rows = used & np.isfinite(first[0]) & np.isfinite(second[0])
-        rows[self.row] = False
+        if self.row is not None:
+            rows[self.row] = False
         self.others += int(rows.sum())
         self.evidence += _log_likelihood(*second, rows) - _log_likelihood(*first, rows)
 
     def right(self, time: float) -> bool | None:
-        """Return whether the sensor is right and the first filter wrong; None while that is open."""
+        """Return whether the second filter is right and the first one wrong; None while that is open."""
         if self.steps < _FEWEST:
             return None
         if abs(self.evidence) < _CLEAR and time - self.begun < _LONGEST:
             return None
+        if self.row is None:
+            return self.evidence > _CLEAR
         return self.evidence > 0.0 or self.others == 0
 
 

@@ -18,6 +18,7 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.simulation import inner_grid
 
 from .augment import SENSORS
+from .samples import impossible
 
 Series = tuple[np.ndarray, np.ndarray]
 _SAME = 1e-7  # s: stamps of different clocks that are closer than this are one instant
@@ -168,7 +169,11 @@ def _rates(series: Mapping[str, Series]) -> dict[str, float]:
 def clean(time: np.ndarray, values: np.ndarray, name: str, events: list[tuple[float, str, str]]) -> Series:
     """Return the known samples in increasing order of time; repeated and backward stamps are left out and told."""
     time, values = np.asarray(time, float), np.asarray(values, float)
-    known = np.isfinite(time) & np.isfinite(values)
+    wrong = impossible(name, values)
+    if wrong.any():
+        text = f"no crane shows {values[wrong][0]:g}: {wrong.sum()} such samples taken as missing"
+        events.append((float(time[wrong][0]), name, text))
+    known = np.isfinite(time) & np.isfinite(values) & ~wrong
     if not known.all():
         time, values = time[known], values[known]
     if time.size == 0:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.hydraulics import vapour_pressure
+from crane_exudyn.statics import vapour_pressure
 
 from .filter import Belief
 from .lengths import cylinder_lengths
@@ -93,5 +93,4 @@ def _set_pressures(
         other = 1 if channels[0] in known else 0
         measured = mean[at + 1 - other] * area[1 - other]
         balance = (measured - force) / area[1] if other == 1 else (measured + force) / area[0]
-        vapour = float(vapour_pressure(crane.parameter_vector()))
-        mean[at + other] = max(balance, vapour, crane["supply.tank_pressure"])
+        mean[at + other] = max(balance, vapour_pressure(crane), crane["supply.tank_pressure"])

@@ -198,15 +198,15 @@ def noise_at_rest(channel: Channel, time: np.ndarray, commands: np.ndarray) -> f
 
     The quietest quarter of the stretches counts, because after a motion the machine itself rings.
     """
-    open_ = np.abs(commands).max(axis=1) > OPEN
-    spans = np.arange(channel.time[0], channel.time[-1] - _REST, _REST)
+    opened = np.concatenate([[0], np.cumsum(np.abs(commands).max(axis=1) > OPEN)])
+    starts = np.arange(channel.time[0], channel.time[-1] - _REST, _REST)
+    spans = np.searchsorted(channel.time, [starts, starts + _REST]).T
+    commanded = np.searchsorted(time, [starts - _REST, starts + _REST]).T
     found = []
-    for start in spans:
-        inside = (channel.time >= start) & (channel.time < start + _REST)
-        valve = open_[(time >= start - _REST) & (time < start + _REST)]
-        if inside.sum() > 6 and len(valve) and not valve.any():
-            t = channel.time[inside] - start
-            left = channel.values[inside] - np.polyval(np.polyfit(t, channel.values[inside], 2), t)
+    for (a, b), (first, last) in zip(spans, commanded, strict=True):
+        if b - a > 6 and last > first and opened[last] == opened[first]:
+            t, values = channel.time[a:b] - channel.time[a], channel.values[a:b]
+            left = values - np.polyval(np.polyfit(t, values, 2), t)
             found.append(float(left @ left) / (len(left) - 3))
     return float(np.sqrt(np.quantile(found, 0.25))) if found else 0.0
 

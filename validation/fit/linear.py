@@ -194,9 +194,11 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     )  # fmt: skip
     X, S, status = swept.X, swept.S, swept.status
     nx, m = len(x0), len(columns.size)
-    full = np.zeros((len(X), nx, nx + m))
-    full[:, :, :nx] = S[:, :, :nx]
-    full[:, :, nx + moving] = S[:, :, nx:]
+    full = S
+    if len(moving) < m:
+        full = np.zeros((len(X), nx, nx + m))
+        full[:, :, :nx] = S[:, :, :nx]
+        full[:, :, nx + moving] = S[:, :, nx:]
     Y, C = output_rows(channels, X, base.P)
     G = np.einsum("ijk,ikl->ijl", C, full)
     _add_pins(G, channels, X, Y, base, columns)
@@ -213,7 +215,7 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     J[:, :nx] *= JUMP[:nx]
     return Swept(
         [float(part @ part) for part in residuals], [len(part) for part in residuals], J.T @ J, J.T @ r,
-        X[-1], full[-1], volume, status != 0 or not np.isfinite(X[-1]).all(),
+        X[-1].copy(), full[-1].copy(), volume, status != 0 or not np.isfinite(X[-1]).all(),
     )  # fmt: skip
 
 

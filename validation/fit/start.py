@@ -64,12 +64,16 @@ def _angle(crane: Crane, data: FitData, samples: dict[str, Samples], name: str, 
 
 
 def _near(data: FitData, sample: Samples, t: float, span: float) -> tuple[np.ndarray, np.ndarray]:
-    times = data.time[sample.index] + sample.fraction * data.step
-    near = np.abs(times - t) <= span
+    """Return times against t and values of the samples that are at most `span` (s) from t, at least of the four nearest ones."""
+    reach = np.array([-span, span]) + (t - data.time[0])
+    first, last = np.searchsorted(sample.index, reach / data.step + [-1.0, 2.0])
+    around = slice(max(first - 4, 0), last + 4)
+    times = data.time[sample.index[around]] + sample.fraction[around] * data.step - t
+    near = np.abs(times) <= span
     if near.sum() < 4:
         near = np.zeros(len(times), dtype=bool)
-        near[np.argsort(np.abs(times - t))[:4]] = True
-    return times[near] - t, sample.values[near]
+        near[np.argsort(np.abs(times))[:4]] = True
+    return times[near], sample.values[around][near]
 
 
 def _line(data: FitData, sample: Samples, t: float) -> tuple[float, float]:
