@@ -15,9 +15,8 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
+from crane_exudyn.sensors import SENSORS
 from crane_exudyn.simulation import inner_grid
-
-from .augment import SENSORS
 
 Series = tuple[np.ndarray, np.ndarray]
 _SAME = 1e-7  # s: stamps of different clocks that are closer than this are one instant

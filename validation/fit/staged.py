@@ -17,7 +17,7 @@ from crane_exudyn.crane import Crane
 from ..semi_recursive import kernel
 from .data import ACCURACY, FitData, Samples, grid_step
 from .linear import Window, cut
-from .model import Model, model_of, outputs, shown
+from .model import Model, model_of
 from .solve import Fit, fit, fitting_knots, reduce, reknot
 from .start import knots_of
 from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
@@ -112,8 +112,7 @@ def residuals(
     found = {}
     times = {id(s.index): data.time[s.index] + s.fraction * data.step for s in data.samples}
     for s in data.samples:  # one by one: all of ten minutes would be another hundred megabytes
-        own = (s.channel,)
-        z = shown(own, outputs(own, X, model.P), model.E, data.step)[:, 0]
+        z = model.measurement((s.channel,)).shown(X, data.time)[:, 0]
         found[s.channel] = (times[id(s.index)], (s.values - _between(z, s)) / s.noise)
     return found
 
