@@ -16,7 +16,7 @@ import numpy as np
 from .compiled import njit
 from .crane import Crane
 from .effects import hooks
-from .effects.registry import known, slot
+from .effects.registry import known, neutral_vector, slot
 from .faulty_laws import check_law
 from .geometry import cylinder_length
 from .hydraulics import vapour_pressure
@@ -33,6 +33,7 @@ class Measurement:
     Attributes:
         names: (m,) of the sensors.
         lags: (number among the sensors, time constant in s) of those that lag.
+        has_laws: whether effects may make something else of a reading.
     """
 
     def __init__(
@@ -45,7 +46,9 @@ class Measurement:
     ) -> None:
         """Raises CraneError for a sensor that is not in the table."""
         self.names, chosen = tuple(names), [sensor(n, table) for n in names]
-        self._weights = np.array([[float(s in c.shows) for s in states] for c in chosen]).reshape(-1, len(states))
+        most = max((len(c.shows) for c in chosen), default=0)
+        summed = [[states.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
+        self._summed = np.array(summed, np.int64).reshape(-1, most)
         self._cylinder = np.array([-1 if c.shows else c.cylinder for c in chosen], np.int64)
         self._place = np.array([PLACES.index(c.place) if c.place else -1 for c in chosen], np.int64)
         self._is_pressure = np.array([c.unit == "Pa" for c in chosen], bool)
@@ -60,6 +63,9 @@ class Measurement:
     def _set(self, P: np.ndarray, E: np.ndarray) -> None:
         self.P, self.E = P, E
         self._floor = np.where(self._is_pressure, vapour_pressure(P), -np.inf)
+        slots = sensing_slots()
+        self.has_laws = bool((E[slots] != np.array(neutral_vector())[slots]).any())
+        self._is_plain = not self.has_laws and not (self._cylinder >= 0).any()
         taus = [float(hooks.lag(E, place)) for place in self._place]
         self.lags = tuple((j, tau) for j, tau in enumerate(taus) if tau > 0.0)
 
@@ -77,11 +83,15 @@ class Measurement:
 
     def read(self, X: np.ndarray) -> np.ndarray:
         """Return what the sensors would show (n, m) of states X (n, nx) without lag."""
-        return np.asarray(_read(X, self._weights, self._floor, self._cylinder, self._place, self.P, self.E))
+        Y: np.ndarray = _sums(X, self._summed, self._floor)
+        if not self._is_plain:
+            _read(X, self._cylinder, self._place, self.P, self.E, Y)
+        return Y
 
     def rows(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what the sensors would show without lag (n, m), and its derivative (n, m, nx), at states X (n, nx)."""
-        Y, C = _rows(X, self._weights, self._floor, self._cylinder, self._place, self._step, self.P, self.E)
+        Y, C = _sums(X, self._summed, self._floor), np.zeros((len(X), len(self.names), X.shape[1]))
+        _rows(X, self._summed, self._floor, self._cylinder, self._place, self._step, self.P, self.E, Y, C)
         return Y, C
 
     def shown(self, X: np.ndarray, time: np.ndarray, *, settled: bool = False) -> np.ndarray:
@@ -152,37 +162,39 @@ def _followed(y, time, tau, first):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _true(x, weights, floor, cylinder, P, row):  # type: ignore[no-untyped-def]
-    """Return the quantity that a sensor measures in a state x (nx,), and fill in its derivative (nx,)."""
-    row[:] = 0.0
-    if cylinder >= 0:
-        return cylinder_length(P, x, cylinder, row)
-    y = 0.0
-    for i in range(weights.size):
-        if weights[i] != 0.0:
-            y += weights[i] * max(x[i], floor)
-            row[i] = weights[i] if x[i] >= floor else 0.0
-    return y
-
-
-@njit
-def _read(X, weights, floor, cylinder, place, P, E):  # type: ignore[no-untyped-def]
-    Y, row = np.empty((X.shape[0], place.size)), np.empty(X.shape[1])
-    for k in range(X.shape[0]):
-        for j in range(place.size):
-            y = _true(X[k], weights[j], floor[j], cylinder[j], P, row)
-            Y[k, j] = hooks.measurement(E, place[j], y)
+def _sums(X, summed, floor):  # type: ignore[no-untyped-def]
+    """Return the sums (n, m) of the states `summed` (m, most; -1 for no more), none of them below `floor` (m,)."""
+    Y = np.zeros((X.shape[0], summed.shape[0]))
+    for j in range(summed.shape[0]):
+        for i in summed[j]:
+            if i >= 0:
+                for k in range(X.shape[0]):
+                    Y[k, j] += floor[j] if X[k, i] < floor[j] else X[k, i]
     return Y
 
 
 @njit
-def _rows(X, weights, floor, cylinder, place, step, P, E):  # type: ignore[no-untyped-def]
-    Y, C = np.empty((X.shape[0], place.size)), np.empty((X.shape[0], place.size, X.shape[1]))
-    for k in range(X.shape[0]):
-        for j in range(place.size):
-            y = _true(X[k], weights[j], floor[j], cylinder[j], P, C[k, j])
+def _read(X, cylinder, place, P, E, Y):  # type: ignore[no-untyped-def]
+    """Write lengths into Y (n, m), which holds the sums, and make of all that what the laws make of it."""
+    row = np.empty(X.shape[1])
+    for j in range(place.size):
+        for k in range(X.shape[0]):
+            y = cylinder_length(P, X[k], cylinder[j], row) if cylinder[j] >= 0 else Y[k, j]
+            Y[k, j] = hooks.measurement(E, place[j], y)
+
+
+@njit
+def _rows(X, summed, floor, cylinder, place, step, P, E, Y, C):  # type: ignore[no-untyped-def]
+    """Do as `_read`, and add the derivatives to C (n, m, nx)."""
+    for j in range(place.size):
+        for k in range(X.shape[0]):
+            y = Y[k, j]
+            if cylinder[j] >= 0:
+                y = cylinder_length(P, X[k], cylinder[j], C[k, j])
+            for i in summed[j]:
+                if i >= 0 and X[k, i] >= floor[j]:
+                    C[k, j, i] += 1.0
             Y[k, j] = hooks.measurement(E, place[j], y)
             h = step[j] + _OF_READING * abs(y)
             low, high = y - h, y + h
             C[k, j] *= (hooks.measurement(E, place[j], high) - hooks.measurement(E, place[j], low)) / (high - low)
-    return Y, C
