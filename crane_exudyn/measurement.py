@@ -8,8 +8,8 @@ shows a first-order follower of y, tau y_shown' + y_shown = y.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from collections.abc import Mapping, Sequence
+from functools import cache, partial
 
 import numpy as np
 
@@ -46,13 +46,13 @@ class Measurement:
     ) -> None:
         """Raises CraneError for a sensor that is not in the table."""
         self.names, chosen = tuple(names), [sensor(n, table) for n in names]
-        most = max((len(c.shows) for c in chosen), default=0)
+        most = max(1, *(len(c.shows) for c in chosen))
         summed = [[states.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
         self._summed = np.array(summed, np.int64).reshape(-1, most)
         self._cylinder = np.array([-1 if c.shows else c.cylinder for c in chosen], np.int64)
         self._place = np.array([PLACES.index(c.place) if c.place else -1 for c in chosen], np.int64)
         self._is_pressure = np.array([c.unit == "Pa" for c in chosen], bool)
-        self._step = np.array([_OF_NOISE * c.usual_std for c in chosen])
+        self._step = np.array([_OF_NOISE * c.sizes.noise for c in chosen])
         self._set(P, E)
 
     @classmethod
@@ -113,12 +113,12 @@ class Measurement:
         """Raise CraneError that names the crane's effect of which a law gives no number, where `read` gives Y (n, m) of X (n, nx)."""
         for k, j in np.argwhere(~np.isfinite(Y)):
             true = float(self.beside(self.P, crane.nominal().effect_vector()).read(X[k : k + 1])[0, j])
-            check_law(crane, _is_number(int(self._place[j]), true), f"{self.names[j]} = {true:g}")
+            if np.isfinite(true):
+                check_law(crane, partial(_is_number, self._place[j], true), f"{self.names[j]} = {true:g}")
 
 
-def _is_number(place: int, true: float) -> Callable[[Crane], bool]:
-    """Return the function that says whether a crane's laws at a place make a number of a reading."""
-    return lambda crane: bool(np.isfinite(hooks.measurement(crane.effect_vector(), place, true)))
+def _is_number(place: int, true: float, crane: Crane) -> bool:
+    return bool(np.isfinite(hooks.measurement(crane.effect_vector(), place, true)))
 
 
 @cache

@@ -56,7 +56,7 @@ def everywhere(crane: Crane, names: tuple[str, ...] = ALL) -> dict[str, np.ndarr
         seen.append(channels.observe(points)[0])
     found["filter"] = np.array(seen)
     zeros = {n: np.zeros_like(TIME) for n in ("u1", "u2", *names)}
-    told = replace(crane, sensors={n: SENSORS[n].usual_std for n in names})
+    told = replace(crane, sensors={n: SENSORS[n].sizes.noise for n in names})
     data = FitData.of(Recording.from_arrays("r", TIME, zeros), told, rate=np.inf, step=TIME[1])
     left = residuals(crane, data, X[0], simulate=lambda x0, time, w: trajectory(time))
     noise = {s.channel: s.noise for s in data.samples}

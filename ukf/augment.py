@@ -94,7 +94,7 @@ def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
     """Return kind, value, standard deviation and lower limit of a quantity as the crane file knows it."""
     head, _, tail = name.partition(".")
     if head == "bias" and tail in SENSORS:
-        return "bias", 0.0, SENSORS[tail].bias_std, -np.inf
+        return "bias", 0.0, SENSORS[tail].sizes.bias, -np.inf
     if name in DISTURBANCES:
         return "parameter", 0.0, DISTURBANCES[name], -np.inf
     if name in parameters.INDEX:

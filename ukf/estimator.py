@@ -610,4 +610,4 @@ def sensor_std(crane: Crane, sensors: Mapping[str, float] | Sequence[str]) -> di
             raise CraneError(
                 f"sensor {name!r}: a noise standard deviation of {std:g} cannot be used. Give a positive one."
             )
-    return {n: float(s if s is not None else crane.sensors.get(n, sensor(n).usual_std)) for n, s in given.items()}
+    return {n: float(s if s is not None else crane.sensors.get(n, sensor(n).sizes.noise)) for n, s in given.items()}

@@ -293,10 +293,9 @@ def _observed(
     residual, spread = np.full((count, len(channels)), np.nan), np.ones((count, len(channels)))
     C = C[::stride][:count] * scale
     for j, s in enumerate(data.samples):
-        predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
         at = np.minimum(np.round((s.index + s.fraction) / stride).astype(int), count - 1)
         number = np.bincount(at, minlength=count)
-        total = np.bincount(at, (s.values - predicted) / s.noise, minlength=count)
+        total = np.bincount(at, (s.values - s.taken(Z[:, j])) / s.noise, minlength=count)
         there = number > 0
         residual[there, j], spread[there, j] = total[there] / number[there], 1.0 / np.sqrt(number[there])
         C[:, j] /= s.noise

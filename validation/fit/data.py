@@ -31,6 +31,12 @@ class Samples:
     values: np.ndarray
     noise: float
 
+    def taken(self, grid: np.ndarray) -> np.ndarray:
+        """Return what `grid` (N, …) on the grid is at the samples (n, …), linear between grid points."""
+        before = grid[self.index]
+        share = self.fraction.reshape(-1, *[1] * (grid.ndim - 1))
+        return np.asarray(before + share * (grid[self.index + 1] - before))
+
 
 @dataclass(frozen=True)
 class FitData:

@@ -191,7 +191,7 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     _add_own(dZ[:, :, nx:], Z, measurement, X, data.time, columns)
     lags, residuals, jacobians, volume = dict(measurement.lags), [], [], 0.0
     for j, sample in enumerate(data.samples):
-        r, dr = (sample.values - _at(Z[:, j], sample)) / sample.noise, _at(dZ[:, j], sample) / sample.noise
+        r, dr = (sample.values - sample.taken(Z[:, j])) / sample.noise, sample.taken(dZ[:, j]) / sample.noise
         if window.start > 0 and j in lags:
             both, own = forgotten(np.column_stack([r, dr]), sample, data.step, lags[j])
             r, dr, volume = both[:, 0], both[:, 1:], volume + own
@@ -229,12 +229,6 @@ def _add_own(
         if measurement.differs(columns.P[k], columns.E[k]):
             moved = measurement.beside(columns.P[k], columns.E[k]).shown(X, time)
             dZ[:, :, k] += (moved - Z) / size
-
-
-def _at(values: np.ndarray, sample: Samples) -> np.ndarray:
-    low, high = values[sample.index], values[sample.index + 1]
-    share = sample.fraction.reshape(-1, *[1] * (values.ndim - 1))
-    return low + share * (high - low)
 
 
 def normal_equations(

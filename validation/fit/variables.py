@@ -134,9 +134,8 @@ def lateness(variables: Sequence[Variable], u: np.ndarray) -> float:
 
 
 def sensor_scale(key: str) -> float:
-    """Return a telling size of a bias of the sensor at which an effect acts; one bar where it acts on all of them."""
-    place = key.rpartition("@")[2]
-    return SENSORS[place].telling_bias if place in SENSORS else 1e5
+    """Return a telling size of a bias of the sensor at which an effect acts: one degree, or one bar."""
+    return SENSORS[key.rsplit("@", 1)[-1]].sizes.telling
 
 
 def effect_variables(key: str, start: Mapping[str, float]) -> list[EffectParameter]:
