@@ -9,16 +9,13 @@ from types import MappingProxyType
 
 import numpy as np
 
+from . import sensors
+
 COMMANDS = ("u1", "u2")
 VOLTAGES = ("U1", "U2")
 SUPPLY = ("pp", "pt")
 #: measured channels and their SI units
-SENSORS: Mapping[str, str] = MappingProxyType(
-    dict.fromkeys(("z1", "z4", "z4_abs"), "rad")
-    | dict.fromkeys(("dz1", "dz4", "dz4_abs"), "rad/s")
-    | dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa")
-    | dict.fromkeys(("s1", "s2"), "m")
-)
+SENSORS: Mapping[str, str] = MappingProxyType({name: sensor.unit for name, sensor in sensors.SENSORS.items()})
 #: by unit, the size that no reading of a crane has: turns that no boom makes, rad/s, 1000 bar, m
 BEYOND: Mapping[str, float] = MappingProxyType({"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0})
 #: what no sensor measures, but simulations and estimates hold: angle and rate of a payload on a pendulum

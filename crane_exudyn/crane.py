@@ -15,17 +15,11 @@ import numpy as np
 
 from . import crane_toml, parameters
 from .effects import registry
-from .effects.base import CHAMBERS, CYLINDERS, Acting
+from .effects.base import CYLINDERS, Acting
 from .errors import CraneError, nearest
 from .files import write_text
 
 _DATA = "crane_exudyn.data"
-#: sensor channels that a crane file may give a noise standard deviation for, with their SI units
-SENSOR_UNITS: Mapping[str, str] = MappingProxyType(
-    {"z1": "rad", "z4": "rad", "z4_abs": "rad", "dz1": "rad/s", "dz4": "rad/s", "dz4_abs": "rad/s"}
-    | dict.fromkeys(CHAMBERS, "Pa")
-    | {"s1": "m", "s2": "m"}
-)
 
 
 @dataclass(frozen=True)

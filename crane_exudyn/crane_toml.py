@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from . import parameters
+from .channels import SENSORS
 from .effects import registry
 from .effects.base import CYLINDERS, Acting
 from .errors import CraneError, nearest
@@ -143,9 +144,7 @@ def _voltages(valves: Mapping[str, Any], where: str) -> dict[str, Voltage]:
 
 
 def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:
-    from .crane import SENSOR_UNITS
-
-    numbers = _read(table, SENSOR_UNITS, f"{where}: sensors")
+    numbers = _read(table, SENSORS, f"{where}: sensors")
     for name, value in numbers.items():
         if value <= 0:
             raise CraneError(
@@ -215,9 +214,7 @@ def _effect(table: Mapping[str, Any], where: str) -> Acting:
 
 def unit_at(unit: str, place: str) -> str:
     """Return the SI unit of an effect's parameter at a place ("channel" becomes the sensor's unit)."""
-    from .crane import SENSOR_UNITS
-
-    return SENSOR_UNITS[place] if unit == "channel" else unit
+    return SENSORS[place] if unit == "channel" else unit
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

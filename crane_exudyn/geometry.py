@@ -97,6 +97,39 @@ def _points(P, z1, z4, out):
 
 
 @njit
+def cylinder_length(P, z, c, row):
+    """Return the pin-to-pin length (m) of cylinder c at angles z = [z1 z4 …], and fill its derivative by z_c (m/rad) into row[c].
+
+    Lift: from F to G, which turns with z1. Tilt: from H to C, which turns with z2 of z4, seen from the lift boom; NaN where the
+    loop cannot close.
+    """
+    pin, base, pivot, angle, rate = G, F, O, z[0], 1.0
+    if c == 1:
+        z2, z3, _ = loop_angles(P, z[1])
+        pin, base, pivot, angle, rate = C, H, B, z2, loop_rates(P, z2, z3, z[1])[0]
+    x, y = _turned(P, pin, angle, P[pivot], P[pivot + 1])
+    along, across = x - P[base], y - P[base + 1]
+    length = math.hypot(along, across)
+    row[c] = rate * ((x - P[pivot]) * across - (y - P[pivot + 1]) * along) / length
+    return length
+
+
+@njit
+def _lengths(P, z, out):
+    row = np.empty(2)
+    for k in range(len(z)):
+        for c in range(2):
+            out[k, c] = cylinder_length(P, z[k], c, row)
+
+
+def cylinder_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:
+    """Return pin-to-pin lengths s1, s2 in m (m, 2) at angles z1, z4 in rad (m, 2), NaN where the loop cannot close."""
+    out = np.empty((len(z), 2))
+    _lengths(crane.parameter_vector(), np.ascontiguousarray(z, float), out)
+    return out
+
+
+@njit
 def _pose_arrays(P, z1, z4, points, angles, rates, lengths, length_rates):
     """Fill the arrays for every state; return the index of the first unreachable one, or -1."""
     for k in range(z1.size):
@@ -105,14 +138,8 @@ def _pose_arrays(P, z1, z4, points, angles, rates, lengths, length_rates):
         z2, z3, _ = loop_angles(P, z4[k])
         angles[k] = (z2, z3)
         rates[k] = loop_rates(P, z2, z3, z4[k])
-        p = points[k]
-        e1x, e1y = p[2, 0] - p[1, 0], p[2, 1] - p[1, 1]
-        e2x, e2y = p[6, 0] - p[3, 0], p[6, 1] - p[3, 1]
-        s1, s2 = math.hypot(e1x, e1y), math.hypot(e2x, e2y)
-        gx, gy = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
-        cx, cy = p[6, 0] - p[4, 0], p[6, 1] - p[4, 1]
-        lengths[k] = (s1, s2)
-        length_rates[k] = ((gx * e1y - gy * e1x) / s1, rates[k, 0] * (cx * e2y - cy * e2x) / s2)
+        for c in range(2):
+            lengths[k, c] = cylinder_length(P, (z1[k], z4[k]), c, length_rates[k])
     return -1
 
 

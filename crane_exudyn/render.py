@@ -125,7 +125,7 @@ def coordinates(
 ) -> np.ndarray:
     """Return x, y, angle of every part of `render_shapes.PARTS` at n poses, shape (n, 3 * parts), in m and rad.
 
-    theta is the angle of the payload's pendulum, where the crane has one (effect `payload_swing`).
+    theta is the angle of the payload's pendulum, where the crane has one (hook `pendulum`).
     """
     closed = pose(crane, z1, z4)
     at = {name: closed.points[:, i] for i, name in enumerate(POINT_NAMES)}

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from .crane import Crane
+from .effects import hooks
 from .mechanism import exu  # imports Exudyn quietly, and always the same build of it
 
 Graphics = dict[str, Any]
@@ -255,9 +256,8 @@ def log(crane: Crane, paint: Paint) -> list[Graphics]:
 
 
 def pendulum_length(crane: Crane) -> float:
-    """Return the length in m of the pendulum on which the payload hangs (effect `payload_swing`); 0 without one."""
-    effect = crane.effect("payload_swing")
-    return 0.0 if effect is None else float(effect.parameters["length"])
+    """Return the length in m of the pendulum on which the payload hangs; 0 without one."""
+    return float(hooks.pendulum(crane.effect_vector())[0])
 
 
 def rope(crane: Crane, paint: Paint) -> list[Graphics]:

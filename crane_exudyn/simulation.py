@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .channels import CHANNELS, COMMANDS, SUPPLY
+from .channels import CHANNELS, COMMANDS, SENSORS, SUPPLY
 from .crane import Crane
 from .errors import CraneError
 from .recording import Recording
@@ -33,9 +33,10 @@ class Simulation:
         crane: what was simulated.
         time: (N,) s.
         state_names: names of the nx states.
-        states: (N, nx); a pressure below vapour pressure stands for a void, see `laws.oil`; channels show vapour pressure.
+        states: (N, nx), what is true; a pressure below vapour pressure stands for a void, see `laws.oil`.
         commands: (N, 2) spool commands u1, u2.
         inputs: (N, 4) spool positions U1, U2 and supply pressures pp, pt (NaN: the crane's own).
+        readings: (N, m) what the sensors of `sensors.SENSORS` show of the states, without noise.
     """
 
     crane: Crane
@@ -44,31 +45,26 @@ class Simulation:
     states: np.ndarray
     commands: np.ndarray
     inputs: np.ndarray
+    readings: np.ndarray
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a channel (N,) by name: a command, a state, z4_abs, dz4_abs, s1 or s2."""
+        """Return a channel (N,) by name: a command, what a sensor shows, a supply pressure, or a state that no sensor shows."""
         return self._channels[name]
 
     def channels(self) -> dict[str, np.ndarray]:
-        """Return every channel (N,) that a recording may hold, as it really is: without noise and sensor effects."""
+        """Return every channel (N,) that a recording may hold, as the crane's sensors show it, without noise."""
         return dict(self._channels)
 
     @cached_property
     def _channels(self) -> dict[str, np.ndarray]:
-        from .geometry import pose
-        from .statics import visible
-
         found = dict(zip(COMMANDS, self.commands.T, strict=True))
-        found |= dict(zip(self.state_names, visible(self.crane, self.states).T, strict=True))
-        found["z4_abs"] = found["z1"] + found["z4"]
-        found["dz4_abs"] = found["dz1"] + found["dz4"]
-        lengths = pose(self.crane, found["z1"], found["z4"]).lengths
-        found |= {"s1": lengths[:, 0], "s2": lengths[:, 1]}
+        found |= dict(zip(self.state_names, self.states.T, strict=True))
+        found |= dict(zip(SENSORS, self.readings.T, strict=True))
         supply = dict(zip(SUPPLY, self.inputs[:, 2:].T, strict=True))
         return found | {name: values for name, values in supply.items() if not np.isnan(values).all()}
 
     def recording(self) -> Recording:
-        """Return the run as a recording, as if perfect sensors had measured every channel."""
+        """Return the run as a recording: every channel as the crane's sensors show it, without noise."""
         return Recording.from_arrays(f"simulation of {self.crane.name}", self.time, self.channels())
 
     def to_csv(self, path: str | Path) -> None:
@@ -141,7 +137,22 @@ def simulate(
     _check_payload(crane, grid)
     x0 = initial_state(crane, engine) if start is None else np.asarray(start, dtype=float)
     states = engine.simulate(x0, grid, w, step=step)
-    return Simulation(crane, time, tuple(engine.state_names), states[rows], commands[rows], w[rows])
+    readings = sensed(crane, states, grid)[rows]
+    return Simulation(crane, time, tuple(engine.state_names), states[rows], commands[rows], w[rows], readings)
+
+
+def sensed(crane: Crane, states: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return what the sensors of a crane show (n, m) of states (n, nx) at `time` (n,) in s; those that lag begin settled.
+
+    Raises:
+        CraneError: the law of a sensor's effect gives no number.
+    """
+    from .measurement import Measurement
+
+    measurement = Measurement.of(crane)
+    readings = measurement.shown(states, time, settled=True)
+    measurement.check(crane, readings, states)
+    return readings
 
 
 def _check_payload(crane: Crane, time: np.ndarray) -> None:

@@ -70,9 +70,9 @@ def command(
     """
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
-    from crane_exudyn.vetting import vetted
-
     chosen = load_crane(crane, effects)
+    from crane_exudyn.vetting import vetted  # imports compiled code, of which the effects must be part
+
     measured = vetted(load_recording(recording, mapping).require(sensors=1), chosen)
     std = sensor_noise(chosen, measured, sensors)
     announce_compilation()
@@ -102,7 +102,7 @@ def command(
 
 def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
     """Return {channel: standard deviation} of the chosen sensors: the crane file's, else what the recording shows."""
-    from ukf.estimator import DEFAULT_STD
+    from crane_exudyn.sensors import SENSORS
 
     for name in only or ():
         if name not in recording.sensors:
@@ -112,7 +112,7 @@ def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> 
     measured = recording.noise()
     chosen = [n for n in recording.sensors if not only or n in only]
     # a simulated recording has no noise; a filter that believes in none cannot be corrected
-    return {n: crane.sensors.get(n, max(measured[n], 0.02 * DEFAULT_STD[n])) for n in chosen}
+    return {n: crane.sensors.get(n, max(measured[n], 0.02 * SENSORS[n].sizes.noise)) for n in chosen}
 
 
 def noise_slack(crane: Crane, recording: Recording, std: Iterable[str]) -> float:

@@ -90,11 +90,11 @@ def command(
     """  # fmt: skip
     if output is None and save_solution is None and not open_viewer:
         raise CraneError("Nothing to do: give -o FILE.png (or .gif, .mp4), --save-solution FILE or --open.")
-    from crane_exudyn.render import Scene, need_screen
+    described = load_crane(crane, effects)
+    from crane_exudyn.render import Scene, need_screen  # imports compiled code, of which the effects must be part
 
     if open_viewer:
         need_screen("--open")
-    described = load_crane(crane, effects)
     runs = _runs(described, recording, label, ghost or (), mapping)
     scene = Scene(
         described, runs, colour=colour, marks=mark or (), size=_size(size), view=view,

@@ -346,6 +346,17 @@ def test_a_users_effect_takes_part(tmp_path: Path) -> None:
     assert "Friction of my own" in done.stdout and "damping" in done.stdout
 
 
+@pytest.mark.parametrize(
+    "words", [("estimate", "{good}"), ("compare", "{good}"), ("simulate",), ("render", "-o", "{folder}/x.png")]
+)
+def test_a_users_effects_are_known_before_anything_is_compiled(tmp_path: Path, words: tuple[str, ...]) -> None:
+    good, own = tmp_path / "good.csv", Path(__file__).parent / "own_sensors.py"
+    good.write_text("time,u1,u2,z1\n0,0,0,0\n1,0,0,0\n")
+    words = tuple(w.format(good=good, folder=tmp_path) for w in words)
+    done = as_process(*words, "--effects", str(own), "--crane", "nothing.toml")
+    assert done.returncode == 2 and done.stderr.startswith("There is no crane 'nothing.toml'")
+
+
 def test_map_options() -> None:
     assert options.parse_map(["z1=BoomAngle[deg]", " p1 = a=b "]) == {"z1": "BoomAngle[deg]", "p1": "a=b"}
     assert options.parse_map(None) == {}

@@ -11,6 +11,7 @@ import pytest
 from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
+from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.inputs import SpoolPath
 from crane_exudyn.recording import Recording
 from crane_exudyn.statics import visible
@@ -19,7 +20,6 @@ from ukf.augment import Augment
 from ukf.bounds import Bounds, crane_bounds
 from ukf.estimator import Estimator
 from ukf.filter import Belief
-from ukf.lengths import cylinder_lengths
 from ukf.monitor import FROZEN, OUTLIER
 from ukf.noise import PaperNoise, ProcessNoise, paper_process_noise, paper_start_covariance
 from ukf.sigma_points import merwe

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, Recording
+from crane_exudyn.measurement import Measurement
 from validation.fit.data import ACCURACY, FitData, Samples
 from validation.fit.linear import PRESSURE_RATE, columns_of, cut, forgotten, model_at, normal_equations, robust
-from validation.fit.model import lagged, shown
 from validation.fit.solve import bounded_step, covariance, fit, prior_start, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
@@ -33,7 +33,7 @@ def recorded(crane: Crane, seconds: float = 6.0, seed: int = 7, rate: float = 20
     w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((len(time), 2), np.nan)])
     X = engine.simulate(engine.static_start(0.2, -0.8), time, w)
     rng = np.random.default_rng(seed)
-    seen = shown(tuple(NOISE), X[:, [0, 1, 4, 5, 6, 7]], crane.effect_vector(), 1.0 / rate)
+    seen = Measurement.of(crane, tuple(NOISE)).shown(X, time)
     values = {n: v + NOISE[n] * rng.standard_normal(len(time)) for n, v in zip(NOISE, seen.T, strict=True)}
     return Recording.from_arrays("made", time, {"u1": commands[:, 0], "u2": commands[:, 1], **values})
 
@@ -47,14 +47,6 @@ def test_the_robust_cost_is_the_sum_of_squares_until_noise_is_exceeded_and_logar
     assert (robust(300.0 + h, 100)[0] - robust(300.0 - h, 100)[0]) / (2 * h) == pytest.approx(
         robust(300.0, 100)[1], rel=1e-6
     )
-
-
-def test_a_lagged_ramp_trails_by_its_time_constant_and_a_lagged_step_follows_the_exponential():
-    t = np.arange(0.0, 2.0, 0.01)
-    assert lagged(3.0 * t, 0.2, 0.01) == pytest.approx(3.0 * (t - 0.2), abs=1e-12)
-    step = np.where(t >= 1.0, 1.0, 0.0)
-    after = t > 1.005
-    assert lagged(step, 0.1, 0.01)[after] == pytest.approx(1.0 - np.exp(-(t[after] - 0.995) / 0.1), abs=2e-3)
 
 
 def test_a_bounded_step_is_the_unbounded_one_inside_and_stays_within_bounds():
@@ -167,18 +159,15 @@ def test_a_fit_says_whether_it_converged(nominal):
 
 
 def test_a_lagging_sensors_unknown_first_value_is_integrated_out():
-    crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.05})
     index = np.arange(0, 120, 4)
     sample = Samples("p1", index, np.full(len(index), 0.5), np.zeros(len(index)), 3e4)
     rng = np.random.default_rng(5)
     r = rng.standard_normal((len(index), 2))
-    found, cost = forgotten(r, sample, 2.5e-3, crane.effect_vector())
+    found, cost = forgotten(r, sample, 2.5e-3, 0.05)
     shape = np.exp(-2.5e-3 * (index + 0.5) / 0.05) * 0.05 * PRESSURE_RATE / 3e4
     C = np.eye(len(index)) + np.outer(shape, shape)
     assert found.T @ found == pytest.approx(r.T @ np.linalg.solve(C, r), rel=1e-9)
     assert cost == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-9)
-    same, nothing = forgotten(r, sample, 2.5e-3, crane.nominal().effect_vector())
-    assert same is r and nothing == 0.0
 
 
 def test_what_the_data_do_not_determine_has_a_huge_variance():

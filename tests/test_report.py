@@ -265,7 +265,9 @@ def example_simulation():
     states = np.tile([0.1, -0.5, 0.0, 0.0, 3e6, 2e6, 2e6, 4e6], (3, 1))
     names = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
     inputs = np.column_stack([np.zeros((3, 2)), np.full((3, 2), np.nan)])
-    return Simulation(Crane.load("patu655"), np.array([0.0, 0.1, 0.2]), names, states, np.zeros((3, 2)), inputs)
+    return Simulation(
+        Crane.load("patu655"), np.array([0.0, 0.1, 0.2]), names, states, np.zeros((3, 2)), inputs, np.zeros((3, 12))
+    )
 
 
 def example_estimate():

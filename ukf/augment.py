@@ -21,8 +21,8 @@ from crane_exudyn import parameters
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.sensors import SENSORS
 
-SENSORS = ("z1", "z4", "z4_abs", "dz1", "dz4", "dz4_abs", "p1", "p2", "p3", "p4", "s1", "s2")
 #: places of the vector D of disturbances that the engines take, with a standard deviation that is worth a search
 DISTURBANCES = {
     "torque.O": 300.0,
@@ -34,7 +34,6 @@ DISTURBANCES = {
     "flow.p3": 1e-5,
     "flow.p4": 1e-5,
 }
-_BIAS_STD = {"z": np.radians(1.0), "d": np.radians(1.0), "p": 2e5, "s": 5e-3}
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
     """Return kind, value, standard deviation and lower limit of a quantity as the crane file knows it."""
     head, _, tail = name.partition(".")
     if head == "bias" and tail in SENSORS:
-        return "bias", 0.0, _BIAS_STD[tail[0]], -np.inf
+        return "bias", 0.0, SENSORS[tail].sizes.bias, -np.inf
     if name in DISTURBANCES:
         return "parameter", 0.0, DISTURBANCES[name], -np.inf
     if name in parameters.INDEX:

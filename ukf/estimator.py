@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.errors import CraneError
+from crane_exudyn.geometry import cylinder_lengths
+from crane_exudyn.sensors import SENSORS, sensor
 from crane_exudyn.statics import vapour_pressure
 
-from .augment import SENSORS, Augment, resolve
+from .augment import Augment, resolve
 from .bounds import Bounds, crane_bounds
 from .channels import Channels
 from .estimate import REJECTED, Estimate, Recorder
@@ -32,11 +35,6 @@ from .signals import LONG_GAP, Plan, Signals
 from .start import ANGLE, RIVALS, start_belief, taken
 from .visible import show
 
-#: noise standard deviations where neither the user, the crane file nor the recording says any, SI
-DEFAULT_STD = {
-    "z1": 2e-3, "z4": 2e-3, "z4_abs": 2e-3, "dz1": 1e-2, "dz4": 1e-2, "dz4_abs": 1e-2,
-    "p1": 5e4, "p2": 5e4, "p3": 5e4, "p4": 5e4, "s1": 1e-3, "s2": 1e-3,
-}  # fmt: skip
 SUPPLY = ("pp", "pt")
 #: in the first so many seconds of a recording a leap puts the start in doubt
 _EARLY = 1.0
@@ -114,9 +112,8 @@ class Estimator:
         self._variance = measurement_noise(self._std)
         self._extras = resolve(crane, augment)
         self._engine_states = len(self.engine.state_names)
-        lengths = lengths_of(crane)
-        self._channels = Channels(crane, list(self.std_of), self._engine_states, self._extras, lengths)
-        self._bounds = self._all_bounds(lengths)
+        self._channels = Channels(crane, list(self.std_of), self._engine_states, self._extras)
+        self._bounds = self._all_bounds(partial(cylinder_lengths, crane))
         self._limits = self._bounds.without_angles()
         self._process = Process(self.engine, self._channels, self._extras, self._bounds)
         self._method_name = method
@@ -650,17 +647,9 @@ def sensor_std(crane: Crane, sensors: Mapping[str, float] | Sequence[str]) -> di
     if not given:
         raise CraneError(f"The estimator has no sensor. Give at least one of {', '.join(SENSORS)}.")
     for name, std in given.items():
-        if name not in SENSORS:
-            raise CraneError(f"sensor {name!r} is not known.{nearest(name, list(SENSORS))}")
+        sensor(name)
         if std is not None and not (np.isfinite(std) and std > 0):
             raise CraneError(
                 f"sensor {name!r}: a noise standard deviation of {std:g} cannot be used. Give a positive one."
             )
-    return {n: float(s if s is not None else crane.sensors.get(n, DEFAULT_STD[n])) for n, s in given.items()}
-
-
-def lengths_of(crane: Crane) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return the function z (m, 2) -> cylinder lengths (m, 2) of a crane."""
-    from .lengths import cylinder_lengths
-
-    return lambda z: cylinder_lengths(crane, z)
+    return {n: float(s if s is not None else crane.sensors.get(n, sensor(n).sizes.noise)) for n, s in given.items()}

@@ -15,9 +15,9 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
+from crane_exudyn.sensors import SENSORS
 from crane_exudyn.simulation import inner_grid
 
-from .augment import SENSORS
 from .samples import impossible
 
 Series = tuple[np.ndarray, np.ndarray]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.statics import vapour_pressure
 
 from .filter import Belief
-from .lengths import cylinder_lengths
 
 #: standard deviations of what no sensor shows: rad, rad/s, Pa
 ANGLE, RATE, PRESSURE = 0.1, 0.05, 10e5

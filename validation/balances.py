@@ -23,7 +23,7 @@ from crane_exudyn.hydraulics import vapour_pressure
 
 from .fit.data import ACCURACY, FitData
 from .fit.linear import JUMP, cut
-from .fit.model import SENSOR_PLACE, Model, affine, model_of, output_rows, shown
+from .fit.model import Model, model_of
 from .fit.start import knots_of
 from .semi_recursive import sensitivity
 from .semi_recursive.engine import DISTURBANCES
@@ -283,19 +283,17 @@ def _observed(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return C (K, m, nx), residuals (K, m) and their spread (K, m), in noise units, at every stride-th grid point."""
     channels = data.channels
-    Y, C = output_rows(channels, X, model.P)
-    Z = shown(channels, Y, model.E, data.step)
+    measurement = model.measurement(channels)
+    Z, (_, C) = measurement.shown(X, data.time), measurement.rows(X)
     residual, spread = np.full((count, len(channels)), np.nan), np.ones((count, len(channels)))
     C = C[::stride][:count] * scale
     for j, s in enumerate(data.samples):
-        predicted = Z[s.index, j] + s.fraction * (Z[s.index + 1, j] - Z[s.index, j])
         at = np.minimum(np.round((s.index + s.fraction) / stride).astype(int), count - 1)
         number = np.bincount(at, minlength=count)
-        total = np.bincount(at, (s.values - predicted) / s.noise, minlength=count)
+        total = np.bincount(at, (s.values - s.taken(Z[:, j])) / s.noise, minlength=count)
         there = number > 0
         residual[there, j], spread[there, j] = total[there] / number[there], 1.0 / np.sqrt(number[there])
-        place = SENSOR_PLACE.get(channels[j])
-        C[:, j] *= (1.0 if place is None else affine(model.E, place)[0]) / s.noise
+        C[:, j] /= s.noise
     return C, residual, spread
 
 

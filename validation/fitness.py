@@ -10,6 +10,7 @@ from crane_exudyn.channels import CHANNELS, Channel
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.sensors import SENSORS
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
 from crane_exudyn.vetting import vetted
 
@@ -19,11 +20,6 @@ Purpose = Literal["compare", "diagnose"]
 SHORTEST = 1.0
 #: a spool command above this opens a valve enough to be felt
 OPEN = 0.05
-#: the valve that moves what a sensor shows: 0 lift, 1 tilt
-VALVE_OF = {
-    "z1": 0, "dz1": 0, "s1": 0, "p1": 0, "p2": 0,
-    "z4": 1, "dz4": 1, "z4_abs": 1, "dz4_abs": 1, "s2": 1, "p3": 1, "p4": 1,
-}  # fmt: skip
 #: a channel that stands at its extreme for more than this share of the time is saturated
 _STUCK_SHARE = 0.5
 #: seconds of closed valves in which slow errors of a sensor are looked for, and by how much they must exceed its white noise
@@ -122,7 +118,7 @@ def _is_constant(channel: Channel) -> bool:
 
 def _refuse_saturated(where: str, name: str, channel: Channel, time: np.ndarray, commands: np.ndarray) -> None:
     """Refuse a channel that sits exactly at its largest or smallest value most of the time, also while its valve is open."""
-    valve = np.abs(np.interp(channel.time, time, commands[:, VALVE_OF[name]])) > OPEN
+    valve = np.abs(np.interp(channel.time, time, commands[:, SENSORS[name].cylinder])) > OPEN
     step = float(np.median(np.diff(channel.time)))
     for value, word in ((channel.values.max(), "largest"), (channel.values.min(), "smallest")):
         stuck = channel.values == value

@@ -22,8 +22,8 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import CYLINDERS, SENSORS
 from crane_exudyn.errors import CraneError
+from crane_exudyn.measurement import Measurement
 from crane_exudyn.recording import Recording
-from crane_exudyn.statics import visible
 
 if TYPE_CHECKING:
     from .hidden_plant import Dialect, Law
@@ -279,29 +279,9 @@ def _draft(crane: Crane, manoeuvre: Manoeuvre) -> dict[str, np.ndarray]:
 
 
 def readings(crane: Crane, states: np.ndarray) -> dict[str, np.ndarray]:
-    """Return what the sensors of a machine show without noise, every ms: lag, then gain, then bias, as the effects say."""
-    shown = dict(
-        zip(("z1", "z4", "p1", "p2", "p3", "p4"), visible(crane, states)[:, (0, 1, 4, 5, 6, 7)].T, strict=True)
-    )
-    for name in SENSORS:
-        lag, scale, bias = (crane.effect(f"sensor_{what}@{name}") for what in ("lag", "scale", "bias"))
-        y = shown[name]
-        y = y if lag is None else _lagged(y, lag.parameters["tau"])
-        y = y if scale is None else y * scale.parameters["a"]
-        shown[name] = y if bias is None else y + bias.parameters["b"]
-    return shown
-
-
-def _lagged(y: np.ndarray, tau: float) -> np.ndarray:
-    """Return y (n,) behind a first-order lag that starts settled; y is taken as linear within each ms."""
-    decay = math.exp(-_STEP / tau)
-    first = (1.0 - decay) * tau / _STEP
-    out = np.empty_like(y)
-    held = out[0] = y[0]
-    for k in range(1, y.size):
-        held = decay * held + (first - decay) * y[k - 1] + (1.0 - first) * y[k]
-        out[k] = held
-    return out
+    """Return what the sensors of a machine show without noise, every ms, as its effects say; those that lag begin settled."""
+    shown = Measurement.of(crane, SENSORS).shown(states, _GRID[: len(states)], settled=True)
+    return dict(zip(SENSORS, shown.T, strict=True))
 
 
 def visibility(

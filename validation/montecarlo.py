@@ -77,9 +77,7 @@ def one_run(settings: Settings, number: int, crane: Crane) -> dict[str, Any]:
     model = engine_of(settings.engine, crane)
     nominal = model.static_start(crane.initial.z1, crane.initial.z4)
     truth = shaken(model, crane, nominal + START * rng.normal(size=8), time, commands, settings, rng)
-    sensors = {
-        n: (time, truth[:, paper.STATES.index(n)] + s * rng.normal(size=time.size)) for n, s in paper.SENSOR_STD.items()
-    }
+    sensors = paper.noisy_sensors(crane, time, truth, rng)
     believed = crane if settings.model_error == 0 else paper.wrong_crane(crane, settings.model_error)
     filter_ = Estimator(
         believed,

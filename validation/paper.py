@@ -20,13 +20,14 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath, paper_cycle
+from crane_exudyn.measurement import Measurement
 from ukf.augment import Augment
 from ukf.estimate import Estimate
 from ukf.estimator import Estimator
 from ukf.filter import Belief
 from ukf.noise import PaperNoise, ProcessNoise, paper_start_covariance
 from ukf.process import accepts_parameters, engine_of
-from ukf.signals import Signals
+from ukf.signals import Series, Signals
 from ukf.tuning import cut
 
 from . import metrics
@@ -38,7 +39,6 @@ PUBLISHED = dict(zip(STATES, (0.33, 1.07, 2.05, 2.58, 0.1209, 1.91, 5.92, 0.3127
 MODEL_ERRORS = (0.05, 0.15, 0.25)
 STEP, DURATION = 1e-3, 25.0
 SENSOR_STD = {"z1": np.radians(1.0), "z4": np.radians(1.0), "p1": 1.5e5, "p4": 1.5e5}
-_COLUMNS = {"z1": 0, "z4": 1, "p1": 4, "p4": 7}
 #: start of the models off the real system's: +2° in z1, -3° in z4, +3 bar in each pressure
 START_ERROR = np.array([np.radians(2.0), np.radians(-3.0), 0.0, 0.0, 3e5, 3e5, 3e5, 3e5])
 _PUMP_ERROR, _PAYLOAD, _JOINT_ERROR = 20e5, 10.0, 5e-3
@@ -212,8 +212,16 @@ def real_system(crane: Crane, inputs: int, engine: str, seed: int, duration: flo
     model = engine_of(engine, crane)
     truth = model.simulate(model.static_start(crane.initial.z1, crane.initial.z4), time, w, step=STEP)
     rng = np.random.default_rng(seed)
-    sensors = {n: (time, truth[:, _COLUMNS[n]] + s * rng.normal(size=time.size)) for n, s in SENSOR_STD.items()}
-    return Experiment(crane, time, commands, w, truth, Signals(time, commands, sensors, name=f"input set {inputs}"))
+    signals = Signals(time, commands, noisy_sensors(crane, time, truth, rng), name=f"input set {inputs}")
+    return Experiment(crane, time, commands, w, truth, signals)
+
+
+def noisy_sensors(crane: Crane, time: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> dict[str, Series]:
+    """Return what the paper's sensors show of states (N, nx) at `time` (N,), with their noise."""
+    shown = Measurement.of(crane, tuple(SENSOR_STD)).shown(truth, time, settled=True)
+    return {
+        n: (time, y + s * rng.normal(size=time.size)) for (n, s), y in zip(SENSOR_STD.items(), shown.T, strict=True)
+    }
 
 
 def simulation_model(wrong: Crane, experiment: Experiment, engine: str) -> np.ndarray:

@@ -122,7 +122,7 @@ def _reverses(time: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 def _at_end(crane: Crane, states: np.ndarray) -> np.ndarray:
     """Return whether a piston is near an end of its stroke (N,)."""
-    from ukf.lengths import cylinder_lengths
+    from crane_exudyn.geometry import cylinder_lengths
 
     lengths = cylinder_lengths(crane, states[:, :2])
     empty = np.array([crane[f"cylinders.{c}.empty_length"] for c in ("lift", "tilt")])

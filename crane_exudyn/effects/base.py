@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from ..sensors import PLACES as SENSORS
+
 CYLINDERS = ("lift", "tilt")
 CHAMBERS = ("p1", "p2", "p3", "p4")
 JOINTS = ("O", "A")
-SENSORS = ("z1", "z4", "p1", "p2", "p3", "p4")
 #: an effect without a place acts on the whole machine
 EVERYWHERE = ("",)
 

@@ -11,10 +11,9 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.sensors import SENSORS
 from crane_exudyn.signals import NO_SENSOR
 
-#: channels that a fit can predict, in the order of its outputs
-CHANNELS = ("z1", "z4", "z4_abs", "dz1", "dz4", "dz4_abs", "p1", "p2", "p3", "p4", "s1", "s2")
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
 #: local error of a step in a fit, in units of the engine's: 0.03 bar and 1e-7 rad, a tenth of what good sensors show; beyond it a step is halved
 ACCURACY = 10.0
@@ -31,6 +30,12 @@ class Samples:
     fraction: np.ndarray
     values: np.ndarray
     noise: float
+
+    def taken(self, grid: np.ndarray) -> np.ndarray:
+        """Return what `grid` (N, …) on the grid is at the samples (n, …), linear between grid points."""
+        before = grid[self.index]
+        share = self.fraction.reshape(-1, *[1] * (grid.ndim - 1))
+        return np.asarray(before + share * (grid[self.index + 1] - before))
 
 
 @dataclass(frozen=True)
@@ -94,9 +99,9 @@ class FitData:
         """
         recording = recording.with_noise(crane.sensors)
         times, commands = recording.commands(crane)
-        sensors = [c for c in CHANNELS if recording.has(c)]
+        sensors = [c for c in SENSORS if recording.has(c)]
         if not sensors:
-            raise CraneError(f"{recording.name}: no sensor channel. At least one of {', '.join(CHANNELS)} is needed.")
+            raise CraneError(f"{recording.name}: no sensor channel. At least one of {', '.join(SENSORS)} is needed.")
         start = min(recording.channels[c].time[0] for c in sensors)
         end = max(recording.channels[c].time[-1] for c in sensors)
         step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))

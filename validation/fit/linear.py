@@ -18,10 +18,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.measurement import Measurement, sensing_slots
+from crane_exudyn.sensors import SENSORS
 
 from ..semi_recursive import sensitivity
 from .data import ACCURACY, FitData, Samples
-from .model import CYLINDER_OF, SENSOR_PLACE, Model, affine, cylinder_length, lagged, model_of, output_rows
+from .model import Model, model_of
 from .variables import Variable, lateness, with_variables
 
 #: size of a jump between two windows that is taken as one standard deviation: angles, rates, pressures, pendulum
@@ -146,25 +148,12 @@ def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
         index.append(len(signals) - 1 if same is None else same)
     P = np.array([m.P for m in moved]).reshape(len(moved), base.P.size)
     E = np.array([m.E for m in moved]).reshape(len(moved), base.E.size)
-    silent = _sensor_slots()
     dynamic = (P != base.P).any(axis=1) | (np.array(index) != 0)
     different = E != base.E
-    different[:, silent] = False
+    different[:, sensing_slots(only=True)] = False
     own = np.array([m.nx > base.nx for m in moved], dtype=bool)
     signal_index = np.array(index, dtype=np.int64)
     return Columns(P, E, np.array(signals), signal_index, sizes, dynamic | different.any(axis=1), own)
-
-
-def _sensor_slots() -> list[int]:
-    from crane_exudyn.effects.registry import known, slot
-
-    return [
-        slot(effect.name, place) + i
-        for effect in known()
-        if set(effect.hooks()) <= {"measurement", "lag"}
-        for place in effect.places
-        for i in range(len(effect.parameters))
-    ]
 
 
 @dataclass
@@ -199,44 +188,34 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
         full = np.zeros((len(X), nx, nx + m))
         full[:, :, :nx] = S[:, :, :nx]
         full[:, :, nx + moving] = S[:, :, nx:]
-    Y, C = output_rows(channels, X, base.P)
-    G = np.einsum("ijk,ikl->ijl", C, full)
-    _add_pins(G, channels, X, Y, base, columns)
-    residuals, jacobians, volume = [], [], 0.0
+    measurement = base.measurement(channels)
+    Z, dZ = measurement.shown_rows(X, full, data.time)
+    _add_own(dZ[:, :, nx:], Z, measurement, X, data.time, columns)
+    lags, residuals, jacobians, volume = dict(measurement.lags), [], [], 0.0
     for j, sample in enumerate(data.samples):
-        z, dz = _shown(channels[j], Y[:, j], G[:, j], base.E, columns, data.step, nx)
-        r, dr = (sample.values - _at(z, sample)) / sample.noise, _at(dz, sample) / sample.noise
-        if window.start > 0 and lag_of(sample.channel, base.E) > 0.0:
-            both, own = forgotten(np.column_stack([r, dr]), sample, data.step, base.E)
+        r, dr = (sample.values - sample.taken(Z[:, j])) / sample.noise, sample.taken(dZ[:, j]) / sample.noise
+        if window.start > 0 and j in lags:
+            both, own = forgotten(np.column_stack([r, dr]), sample, data.step, lags[j])
             r, dr, volume = both[:, 0], both[:, 1:], volume + own
         residuals.append(r)
         jacobians.append(dr)
     r, J = np.concatenate(residuals), np.concatenate(jacobians)
     J[:, :nx] *= JUMP[:nx]
+    Jr = J.T @ r
+    failed = status != 0 or not (np.isfinite(X[-1]).all() and np.isfinite(Jr).all())
     return Swept(
-        [float(part @ part) for part in residuals], [len(part) for part in residuals], J.T @ J, J.T @ r,
-        X[-1].copy(), full[-1].copy(), volume, status != 0 or not np.isfinite(X[-1]).all(),
+        [float(part @ part) for part in residuals], [len(part) for part in residuals], J.T @ J, Jr,
+        X[-1].copy(), full[-1].copy(), volume, failed,
     )  # fmt: skip
 
 
-def lag_of(channel: str, E: np.ndarray) -> float:
-    """Return the time constant (s) of a channel's sensor, 0 where it does not lag."""
-    from crane_exudyn.effects import hooks
-
-    place = SENSOR_PLACE.get(channel)
-    return float(hooks.lag(E, place)) if place is not None else 0.0
-
-
-def forgotten(columns: np.ndarray, sample: Samples, step: float, E: np.ndarray) -> tuple[np.ndarray, float]:
+def forgotten(columns: np.ndarray, sample: Samples, step: float, tau: float) -> tuple[np.ndarray, float]:
     """Return columns (n, m) of a sensor, in noise units, without what its unknown first value in a window may have done, and the cost of that.
 
-    A sensor that lags remembers what was before the window. Its first value is one more unknown, of which only a size is known, and dies
-    out as exp(-t / tau); it is integrated out. The cost is minus twice the log of the share that is left of its prior volume.
+    A sensor that lags (by tau, s) remembers what was before the window. Its first value is one more unknown, of which only a size is known,
+    and dies out as exp(-t / tau); it is integrated out. The cost is minus twice the log of the share that is left of its prior volume.
     """
-    tau = lag_of(sample.channel, E)
-    if tau <= 0.0:
-        return columns, 0.0
-    rate = PRESSURE_RATE if sample.channel.startswith("p") else ANGLE_RATE
+    rate = PRESSURE_RATE if SENSORS[sample.channel].unit == "Pa" else ANGLE_RATE
     shape = np.exp(-step * (sample.index + sample.fraction) / tau) * (tau * rate / sample.noise)
     size = 1.0 + float(shape @ shape)
     # the root of the inverse of 1 + shape shape' takes this share of the shape out
@@ -244,43 +223,14 @@ def forgotten(columns: np.ndarray, sample: Samples, step: float, E: np.ndarray) 
     return columns - np.outer(shape, share * (shape @ columns)), math.log(size)
 
 
-def _add_pins(
-    G: np.ndarray, channels: tuple[str, ...], X: np.ndarray, Y: np.ndarray, base: Model, columns: Columns
+def _add_own(
+    dZ: np.ndarray, Z: np.ndarray, measurement: Measurement, X: np.ndarray, time: np.ndarray, columns: Columns
 ) -> None:
-    """Add to the derivatives G (n, channels, nx + m) that a cylinder's length depends on its pins and not on the angle alone."""
-    nx = X.shape[1]
-    for j, cylinder in ((j, CYLINDER_OF[c]) for j, c in enumerate(channels) if c in CYLINDER_OF):
-        for k in np.flatnonzero((columns.P != base.P).any(axis=1)):
-            moved = cylinder_length(cylinder, X[:, cylinder], columns.P[k])[0]
-            G[:, j, nx + k] += (moved - Y[:, j]) / columns.size[k]
-
-
-def _at(values: np.ndarray, sample: Samples) -> np.ndarray:
-    low, high = values[sample.index], values[sample.index + 1]
-    share = sample.fraction.reshape(-1, *[1] * (values.ndim - 1))
-    return low + share * (high - low)
-
-
-def _shown(
-    channel: str, y: np.ndarray, g: np.ndarray, E: np.ndarray, columns: Columns, step: float, nx: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the sensor shows and its derivative by everything, sensor parameters included."""
-    from crane_exudyn.effects import hooks
-
-    place = SENSOR_PLACE.get(channel)
-    if place is None:
-        return y, g
-    tau = hooks.lag(E, place)
-    z, dz = (lagged(y, tau, step), lagged(g, tau, step)) if tau > 0.0 else (y, g.copy())
-    gain, offset = affine(E, place)
-    dz *= gain
-    for j in np.flatnonzero((columns.E != E).any(axis=1)):
-        other = hooks.lag(columns.E[j], place)
-        gain_j, offset_j = affine(columns.E[j], place)
-        if other != tau or gain_j != gain or offset_j != offset:
-            z_j = lagged(y, other, step) if other > 0.0 else y
-            dz[:, nx + j] += (gain_j * z_j + offset_j - gain * z - offset) / columns.size[j]
-    return gain * z + offset, dz
+    """Add to derivatives dZ (n, channels, m) by the variables what the sensors show otherwise of equal states X: by pins, bias, lag, …"""
+    for k, size in enumerate(columns.size):
+        if measurement.differs(columns.P[k], columns.E[k]):
+            moved = measurement.beside(columns.P[k], columns.E[k]).shown(X, time)
+            dZ[:, :, k] += (moved - Z) / size
 
 
 def normal_equations(

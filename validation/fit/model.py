@@ -1,8 +1,9 @@
-"""A crane as the fit sees it: vectors for compiled code, spool positions on the grid, and what the sensors would show."""
+"""A crane as the fit sees it: vectors for compiled code, and spool positions on the grid."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,23 +11,12 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import hooks
-from crane_exudyn.effects.base import CHAMBERS, SENSORS
 from crane_exudyn.effects.registry import find
-from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import Valve, valve_of
+from crane_exudyn.measurement import Measurement
 from crane_exudyn.parameters import CYLINDERS
 
 from .data import FitData
-
-#: which sensor place an output channel belongs to; z4_abs is what the outer boom's sensor may show instead of z4
-SENSOR_PLACE = {**{name: i for i, name in enumerate(SENSORS)}, "z4_abs": SENSORS.index("z4")}
-_ROWS = {
-    "z1": {0: 1.0}, "z4": {1: 1.0}, "z4_abs": {0: 1.0, 1: 1.0},
-    "dz1": {2: 1.0}, "dz4": {3: 1.0}, "dz4_abs": {2: 1.0, 3: 1.0},
-    "p1": {4: 1.0}, "p2": {5: 1.0}, "p3": {6: 1.0}, "p4": {7: 1.0},
-}  # fmt: skip
-#: which cylinder's length an output channel is; it follows from z1 (lift) or z4 (tilt), and from where the pins are
-CYLINDER_OF = {"s1": 0, "s2": 1}
 
 
 @dataclass(frozen=True)
@@ -43,6 +33,10 @@ class Model:
     def nx(self) -> int:
         """Number of states: 8, or 10 with a pendulum."""
         return 10 if hooks.pendulum(self.E)[0] > 0.0 else 8
+
+    def measurement(self, channels: Sequence[str]) -> Measurement:
+        """Return what the crane's sensors of some channels show."""
+        return Measurement(channels, self.P, self.E)
 
 
 def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None = None) -> Model:
@@ -132,89 +126,3 @@ class _Paths:
 
 
 _LAST = _Paths(50_000_000)
-
-
-def outputs(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> np.ndarray:
-    """Return what perfect sensors (m) show of states X (n, nx): (n, m)."""
-    Y = np.zeros((len(X), len(channels)))
-    for j, channel in enumerate(channels):
-        if channel in _ROWS:
-            for state, factor in _ROWS[channel].items():
-                Y[:, j] += factor * X[:, state]
-            if channel in CHAMBERS:  # a void stands at vapour pressure, whatever its size
-                Y[:, j] = np.maximum(Y[:, j], vapour_pressure(P))
-        else:
-            cylinder = CYLINDER_OF[channel]
-            Y[:, j] = cylinder_length(cylinder, X[:, cylinder], P)[0]
-    return Y
-
-
-def output_rows(channels: tuple[str, ...], X: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what perfect sensors show and how it depends on the state.
-
-    Args:
-        channels: m channel names.
-        X: states (n, nx).
-        P: parameter vector.
-
-    Returns:
-        outputs (n, m) and their derivative (n, m, nx).
-    """
-    C = np.zeros((len(X), len(channels), X.shape[1]))
-    for j, channel in enumerate(channels):
-        if channel in _ROWS:
-            for state, factor in _ROWS[channel].items():
-                C[:, j, state] = factor
-            if channel in CHAMBERS:
-                C[X[:, state] < vapour_pressure(P), j] = 0.0
-        else:
-            cylinder = CYLINDER_OF[channel]
-            C[:, j, cylinder] = cylinder_length(cylinder, X[:, cylinder], P)[1]
-    return outputs(channels, X, P), C
-
-
-def cylinder_length(cylinder: int, angle: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return pin-to-pin length and its derivative by the angle: cylinder 0 with z1, cylinder 1 with z4."""
-    from validation.semi_recursive.kernel import cylinder_lengths
-
-    h = 1e-6
-    low, high = cylinder_lengths(cylinder, angle - h, P), cylinder_lengths(cylinder, angle + h, P)
-    return cylinder_lengths(cylinder, angle, P), (high - low) / (2.0 * h)
-
-
-def shown(channels: tuple[str, ...], Y: np.ndarray, E: np.ndarray, step: float) -> np.ndarray:
-    """Return what the sensors of a crane with effects E show of true outputs Y (n, m): first the lag, then scale and bias."""
-    Z = Y.copy()
-    for j, channel in enumerate(channels):
-        place = SENSOR_PLACE.get(channel)
-        if place is None:
-            continue
-        tau = hooks.lag(E, place)
-        if tau > 0.0:
-            Z[:, j] = lagged(Z[:, j], tau, step)
-        gain, offset = affine(E, place)
-        if gain != 1.0 or offset != 0.0:
-            Z[:, j] = gain * Z[:, j] + offset
-    return Z
-
-
-def affine(E: np.ndarray, place: int) -> tuple[float, float]:
-    """Return gain and offset of a sensor: its measurement hooks taken as a straight line through y = 0 and y = 1."""
-    offset = hooks.measurement(E, place, 0.0)
-    return hooks.measurement(E, place, 1.0) - offset, offset
-
-
-def lagged(y: np.ndarray, tau: float, step: float) -> np.ndarray:
-    """Return y (n,) or columns (n, …) after a first-order lag, which has followed the first slope for ever."""
-    from scipy.signal import lfilter
-
-    q = np.exp(-step / tau)
-    # exact for a signal that is linear between samples
-    b1 = 1.0 - tau / step * (1.0 - q)
-    b0 = tau / step * (1.0 - q) - q
-    slope = (y[1] - y[0]) / step if len(y) > 1 else 0.0 * y[0]
-    start = y[0] - tau * slope
-    out = np.empty_like(y)
-    state = (start - b1 * y[0])[None]  # so that the first output is `start`
-    out[:] = lfilter([b1, b0], [1.0, -q], y, axis=0, zi=state)[0]
-    return out

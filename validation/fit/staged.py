@@ -15,9 +15,9 @@ import numpy as np
 from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
-from .data import ACCURACY, FitData, Samples, grid_step
+from .data import ACCURACY, FitData, grid_step
 from .linear import Window, cut
-from .model import Model, model_of, outputs, shown
+from .model import Model, model_of
 from .solve import Fit, fit, fitting_knots, reduce, reknot
 from .start import knots_of
 from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
@@ -112,16 +112,9 @@ def residuals(
     found = {}
     times = {id(s.index): data.time[s.index] + s.fraction * data.step for s in data.samples}
     for s in data.samples:  # one by one: all of ten minutes would be another hundred megabytes
-        own = (s.channel,)
-        z = shown(own, outputs(own, X, model.P), model.E, data.step)[:, 0]
-        found[s.channel] = (times[id(s.index)], (s.values - _between(z, s)) / s.noise)
+        z = model.measurement((s.channel,)).shown(X, data.time)[:, 0]
+        found[s.channel] = (times[id(s.index)], (s.values - s.taken(z)) / s.noise)
     return found
-
-
-def _between(z: np.ndarray, samples: Samples) -> np.ndarray:
-    """Return what z (N,) on the grid is at the samples, linear between grid points."""
-    before = z[samples.index]
-    return np.asarray(before + samples.fraction * (z[samples.index + 1] - before))
 
 
 def _states(crane: Crane, data: FitData, model: Model, starts: np.ndarray, simulate: Simulate) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import Parameter
+from crane_exudyn.sensors import SENSORS
 
 #: scale of a parameter of which only a range is known: this share of the range
 _RANGE_SHARE = 0.15
@@ -133,8 +134,8 @@ def lateness(variables: Sequence[Variable], u: np.ndarray) -> float:
 
 
 def sensor_scale(key: str) -> float:
-    """Return a telling size of a sensor's bias: one degree, or one bar."""
-    return math.radians(1.0) if key.rsplit("@", 1)[-1] in ("z1", "z4") else 1e5
+    """Return a telling size of a bias of the sensor at which an effect acts: one degree, or one bar."""
+    return SENSORS[key.rsplit("@", 1)[-1]].sizes.telling
 
 
 def effect_variables(key: str, start: Mapping[str, float]) -> list[EffectParameter]:

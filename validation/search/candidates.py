@@ -10,7 +10,8 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.base import SENSORS, Effect, Parameter
+from crane_exudyn.effects.base import Effect, Parameter
+from crane_exudyn.sensors import PLACES, SENSORS
 
 from ..fit.data import FitData
 from ..fit.variables import is_moment, sensor_scale
@@ -43,9 +44,9 @@ def starts(crane: Crane, data: FitData, *, moments: float = _MOMENTS) -> list[St
 
 def _can_show(effect: type[Effect], place: str, data: FitData) -> bool:
     """Whether a sensor's effect stands at a sensor that was recorded; other effects always may show."""
-    if not set(effect.hooks()) <= {"measurement", "lag"} or place not in SENSORS:
+    if not set(effect.hooks()) <= {"measurement", "lag"} or place not in PLACES:
         return True
-    return place in data.channels or (place == "z4" and "z4_abs" in data.channels)
+    return any(SENSORS[name].place == place for name in data.channels)
 
 
 def _two_sided(effect: type[Effect]) -> bool:

@@ -11,7 +11,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 
 from ..fit.data import FitData
-from ..fit.model import model_of, output_rows, shown
+from ..fit.model import model_of
 from ..semi_recursive.engine import SemiRecursiveEngine
 
 _STEP = 2.5e-3
@@ -87,7 +87,7 @@ def _difference(
             X = engine.simulate(engine.static_start(float(pose[0]), float(pose[1])), time, model.W, step=_STEP)
         except CraneError:
             return None  # the manoeuvre leaves the crane's limits
-        outputs.append(shown(channels, output_rows(channels, X, model.P)[0], model.E, _STEP))
+        outputs.append(model.measurement(channels).shown(X, time))
     apart = np.sqrt(np.mean((outputs[0] - outputs[1]) ** 2, axis=0)) / np.array([noise[c] for c in channels])
     worst = int(np.argmax(apart))
     return float(apart[worst]), channels[worst]

@@ -11,7 +11,7 @@ from crane_exudyn import faulty_laws
 from crane_exudyn import parameters as names
 from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane
-from crane_exudyn.effects import registry
+from crane_exudyn.effects import hooks, registry
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.step_control import MOST_HALVINGS
 
@@ -73,8 +73,7 @@ class SemiRecursiveEngine:
         self._columns: dict[str, tuple[str, int]] = {}
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
         self.halved = 0
-        pendulum = crane.effect("payload_swing")
-        swings = pendulum is not None and pendulum.parameters.get("length", 0.0) > 0.0
+        swings = hooks.pendulum(self._E)[0] > 0.0
         self.state_names = STATE_NAMES + (PENDULUM_NAMES if swings else ())
 
     def static_start(self, z1: float, z4: float, less_loaded: float | Sequence[float] = 20e5) -> np.ndarray:

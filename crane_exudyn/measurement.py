@@ -1,0 +1,200 @@
+"""What the sensors of a crane show: one function y = h(x) for simulations, filters, fits and comparisons.
+
+A sensor reads a sum of states (a pressure as a gauge does, which shows vapour pressure of a void) or a cylinder's length. What it
+makes of that is the crane's `measurement` hooks at its place: y = law(reading). Where the `lag` hooks there give a time constant, it
+shows a first-order follower of y, tau y_shown' + y_shown = y.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from functools import cache, partial
+
+import numpy as np
+
+from .compiled import njit
+from .crane import Crane
+from .effects import hooks
+from .effects.registry import known, neutral_vector, slot
+from .faulty_laws import check_law
+from .geometry import cylinder_length
+from .hydraulics import vapour_pressure
+from .sensors import PLACES, SENSORS, STATES, Sensor, sensor
+
+_HOOKS = {"measurement", "lag"}
+#: step of the difference quotient of a law: shares of a usual sensor's noise and of the reading
+_OF_NOISE, _OF_READING = 1e-3, 1e-6
+
+
+class Measurement:
+    """The measurement function of some sensors on a crane with parameters P and effects E.
+
+    Attributes:
+        names: (m,) of the sensors.
+        lags: (number among the sensors, time constant in s) of those that lag.
+        has_laws: whether effects may make something else of a reading.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        P: np.ndarray,
+        E: np.ndarray,
+        table: Mapping[str, Sensor] = SENSORS,
+        states: Sequence[str] = STATES,
+    ) -> None:
+        """Raises CraneError for a sensor that is not in the table."""
+        self.names, chosen = tuple(names), [sensor(n, table) for n in names]
+        most = max(1, *(len(c.shows) for c in chosen))
+        summed = [[states.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
+        self._summed = np.array(summed, np.int64).reshape(-1, most)
+        self._cylinder = np.array([-1 if c.shows else c.cylinder for c in chosen], np.int64)
+        self._place = np.array([PLACES.index(c.place) if c.place else -1 for c in chosen], np.int64)
+        self._is_pressure = np.array([c.unit == "Pa" for c in chosen], bool)
+        self._step = np.array([_OF_NOISE * c.sizes.noise for c in chosen])
+        self._set(P, E)
+
+    @classmethod
+    def of(cls, crane: Crane, names: Sequence[str] = tuple(SENSORS)) -> Measurement:
+        """Return the measurement function of a crane's sensors."""
+        return cls(names, crane.parameter_vector(), crane.effect_vector())
+
+    def _set(self, P: np.ndarray, E: np.ndarray) -> None:
+        self.P, self.E = P, E
+        self._floor = np.where(self._is_pressure, vapour_pressure(P), -np.inf)
+        slots = sensing_slots()
+        self.has_laws = bool((E[slots] != np.array(neutral_vector())[slots]).any())
+        self._is_plain = not self.has_laws and not (self._cylinder >= 0).any()
+        taus = [float(hooks.lag(E, place)) for place in self._place]
+        self.lags = tuple((j, tau) for j, tau in enumerate(taus) if tau > 0.0)
+
+    def beside(self, P: np.ndarray, E: np.ndarray) -> Measurement:
+        """Return the same sensors on a crane with other parameters and effects."""
+        other = copy.copy(self)
+        other._set(P, E)
+        return other
+
+    def differs(self, P: np.ndarray, E: np.ndarray) -> bool:
+        """Whether the sensors may show something else of equal states on a crane with other parameters and effects."""
+        if (E != self.E)[sensing_slots()].any() or vapour_pressure(P) != vapour_pressure(self.P):
+            return True
+        return bool((self._cylinder >= 0).any() and (P != self.P).any())
+
+    def read(self, X: np.ndarray) -> np.ndarray:
+        """Return what the sensors would show (n, m) of states X (n, nx) without lag."""
+        Y: np.ndarray = _sums(X, self._summed, self._floor)
+        if not self._is_plain:
+            _read(X, self._cylinder, self._place, self.P, self.E, Y)
+        return Y
+
+    def rows(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the sensors would show without lag (n, m), and its derivative (n, m, nx), at states X (n, nx)."""
+        Y, C = _sums(X, self._summed, self._floor), np.zeros((len(X), len(self.names), X.shape[1]))
+        _rows(X, self._summed, self._floor, self._cylinder, self._place, self._step, self.P, self.E, Y, C)
+        return Y, C
+
+    def shown(self, X: np.ndarray, time: np.ndarray, *, settled: bool = False) -> np.ndarray:
+        """Return what the sensors show (n, m) along states X (n, nx) at `time` (n,) in s; `settled` as in `lagged`."""
+        Y = self.read(X)
+        for j, tau in self.lags:
+            Y[:, j] = lagged(Y[:, j], time, tau, settled=settled)
+        return Y
+
+    def shown_rows(self, X: np.ndarray, S: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the sensors show (n, m), and its derivative (n, m, k), along states X (n, nx) with derivative S (n, nx, k)."""
+        Y, C = self.rows(X)
+        G = C @ S
+        for j, tau in self.lags:
+            Y[:, j], G[:, j] = lagged(Y[:, j], time, tau), lagged(G[:, j], time, tau)
+        return Y, G
+
+    def check(self, crane: Crane, Y: np.ndarray, X: np.ndarray) -> None:
+        """Raise CraneError that names the crane's effect of which a law gives no number, where `read` gives Y (n, m) of X (n, nx)."""
+        for k, j in np.argwhere(~np.isfinite(Y)):
+            true = float(self.beside(self.P, crane.nominal().effect_vector()).read(X[k : k + 1])[0, j])
+            if np.isfinite(true):
+                check_law(crane, partial(_is_number, self._place[j], true), f"{self.names[j]} = {true:g}")
+
+
+def _is_number(place: int, true: float, crane: Crane) -> bool:
+    return bool(np.isfinite(hooks.measurement(crane.effect_vector(), place, true)))
+
+
+@cache
+def sensing_slots(*, only: bool = False) -> np.ndarray:
+    """Return where the parameters stand in E that may change what sensors show; `only`: that change nothing else."""
+    found = [
+        slot(effect.name, place) + i
+        for effect in known()
+        if (set(effect.hooks()) <= _HOOKS if only else set(effect.hooks()) & _HOOKS)
+        for place in effect.places
+        for i in range(len(effect.parameters))
+    ]
+    return np.array(found, np.int64)
+
+
+def lagged(
+    y: np.ndarray, time: np.ndarray, tau: float, *, settled: bool = False, first: np.ndarray | None = None
+) -> np.ndarray:
+    """Return y (n, …) at `time` (n,) behind a first-order lag of tau s: exact where y is linear between instants.
+
+    It begins at `first` (…), or `settled` at y[0], or else as if it had followed the first slope for ever.
+    """
+    if first is None:
+        slope = (y[1] - y[0]) / (time[1] - time[0]) if len(y) > 1 and not settled else 0.0 * y[0]
+        first = y[0] - tau * slope
+    columns = np.ascontiguousarray(y, float).reshape(len(y), -1)
+    return np.asarray(_followed(columns, time, tau, np.ravel(first))).reshape(np.shape(y))
+
+
+@njit
+def _followed(y, time, tau, first):  # type: ignore[no-untyped-def]
+    out = np.empty_like(y)
+    out[0] = first
+    for k in range(1, len(y)):
+        dt = time[k] - time[k - 1]
+        decay = np.exp(-dt / tau)
+        for i in range(y.shape[1]):
+            behind = tau / dt * (y[k, i] - y[k - 1, i])
+            out[k, i] = y[k, i] - behind + (out[k - 1, i] - y[k - 1, i] + behind) * decay
+    return out
+
+
+@njit
+def _sums(X, summed, floor):  # type: ignore[no-untyped-def]
+    """Return the sums (n, m) of the states `summed` (m, most; -1 for no more), none of them below `floor` (m,)."""
+    Y = np.zeros((X.shape[0], summed.shape[0]))
+    for j in range(summed.shape[0]):
+        for i in summed[j]:
+            if i >= 0:
+                for k in range(X.shape[0]):
+                    Y[k, j] += floor[j] if X[k, i] < floor[j] else X[k, i]
+    return Y
+
+
+@njit
+def _read(X, cylinder, place, P, E, Y):  # type: ignore[no-untyped-def]
+    """Write lengths into Y (n, m), which holds the sums, and make of all that what the laws make of it."""
+    row = np.empty(X.shape[1])
+    for j in range(place.size):
+        for k in range(X.shape[0]):
+            y = cylinder_length(P, X[k], cylinder[j], row) if cylinder[j] >= 0 else Y[k, j]
+            Y[k, j] = hooks.measurement(E, place[j], y)
+
+
+@njit
+def _rows(X, summed, floor, cylinder, place, step, P, E, Y, C):  # type: ignore[no-untyped-def]
+    """Do as `_read`, and add the derivatives to C (n, m, nx)."""
+    for j in range(place.size):
+        for k in range(X.shape[0]):
+            y = Y[k, j]
+            if cylinder[j] >= 0:
+                y = cylinder_length(P, X[k], cylinder[j], C[k, j])
+            for i in summed[j]:
+                if i >= 0 and X[k, i] >= floor[j]:
+                    C[k, j, i] += 1.0
+            Y[k, j] = hooks.measurement(E, place[j], y)
+            h = step[j] + _OF_READING * abs(y)
+            low, high = y - h, y + h
+            C[k, j] *= (hooks.measurement(E, place[j], high) - hooks.measurement(E, place[j], low)) / (high - low)
