@@ -128,7 +128,7 @@ class ExudynEngine:
         if x.shape[1] != len(self.state_names):
             raise CraneError(f"simulate: x0 has {x.shape[1]} numbers, expected {len(self.state_names)}.")
         out = np.empty((t.size, x.shape[1]))
-        out[0] = x[0]
+        out[0], level = x[0], 0
         for k in range(t.size - 1):
             span = t[k + 1] - t[k]
             parts = max(1, math.ceil(span / step - 1e-9))
@@ -136,7 +136,7 @@ class ExudynEngine:
             for i in range(parts):
                 rows[0, 0, :4] = w[k] if i == 0 else w[k] + (w[k + 1] - w[k]) * (i / parts)
                 rows[1, 0, :4] = w[k + 1] if i + 1 == parts else w[k] + (w[k + 1] - w[k]) * ((i + 1) / parts)
-                x = self._step(x, rows[0], rows[1], h, t[k] + i * h)
+                x, level = self._in_parts(x, rows[0], rows[1], h, t[k] + i * h, level)
             out[k + 1] = x[0]
         return out
 
@@ -190,7 +190,8 @@ class ExudynEngine:
             if cause == trapezoidal.UNREACHABLE:
                 raise self._failure(cause, x[k], w0[k], time, h, 0)
             own = (None, None) if P is None or E is None else (P[k, None], E[k, None])
-            out[k] = self._in_parts(x[k, None], w0[k, None], w1[k, None], h, time, *own)[0]
+            self.halved += 1
+            out[k] = self._in_parts(x[k, None], w0[k, None], w1[k, None], h, time, 1, *own)[0][0]
         if beyond >= 0:
             raise self._stroke_end(out[beyond], time + h)
         return out
@@ -202,28 +203,30 @@ class ExudynEngine:
         w1: np.ndarray,
         h: float,
         time: float,
-        P: np.ndarray | None,
-        E: np.ndarray | None,
-    ) -> np.ndarray:
-        """Return the state (1, nx) of one crane after a step that is taken in parts, each as long as it can be."""
-        system, done, level, left = self._system(1), 0.0, 1, self.accuracy
-        self.halved += 1
+        level: int,
+        P: np.ndarray | None = None,
+        E: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, int]:
+        """Return the state (1, nx) of one crane after a step, and how often the next is halved; this one begins with parts halved `level` times."""
+        system, done, left = self._system(1), 0.0, self.accuracy
         while done < 1.0:
             part = 0.5**level
-            start, t = w0 + done * (w1 - w0), time + done * h
-            rows = (x, start, w0 + (done + part) * (w1 - w0), part * h, t, P, E, limit(level, done, left))
-            out, beyond = system.step(*rows)
+            start = w0 + done * (w1 - w0) if done > 0.0 else w0
+            end = w0 + (done + part) * (w1 - w0) if done + part < 1.0 else w1
+            t = time + done * h
+            out, beyond = system.step(x, start, end, part * h, t, P, E, limit(level, done, left))
             cause = int(system.status[0])
             if cause == trapezoidal.DONE:
                 if beyond >= 0:
                     raise self._stroke_end(out[0], t + part * h)
-                x, done, left = out, done + part, left - system.errors[0]
-                level = next_level(level, done, system.errors[0], left) if done < 1.0 else level
+                x, done = out, done + part
+                left = left - system.errors[0] if done < 1.0 else self.accuracy
+                level = next_level(level, done % 1.0, system.errors[0], left)
             elif cause == trapezoidal.UNREACHABLE or level == MOST_HALVINGS:
                 raise self._failure(cause, x[0], start[0], t, part * h, level)
             else:
                 level, self.halved = level + 1, self.halved + 1
-        return x
+        return x, level
 
     def _told(self, state: np.ndarray) -> str:
         return ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.state_names, state, strict=True))

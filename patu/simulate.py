@@ -82,21 +82,20 @@ def command(
     seconds = perf_counter() - begin
     printer = Printer(json)
     tell(printer, run, recording, engine, seconds)
-    if holder.halved:
-        printer.line(f"{holder.halved} steps were halved, because their local error was too large.")
+    accuracy = {"halved": holder.halved} | tell_accuracy(printer, run, recording, step, holder.halved)
     with saving(printer) as save:
         save(output, run.to_csv)
-        save.json(json, summary(run, engine, seconds) | {"halved": holder.halved})
+        save.json(json, summary(run, engine, seconds) | accuracy)
 
 
 def _compile(crane: Crane, engine: Any) -> None:
     """Take one step, so that the time that is told is that of the run, not of compiling."""
     import numpy as np
 
-    from crane_exudyn.simulation import initial_state
+    from crane_exudyn.simulation import initial_state, sensed
 
-    closed = np.tile([0.0, 0.0, np.nan, np.nan], (2, 1))
-    engine.simulate(initial_state(crane, engine), np.array([0.0, 1e-3]), closed)
+    closed, time = np.tile([0.0, 0.0, np.nan, np.nan], (2, 1)), np.array([0.0, 1e-3])
+    sensed(crane, engine.simulate(initial_state(crane, engine), time, closed), time)
 
 
 def first_state(crane: Crane, engine: Any, recording: Recording) -> np.ndarray:
@@ -138,6 +137,32 @@ def tell(printer: Printer, run: Simulation, recording: Recording | None, engine:
     channels = run.channels()
     rows = [(f"{n} / {unit}", *(float(f(channels[n]) / si) for f in _RANGE)) for n, unit, si in _SHOWN]
     printer.table("", ("channel", "first", "last", "min", "max"), rows)
+
+
+def tell_accuracy(
+    printer: Printer, run: Simulation, recording: Recording | None, step: float, halved: int
+) -> dict[str, Any]:
+    """Print how many steps were halved and how far the run depends on its steps; return the latter as JSON tells it."""
+    from validation.step_error import step_error
+
+    if halved:
+        printer.line(f"{halved} steps were halved, because their local error was too large.")
+    try:
+        found = step_error(run, recording, step)
+    except CraneError as problem:
+        printer.line(
+            f"How far these numbers depend on the steps is not known, because a run with finer ones fails: {problem}"
+        )
+        return {"step_error": None}
+    size = f"{found.pressure / 1e5:.2g} bar and {found.position:.1g} rad (RMS)"
+    if found.since is None:
+        printer.line(f"A run with steps ten times as accurate differs by {size}.")
+    else:
+        printer.line(
+            f"CAUTION: from t = {found.since:.3f} s on these numbers depend on the size of the steps: ten times as accurate, they are {size} elsewhere. "
+            "The machine makes small differences large there, as a boom does that bounces between voids or on a stop that does not damp."
+        )
+    return {"step_error": {"position": found.position, "pressure": found.pressure, "since": found.since}}
 
 
 _RANGE = (lambda v: v[0], lambda v: v[-1], lambda v: v.min(), lambda v: v.max())
