@@ -18,6 +18,7 @@ from .effects import registry
 from .effects.base import CYLINDERS, Acting
 from .errors import CraneError, nearest
 from .files import write_text
+from .layout import Layout
 
 _DATA = "crane_exudyn.data"
 
@@ -60,7 +61,7 @@ class Initial:
 
     z1: float
     z4: float
-    less_loaded_pressure: tuple[float, float] = (20e5, 20e5)
+    less_loaded_pressure: tuple[float, ...] = (20e5,) * len(CYLINDERS)
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,11 @@ class Crane:
     def to_toml(self) -> str:
         """Return the crane as TOML text, values in SI at full precision."""
         return crane_toml.to_text(self)
+
+    @property
+    def layout(self) -> Layout:
+        """Where its coordinates, chambers and valves stand in states and inputs."""
+        return parameters.LAYOUT
 
     # -- numbers -------------------------------------------------------------------------------------------------
 
