@@ -30,10 +30,10 @@ class Bounds:
     lower: np.ndarray
     upper: np.ndarray
 
-    def without_angles(self) -> Bounds:
-        """Return the same limits but for z1 and z4, which are left free."""
+    def without(self, columns: slice) -> Bounds:
+        """Return the same limits but for some states, which are left free."""
         lower, upper = self.lower.copy(), self.upper.copy()
-        lower[:2], upper[:2] = -np.inf, np.inf
+        lower[columns], upper[columns] = -np.inf, np.inf
         return Bounds(lower, upper)
 
     def split(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -89,9 +89,9 @@ def crane_bounds(
     `margin` (m) keeps both chambers of a cylinder a little longer than nothing.
     """
     lower, upper = np.full(states, -np.inf), np.full(states, np.inf)
-    lower[4:8] = -_MOST_VOID * crane["fluid.oil_bulk_modulus"]
+    lower[crane.layout.pressures] = -_MOST_VOID * crane["fluid.oil_bulk_modulus"]
     if lengths is not None:
-        for i, cylinder in enumerate(("lift", "tilt")):
+        for i, cylinder in enumerate(crane.layout.cylinders):
             empty = crane[f"cylinders.{cylinder}.empty_length"] + margin
             full = empty + crane[f"cylinders.{cylinder}.chamber_range"] - 2 * margin
             lower[i], upper[i] = _angle_range(lengths, i, (crane.initial.z1, crane.initial.z4), empty, full)
