@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from crane_exudyn.channels import CHANNELS
 from crane_exudyn.crane import Crane
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import paper_cycle
-from crane_exudyn.parameters import POINT_NAMES
+from crane_exudyn.parameters import LAYOUT, POINT_NAMES
 from crane_exudyn.statics import visible
 
 from . import crosscheck_cases as cases
@@ -260,17 +261,17 @@ def worst_of(name: str, quantities: Sequence[Quantity]) -> Quantity:
 
 
 def compare_static_starts(first: Engine, second: Engine, states: cases.States) -> list[Quantity]:
-    """Return the four pressures of the static start, compared over the poses of the states."""
-    pressures = []
+    """Return the pressures of the static start, compared over the poses of the states."""
+    lay, pressures = first.crane.layout, []
     for x in states.x:
-        z1, z4 = float(x[0]), float(x[1])
-        pressures.append([e.static_start(z1, z4)[4:8] for e in (first, second)])
+        pose = x[lay.positions].tolist()
+        pressures.append([e.static_start(*pose)[lay.pressures] for e in (first, second)])
     values = np.array(pressures)
     reason = ROUNDING
     group = Group("static start", "Pa", (), 1e-9, reason, 1e5)
     out = []
-    for i in range(4):
-        q = _judge(group, f"static start: p{i + 1}", values[:, :, i], states)
+    for i, name in enumerate(lay.chambers):
+        q = _judge(group, f"static start: {name}", values[:, :, i], states)
         out.append(q)
     return out
 
@@ -281,7 +282,7 @@ def acts(engine: Engine, states: cases.States) -> bool:
 
     neutral = SemiRecursiveEngine(engine.crane.nominal())
     for x, w, t in zip(states.x, states.w, states.time, strict=True):
-        with_it, without = engine.terms(x, w, t), neutral.terms(x[:8], w, t)
+        with_it, without = engine.terms(x, w, t), neutral.terms(x[engine.crane.layout.basic], w, t)
         if any(with_it[n] != without[n] for g in GROUPS for n in g.names if n in with_it and n in without):
             return True
     return False
@@ -304,7 +305,9 @@ def compare_runs(
 
     def run(t: np.ndarray, inputs: np.ndarray, h: float) -> Run:
         one, other = (visible(crane, e.simulate(x0, t, inputs, step=h)) for e in (first, second))
-        boiling = np.flatnonzero((other[:, 4:8] <= vapour_pressure(crane.parameter_vector())).any(axis=1))
+        boiling = np.flatnonzero(
+            (other[:, crane.layout.pressures] <= vapour_pressure(crane.parameter_vector())).any(axis=1)
+        )
         return Run(name, h, t, one, other, int(boiling[0]) if boiling.size else len(t))
 
     coarse = round(ORDER_STEPS[0] / (time[1] - time[0]))
@@ -347,8 +350,8 @@ def _final_differences(run: Run, names: Sequence[str]) -> list[Quantity]:
     difference = np.abs(run.first - run.second)
     reach = np.ptp(run.second, axis=0)
     for i, name in enumerate(names):
-        angle = name in ("z1", "z4", "theta")
-        if not angle and not name.startswith("p"):
+        angle = CHANNELS[name] == "rad"
+        if not angle and CHANNELS[name] != "Pa":
             continue
         worst = int(np.argmax(np.where(np.isnan(difference[:, i]), np.inf, difference[:, i])))
         size, range_ = float(difference[worst, i]), max(float(reach[i]), 1e-12)
@@ -506,7 +509,7 @@ def figure_of(runs: Sequence[Run]) -> Figure:
     """Return a figure of one manoeuvre: both engines on top of each other, and below each their difference at every step."""
     from . import plots
 
-    columns = {"z1": 0, "z4": 1, "p1": 4, "p2": 5, "p3": 6, "p4": 7}
+    columns = {name: LAYOUT.index(name) for name in (*LAYOUT.coordinates, *LAYOUT.chambers)}
     last = runs[-1]
     made = plots.figure(2 * len(columns), height=1.0)
     for row, (name, i) in enumerate(columns.items()):

@@ -63,26 +63,30 @@ def random_states(crane: Crane, count: int, rng: np.random.Generator) -> States:
         raise CraneError(
             f"{crane.name}: only {len(found)} of {800 * count} random poses are feasible. Mend joints or strokes."
         )
-    w = np.column_stack([rng.uniform(-1, 1, (count, 2)), np.full((count, 2), np.nan)])
+    lay = crane.layout
+    w = np.tile(lay.closed, (count, 1))
+    w[:, lay.spools] = rng.uniform(-1, 1, (count, len(lay.commands)))
     measured = rng.random(count) < 0.5
     pump, tank = crane["supply.pump_pressure"], crane["supply.tank_pressure"]
-    w[measured, 2:] = np.array([pump, tank]) * rng.uniform(0.8, 1.2, (np.count_nonzero(measured), 2))
+    w[measured, lay.supplies] = np.array([pump, tank]) * rng.uniform(0.8, 1.2, (np.count_nonzero(measured), 2))
     return States(np.array(found[:count]), w, rng.uniform(0.0, 10.0, count))
 
 
 def _drawn(crane: Crane, nx: int, count: int, rng: np.random.Generator) -> np.ndarray:
     x = np.zeros((count, nx))
     x[:, 0], x[:, 1] = rng.uniform(-0.4, 1.3, count), rng.uniform(-2.8, 0.3, count)
-    x[:, 2:4] = rng.normal(0.0, 0.3, (count, 2))
-    x[:, 4:8] = rng.uniform(0.2e5, 1.5 * crane["supply.pump_pressure"], (count, 4))
-    x[rng.random(count) < 1.0 / 3.0, 4:8] *= 0.1
-    x[:, 4:8][rng.random((count, 4)) < 0.05] = vapour_pressure(crane.parameter_vector())
-    x[:, 8:] = rng.normal(0.0, 0.4, (count, nx - 8))
+    lay = crane.layout
+    dz, p, added = x[:, lay.velocities], x[:, lay.pressures], x[:, lay.extra]
+    dz[:] = rng.normal(0.0, 0.3, dz.shape)
+    p[:] = rng.uniform(0.2e5, 1.5 * crane["supply.pump_pressure"], p.shape)
+    p[rng.random(count) < 1.0 / 3.0] *= 0.1
+    p[rng.random(p.shape) < 0.05] = vapour_pressure(crane.parameter_vector())
+    added[:] = rng.normal(0.0, 0.4, added.shape)
     return x
 
 
 def _feasible(engine: SemiRecursiveEngine, x: np.ndarray) -> np.ndarray:
-    t = engine.terms_along(x, np.zeros((len(x), 4)), np.zeros(len(x)))
+    t = engine.terms_along(x, np.zeros((len(x), len(engine.crane.layout.inputs))), np.zeros(len(x)))
     chambers = np.min([t[f"l{i}"] for i in range(1, 5)], axis=0)
     with np.errstate(invalid="ignore"):
         return (chambers > MARGIN) & (np.abs(t["dz2_dz4"]) < 5.0) & (np.abs(t["dz3_dz4"]) < 5.0)

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.errors import CraneError
+from crane_exudyn.parameters import LAYOUT
+from crane_exudyn.sensors import PLACES
 
 from .hidden import SEVERITIES, HiddenCase, hideable, make_case
 from .workers import results_of
@@ -47,9 +49,9 @@ def planned(seed: int) -> dict[str, Any]:
     )
     names = list(SEVERITIES)
     name = names[turn % len(names)]
-    keys = [k for k in hideable(("z1", "z4", "p1", "p2", "p3", "p4")) if k.partition("@")[0] == name]
+    keys = [k for k in hideable(PLACES) if k.partition("@")[0] == name]
     key = keys[(turn // len(names)) % len(keys)]
-    all_sensors = {"sensors": 0} if key in ("sensor_bias@p2", "sensor_bias@p3") or key.endswith(("p2", "p3")) else {}
+    all_sensors = {} if key.partition("@")[2] not in set(LAYOUT.chambers) - set(LAYOUT.loaded) else {"sensors": 0}
     return {"kind": kind, "keys": [key], **all_sensors}
 
 
@@ -251,7 +253,11 @@ def _by_sensors(good: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for sensors in (6, 4):
         for pressure_noise, name in ((0.3e5, "0.05° and 0.3 bar"), (1.5e5, "1° and 1.5 bar")):
-            own = [g for g in good if len(noise := g["answer"]["noise"]) == sensors and noise["p1"] == pressure_noise]
+            own = [
+                g
+                for g in good
+                if len(noise := g["answer"]["noise"]) == sensors and noise[LAYOUT.loaded[0]] == pressure_noise
+            ]
             hiding = [g for g in own if g["answer"]["effects"]]
             rows.append((
                 "z1 z4 p1 p2 p3 p4" if sensors == 6 else "z1 z4 p1 p4", name, _share(g["judged"]["right"] for g in hiding),
