@@ -1,6 +1,9 @@
 """Layout: the places of a made-up machine, what the PATU's compiled code assumes of them, and that nothing else slices a state."""
 
+import ast
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from crane_exudyn import Crane, hydraulics
 from crane_exudyn.layout import Layout
 from crane_exudyn.sensors import of
 
+ROOT = Path(__file__).resolve().parent.parent
 #: boom, arm and bucket; the arm's absolute angle is that of the boom and its own
 DIGGER = Layout(
     coordinates=("boom", "arm", "bucket"), joints=("J1", "J2", "J3"), bodies=("main_boom", "arm", "bucket"), parents=("", "boom", "arm"),
@@ -56,3 +60,49 @@ def test_compiled_code_has_the_order_of_the_layout():
     assert layout.disturbances == hydraulics.DISTURBANCES and len(layout.all_inputs) == hydraulics.N_W
     at = [layout.all_inputs.index(names[0]) for names in (layout.torques, ("force.x",), layout.flows)]
     assert at == [hydraulics.TORQUE, hydraulics.FORCE, hydraulics.FLOW]
+
+
+#: what slices a state or the inputs, or counts their parts
+SLICE = re.compile(
+    r"[:.], ?(:[248]|2:4?|4:8?|8:)\]|\b(x|x0|state|mean|deviation|w|lower|upper|out|held|p)\[(:[248]|2:4?|4:8?|8:?|9)\]"
+    r"|range\(4, 8\)|4 <= \w+(\[\w\])? < 8\b|== (8|10)\b|for (?!_)\w+ in range\([24]\)"
+)
+LAYOUT = Crane.load("patu655").layout
+NAMES = {
+    *LAYOUT.states, *LAYOUT.joints, *LAYOUT.cylinders, *LAYOUT.lengths, *LAYOUT.commands, *LAYOUT.voltages,
+    *LAYOUT.torques, *LAYOUT.flows, *(s.name for s in of(LAYOUT)),
+}  # fmt: skip
+#: the compiled engines, which know one linkage
+COMPILED = {
+    "crane_exudyn/geometry.py", "crane_exudyn/hydraulics.py", "crane_exudyn/mechanism.py", "crane_exudyn/reduction.py",
+    "crane_exudyn/trapezoidal.py", "validation/semi_recursive/equations.py", "validation/semi_recursive/kernel.py",
+    "validation/semi_recursive/sensitivity.py", "validation/semi_recursive/terms.py",
+}  # fmt: skip
+#: what is the PATU's own: its names, the paper, recordings drawn for it
+OWN = {
+    "crane_exudyn/parameters.py", "patu/paper.py", "validation/paper.py", "validation/paper_figures.py", "validation/hidden.py",
+    "validation/hidden_plant.py",
+}  # fmt: skip
+#: what still has to take its names from the layout
+LATER = {"crane_exudyn/render.py"}
+
+
+def _knows_one_machine(text: str) -> bool:
+    """Return whether a source slices a state by numbers, or has a name of the PATU's channels as a word of its own."""
+    words = {node.value for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Constant)}
+    return bool(SLICE.search(text) or words & NAMES)
+
+
+def test_only_listed_files_know_where_things_stand():
+    files = [f for folder in ("crane_exudyn", "ukf", "validation", "patu") for f in (ROOT / folder).rglob("*.py")]
+    found = {str(f.relative_to(ROOT)) for f in files if _knows_one_machine(f.read_text(encoding="utf-8"))}
+    assert found == COMPILED | OWN | LATER
+
+
+@pytest.mark.parametrize(
+    "line", ["y = x[4:8]", "y = states[:, :2]", "y = x[..., 4:8]", "y = w[2:]", 'y = run["z4_abs"]', "n = nx == 10"]
+)
+def test_what_is_looked_for_is_found(line):
+    assert _knows_one_machine(line) and not _knows_one_machine(
+        '"""Give z1 and z4."""\ny = found[:2], names[:, layout.pressures]'
+    )
