@@ -63,6 +63,11 @@ class Initial:
     z4: float
     less_loaded_pressure: tuple[float, ...] = (20e5,) * len(CYLINDERS)
 
+    @property
+    def pose(self) -> tuple[float, float]:
+        """The coordinates in the order of the state, rad."""
+        return self.z1, self.z4
+
 
 @dataclass(frozen=True)
 class Crane:

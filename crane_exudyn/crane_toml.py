@@ -228,7 +228,8 @@ def to_text(crane: Crane) -> str:
         lines.append(f"description = {_text(crane.description)}")
     lines += [f"gravity = {_number(crane['gravity'])}", ""]
     lines += _value_lines(crane)
-    lines += ["[initial]", f"z1 = {_number(crane.initial.z1)}", f"z4 = {_number(crane.initial.z4)}"]
+    pose = zip(crane.layout.coordinates, crane.initial.pose, strict=True)
+    lines += ["[initial]", *(f"{name} = {_number(angle)}" for name, angle in pose)]
     lines += [f"less_loaded_pressure = [{', '.join(_number(p) for p in crane.initial.less_loaded_pressure)}]", ""]
     if crane.sensors:
         lines += ["[sensors]", *(f"{k} = {_number(v)}" for k, v in crane.sensors.items()), ""]

@@ -99,7 +99,7 @@ class Trajectory:
     @classmethod
     def at_rest(cls, crane: Crane) -> Trajectory:
         """Return the crane standing still at the start that its file gives, for one second."""
-        z1, z4 = (np.full(2, angle) for angle in (crane.initial.z1, crane.initial.z4))
+        z1, z4 = (np.full(2, angle) for angle in crane.initial.pose)
         return cls("start", np.array([0.0, 1.0]), z1, z4)
 
     def at(self, time: float) -> tuple[float, float]:

@@ -175,7 +175,7 @@ def paper_time() -> np.ndarray:
 def initial_state(crane: Crane, engine: Any) -> np.ndarray:
     """Return the crane file's start (nx,): its angles, at rest, valves closed."""
     rule = crane.initial
-    return np.asarray(engine.static_start(rule.z1, rule.z4, rule.less_loaded_pressure))
+    return np.asarray(engine.static_start(*rule.pose, rule.less_loaded_pressure))
 
 
 def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:

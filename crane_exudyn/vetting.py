@@ -215,7 +215,7 @@ def _beyond(crane: Crane, c: int, values: np.ndarray) -> float:
     P = crane.parameter_vector()
     reached = np.array([bool(geo.loop_angles(P, z)[2]) for z in values]) if c else np.ones(len(values), dtype=bool)
     inside = values[reached]
-    still = np.full(len(inside), crane.initial.z4 if c == 0 else crane.initial.z1)
+    still = np.full(len(inside), crane.initial.pose[1 - c])
     pair = (inside, still) if c == 0 else (still, inside)
     lengths = geo.pose(crane, *pair).lengths[:, c] if len(inside) else np.empty(0)
     shortest, longest = _reach(crane, c)

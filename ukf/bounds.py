@@ -94,7 +94,7 @@ def crane_bounds(
         for i, cylinder in enumerate(crane.layout.cylinders):
             empty = crane[f"cylinders.{cylinder}.empty_length"] + margin
             full = empty + crane[f"cylinders.{cylinder}.chamber_range"] - 2 * margin
-            lower[i], upper[i] = _angle_range(lengths, i, (crane.initial.z1, crane.initial.z4), empty, full)
+            lower[i], upper[i] = _angle_range(lengths, i, crane.initial.pose, empty, full)
     return Bounds(lower, upper)
 
 

@@ -60,7 +60,7 @@ def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Map
 
 
 def _angles(crane: Crane, known: Mapping[str, float], std: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    z = np.array([crane.initial.z1, crane.initial.z4])
+    z = np.array(crane.initial.pose)
     lay, deviation = crane.layout, np.full(len(z), ANGLE)
     for i, name in enumerate(lay.coordinates):
         carriers = [lay.index(n) for n in lay.absolute(name)[:-1]]

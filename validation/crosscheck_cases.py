@@ -119,7 +119,7 @@ def _drawn_crane(crane: Crane, rng: np.random.Generator) -> Crane:
             changes[f"cylinders.{c}.rod"] = changes[f"cylinders.{c}.bore"] * rng.uniform(0.3, 0.7)
         drawn = crane.with_parameters(changes)
         try:
-            SemiRecursiveEngine(drawn).static_start(drawn.initial.z1, drawn.initial.z4)
+            SemiRecursiveEngine(drawn).static_start(*drawn.initial.pose)
             random_states(drawn, 20, rng)
         except CraneError:
             continue
@@ -166,13 +166,13 @@ def joystick(crane: Crane, x0: np.ndarray, seconds: float, rng: np.random.Genera
     """
     engine, n = SemiRecursiveEngine(crane), round(seconds / SAMPLE) + 1
     stop = round(0.6 / SAMPLE)
-    time, commands = np.arange(n + stop) * SAMPLE, np.zeros((n + stop, 2))
-    at, x, level = round(0.2 / SAMPLE), np.asarray(x0), np.zeros(2)
+    time, commands = np.arange(n + stop) * SAMPLE, np.zeros((n + stop, len(CYLINDERS)))
+    at, x, level = round(0.2 / SAMPLE), np.asarray(x0), np.zeros(len(CYLINDERS))
     while at < n - 1:
         end = min(n - 1, at + int(rng.uniform(0.5, 1.7) / SAMPLE))
         for wanted in _tries(rng):
             commands[at : end + 1] = _ramp(level, wanted, end + 1 - at)
-            commands[end : end + stop] = _ramp(wanted, np.zeros(2), stop)
+            commands[end : end + stop] = _ramp(wanted, np.zeros_like(wanted), stop)
             spools = spool_inputs(crane, time[: end + stop], commands[: end + stop])[at:]
             after = _safe_state(engine, x, time[at : end + stop], spools, end - at)
             if after is not None:
@@ -195,9 +195,9 @@ def spool_inputs(crane: Crane, time: np.ndarray, commands: np.ndarray) -> np.nda
 
 def _tries(rng: np.random.Generator) -> list[np.ndarray]:
     """Return positions of both levers in the order in which the driver thinks of them; stopping is the last."""
-    drawn = rng.uniform(-0.7, 0.7, (30, 2))
-    drawn[rng.random((30, 2)) < 0.25] = 0.0
-    return [*drawn, np.zeros(2)]
+    drawn = rng.uniform(-0.7, 0.7, (30, len(CYLINDERS)))
+    drawn[rng.random(drawn.shape) < 0.25] = 0.0
+    return [*drawn, np.zeros(len(CYLINDERS))]
 
 
 def _safe_state(

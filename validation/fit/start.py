@@ -31,7 +31,7 @@ def _state(
     crane: Crane, engine: SemiRecursiveEngine, data: FitData, samples: dict[str, Samples], t: float
 ) -> np.ndarray:
     lay = crane.layout
-    z, dz = np.array([crane.initial.z1, crane.initial.z4]), np.zeros(len(lay.rates))
+    z, dz = np.array(crane.initial.pose), np.zeros(len(lay.rates))
     for i, name in enumerate(lay.coordinates):
         carriers = [lay.index(n) for n in lay.absolute(name)[:-1]]
         if name in samples:
