@@ -15,7 +15,7 @@ class Layout:
 
     Attributes:
         coordinates: of the joints; joints, bodies: which joint each one belongs to, and which body it moves.
-        parents: the coordinate that carries each coordinate's base; "" where that is fixed.
+        parents: the coordinate that carries each coordinate's base, which stands before it; "" where that is fixed.
         cylinders: names; sides: (piston side, rod side) of each, its chambers; loaded: the chamber of each
             that carries its load; lengths: the channels of their lengths.
         commands, voltages: the channels of their valves; a valve's spool position has the name of its voltage.
@@ -82,25 +82,25 @@ class Layout:
     @property
     def pressures(self) -> slice:
         """Where the chambers' pressures stand in a state."""
-        return slice(2 * len(self.coordinates), len(self.states))
+        first = 2 * len(self.coordinates)
+        return slice(first, first + 2 * len(self.sides))
 
     @property
     def basic(self) -> slice:
         """Where everything stands in a state but what effects add."""
-        return slice(0, len(self.states))
+        return slice(0, self.pressures.stop)
 
     @property
     def extra(self) -> slice:
         """Where the states stand that effects add."""
-        return slice(len(self.states), len(self.all_states))
+        return slice(self.pressures.stop, self.pressures.stop + len(self.added))
 
     # -- cylinders and joints --------------------------------------------------------------------------------------
 
     def cylinder_of(self, name: str) -> int:
         """Return the number of the cylinder that has a chamber, or drives a coordinate, of that name."""
-        return next(
-            c for c, own in enumerate(zip(self.driven, *zip(*self.sides, strict=True), strict=True)) if name in own
-        )
+        owned = zip(self.driven, self.sides, strict=True)
+        return next(c for c, (driven, sides) in enumerate(owned) if name in (driven, *sides))
 
     def chambers_of(self, cylinder: int) -> slice:
         """Return where a cylinder's chambers stand among all chambers."""

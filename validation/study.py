@@ -253,11 +253,8 @@ def _by_sensors(good: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for sensors in (6, 4):
         for pressure_noise, name in ((0.3e5, "0.05° and 0.3 bar"), (1.5e5, "1° and 1.5 bar")):
-            own = [
-                g
-                for g in good
-                if len(noise := g["answer"]["noise"]) == sensors and noise[LAYOUT.loaded[0]] == pressure_noise
-            ]
+            wanted = sensors, pressure_noise
+            own = [g for g in good if (len(noise := g["answer"]["noise"]), noise[LAYOUT.loaded[0]]) == wanted]
             hiding = [g for g in own if g["answer"]["effects"]]
             rows.append((
                 "z1 z4 p1 p2 p3 p4" if sensors == 6 else "z1 z4 p1 p4", name, _share(g["judged"]["right"] for g in hiding),
