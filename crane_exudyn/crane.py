@@ -153,7 +153,8 @@ class Crane:
         if missing:
             raise CraneError(
                 f"{self.name}: the recording holds valve voltages, but the crane has no calibration for the "
-                f"{missing[0]} valve. Add [valves.{missing[0]}.voltage] with neutral, extend and retract, or record u1 and u2."
+                f"{missing[0]} valve. Add [valves.{missing[0]}.voltage] with neutral, extend and retract, or "
+                f"record {' and '.join(self.layout.commands)}."
             )
         volts = np.asarray(volts, dtype=float)
         return np.column_stack([self.voltage[c].command(volts[:, i]) for i, c in enumerate(CYLINDERS)])

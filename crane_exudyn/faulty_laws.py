@@ -15,7 +15,7 @@ import numpy as np
 
 from .crane import Crane
 from .effects import registry
-from .errors import CraneError
+from .errors import CraneError, listed
 
 #: parts of the failing step at which to look: an engine has halved it so often, or its iterates went beyond its end
 _FRACTIONS = (0.0, *(2.0**k for k in range(-14, 3)))
@@ -35,12 +35,8 @@ def where_run_failed(crane: Crane, state: np.ndarray, w: np.ndarray, time: float
         found = without_numbers(crane, lambda tried, x=x, t=t: _terms_are_finite(tried, x, w, t))  # type: ignore[misc]
         if found:
             lay = crane.layout
-            angles = ", ".join(
-                f"{n} = {np.degrees(v):.4g} deg" for n, v in zip(lay.coordinates, x[lay.positions], strict=True)
-            )
-            pressures = ", ".join(
-                f"{n} = {p / 1e5:.4g} bar" for n, p in zip(lay.chambers, x[lay.pressures], strict=True)
-            )
+            angles = listed(lay.coordinates, np.degrees(x[lay.positions]), "{:.4g} deg")
+            pressures = listed(lay.chambers, x[lay.pressures] / 1e5, "{:.4g} bar")
             return refusal(crane, found, f"t = {t:.6g} s, {angles}, {pressures}")
     return None
 

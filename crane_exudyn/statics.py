@@ -13,7 +13,7 @@ from . import hydraulics as hyd
 from . import reduction as red
 from .crane import Crane
 from .effects import hooks
-from .errors import CraneError
+from .errors import CraneError, listed
 from .parameters import POINT_NAMES
 
 
@@ -62,6 +62,7 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
     state = np.zeros(size_of_state(crane))
     state[lay.positions] = z1, z4
     state[lay.extra][:1] = math.atan2(gx, -gy)
+    pose = listed(lay.coordinates, np.degrees(state[lay.positions]), "{:.2f} deg")
     low = np.broadcast_to(np.asarray(less_loaded, dtype=float), len(lay.cylinders))
     floor = vapour_pressure(crane)
     if not np.all(low >= floor):
@@ -74,13 +75,12 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
         leverage = r["D"][c, c]
         if abs(leverage) < 1e-6:
             raise CraneError(
-                f"{crane.name}: the {name} cylinder has no leverage at z1 = {math.degrees(z1):.2f} deg, z4 = "
-                f"{math.degrees(z4):.2f} deg, so no pressure balances the load. Start at another pose."
+                f"{crane.name}: the {name} cylinder has no leverage at {pose}, so no pressure balances the load. Start at another pose."
             )
         state[lay.pressures_of(c)] = _pressures(P, E, c, r["kinematics"][c], needed[c] / leverage, low[c])
     if not np.isfinite(state).all():
         raise faulty_laws.where_start_failed(crane, state) or CraneError(
-            f"{crane.name}: there is no static start at z1 = {math.degrees(z1):.2f} deg, z4 = {math.degrees(z4):.2f} deg: "
+            f"{crane.name}: there is no static start at {pose}: "
             "the forces there are not finite. Look for numbers of the crane that are out of proportion."
         )
     return state

@@ -21,13 +21,13 @@ def command_of(commands: Sequence[float] | Mapping[str, float]) -> np.ndarray:
     if isinstance(commands, Mapping):
         if set(commands) != set(COMMANDS):
             raise CraneError(
-                f"commands: found {', '.join(map(str, commands)) or 'nothing'}. Give u1 and u2 in [-1, 1]."
+                f"commands: found {', '.join(map(str, commands)) or 'nothing'}. Give {' and '.join(COMMANDS)} in [-1, 1]."
             )
         commands = [commands[name] for name in COMMANDS]
     found = np.asarray(commands, object)
     if found.shape != (len(COMMANDS),):
         raise CraneError(
-            f"commands: found {_shown(commands)}. Give two numbers in [-1, 1], one for each valve: (u1, u2)."
+            f"commands: found {_shown(commands)}. Give two numbers in [-1, 1], one for each valve: ({', '.join(COMMANDS)})."
         )
     return np.array([number(value, f"commands: {name}") for name, value in zip(COMMANDS, found, strict=True)])
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from crane_exudyn.channels import CHANNELS
 from crane_exudyn.crane import Crane
+from crane_exudyn.errors import listed
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import paper_cycle
 from crane_exudyn.parameters import LAYOUT, POINT_NAMES
@@ -249,8 +250,7 @@ def _judge(group: Group, name: str, values: np.ndarray, states: cases.States) ->
     size = np.abs(difference)
     worst = int(np.argmax(np.where(np.isnan(size), np.inf, size)))
     scale = max(float(np.nanmax(np.abs(values), initial=0.0)), group.floor, 1e-300)
-    pose = zip(LAYOUT.coordinates, np.degrees(states.x[worst, LAYOUT.positions]), strict=True)
-    place = ", ".join(f"{name} = {angle:.1f}°" for name, angle in pose)
+    place = listed(LAYOUT.coordinates, np.degrees(states.x[worst, LAYOUT.positions]), "{:.1f}°")
     worst_size = float(size[worst])
     return Quantity(name, group.unit, worst_size, worst_size / scale, group.tolerance, group.reason, place)
 

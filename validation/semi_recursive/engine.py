@@ -12,7 +12,7 @@ from crane_exudyn import parameters as names
 from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import hooks, registry
-from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.errors import CraneError, listed, nearest
 from crane_exudyn.layout import Layout
 from crane_exudyn.step_control import MOST_HALVINGS
 
@@ -240,18 +240,14 @@ class SemiRecursiveEngine:
         )
 
     def _unreachable(self, x: np.ndarray) -> str:
-        return (
-            f"Semi-recursive engine: the loop A-B-C-D of {self.crane.name} cannot be closed at z1 = {math.degrees(x[0]):.2f} deg, "
-            f"z4 = {math.degrees(x[1]):.2f} deg: D is out of reach of the brackets. Mend z4 or the joints B, C, D."
-        )
+        pose = listed(self._layout.coordinates, np.degrees(x[self._layout.positions]), "{:.2f} deg")
+        return f"Semi-recursive engine: the loop A-B-C-D of {self.crane.name} cannot be closed at {pose}: D is out of reach of the brackets. Mend z4 or the joints B, C, D."
 
     def _chamber(self, k: int) -> str:
         return self._layout.side_of(self._layout.chambers[k])
 
     def _told(self, x: np.ndarray) -> str:
         lay = self._layout
-        angles = [f"{n} = {math.degrees(v):.3f} deg" for n, v in zip(lay.coordinates, x[lay.positions], strict=True)]
-        rates = [f"{n} = {v:.4g} rad/s" for n, v in zip(lay.rates, x[lay.velocities], strict=True)]
-        return ", ".join(
-            angles + rates + [f"{n} = {p / 1e5:.2f} bar" for n, p in zip(lay.chambers, x[lay.pressures], strict=True)]
-        )
+        angles = listed(lay.coordinates, np.degrees(x[lay.positions]), "{:.3f} deg")
+        rates = listed(lay.rates, x[lay.velocities], "{:.4g} rad/s")
+        return f"{angles}, {rates}, {listed(lay.chambers, x[lay.pressures] / 1e5, '{:.2f} bar')}"
