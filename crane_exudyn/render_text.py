@@ -47,8 +47,8 @@ def _font(size: int, bold: bool = False) -> Any:
 def _heading(draw: Any, scene: Scene, time: float, unit: float) -> None:
     title = scene.title or scene.crane.name
     draw.text((28 * unit, 20 * unit), title, font=_font(round(24 * unit), True), fill=_INK)
-    z1, z4 = scene.trajectories[0].at(time)
-    words = f"t = {time:6.2f} s    z1 = {math.degrees(z1):6.1f}°    z4 = {math.degrees(z4):6.1f}°"
+    pose = zip(LAYOUT.coordinates, np.degrees(scene.trajectories[0].at(time)), strict=True)
+    words = "    ".join([f"t = {time:6.2f} s", *(f"{name} = {angle:6.1f}°" for name, angle in pose)])
     draw.text((28 * unit, 54 * unit), words.replace("-", "−"), font=_font(round(17 * unit)), fill=_SOFT)
 
 
