@@ -433,4 +433,4 @@ def unit_of(name: str) -> str:
     if "@" in name or "." in name:
         effect = registry.find(name.split("@")[0].split(".")[0])
         return next((p.unit for p in effect.parameters if p.name == name.rpartition(".")[2]), "")
-    return CHANNELS[name]
+    return CHANNELS.get(name, "")
