@@ -10,16 +10,15 @@ from types import MappingProxyType
 import numpy as np
 
 from . import sensors
+from .parameters import LAYOUT
 
-COMMANDS = ("u1", "u2")
-VOLTAGES = ("U1", "U2")
-SUPPLY = ("pp", "pt")
+COMMANDS, VOLTAGES, SUPPLY = LAYOUT.commands, LAYOUT.voltages, LAYOUT.supply
 #: measured channels and their SI units
 SENSORS: Mapping[str, str] = MappingProxyType({name: sensor.unit for name, sensor in sensors.SENSORS.items()})
 #: by unit, the size that no reading of a crane has: turns that no boom makes, rad/s, 1000 bar, m
 BEYOND: Mapping[str, float] = MappingProxyType({"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0})
 #: what no sensor measures, but simulations and estimates hold: angle and rate of a payload on a pendulum
-UNSEEN: Mapping[str, str] = MappingProxyType({"theta": "rad", "dtheta": "rad/s"})
+UNSEEN: Mapping[str, str] = MappingProxyType(dict(zip(LAYOUT.added, ("rad", "rad/s"), strict=True)))
 #: all channels that a recording may have, and their SI units ("" is a pure number)
 CHANNELS: Mapping[str, str] = MappingProxyType(
     dict.fromkeys(COMMANDS, "")

@@ -18,6 +18,7 @@ from .effects import registry
 from .effects.base import CYLINDERS, Acting
 from .errors import CraneError, nearest
 from .files import write_text
+from .layout import Layout
 
 _DATA = "crane_exudyn.data"
 
@@ -60,7 +61,12 @@ class Initial:
 
     z1: float
     z4: float
-    less_loaded_pressure: tuple[float, float] = (20e5, 20e5)
+    less_loaded_pressure: tuple[float, ...] = (20e5,) * len(CYLINDERS)
+
+    @property
+    def pose(self) -> tuple[float, float]:
+        """The coordinates in the order of the state, rad."""
+        return self.z1, self.z4
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,11 @@ class Crane:
         """Return the crane as TOML text, values in SI at full precision."""
         return crane_toml.to_text(self)
 
+    @property
+    def layout(self) -> Layout:
+        """Where its coordinates, chambers and valves stand in states and inputs."""
+        return parameters.LAYOUT
+
     # -- numbers -------------------------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> float:
@@ -142,7 +153,8 @@ class Crane:
         if missing:
             raise CraneError(
                 f"{self.name}: the recording holds valve voltages, but the crane has no calibration for the "
-                f"{missing[0]} valve. Add [valves.{missing[0]}.voltage] with neutral, extend and retract, or record u1 and u2."
+                f"{missing[0]} valve. Add [valves.{missing[0]}.voltage] with neutral, extend and retract, or "
+                f"record {' and '.join(self.layout.commands)}."
             )
         volts = np.asarray(volts, dtype=float)
         return np.column_stack([self.voltage[c].command(volts[:, i]) for i, c in enumerate(CYLINDERS)])

@@ -112,16 +112,17 @@ def _initial(table: Mapping[str, Any], where: str) -> Initial:
     table = dict(table)
     pressure = table.pop("less_loaded_pressure", 20e5)
     pair = pressure if isinstance(pressure, list) else [pressure, pressure]
-    if len(pair) != 2:
+    if len(pair) != len(CYLINDERS):
         raise CraneError(
-            f"{where}: initial.less_loaded_pressure = {pressure!r} should be one pressure, or two (lift, tilt)."
+            f"{where}: initial.less_loaded_pressure = {pressure!r} should be one pressure, or two ({', '.join(CYLINDERS)})."
         )
-    numbers = _read(table, {"z1": "rad", "z4": "rad"}, f"{where}: initial")
-    for key in ("z1", "z4"):
+    numbers = _read(table, dict.fromkeys(parameters.LAYOUT.coordinates, "rad"), f"{where}: initial")
+    for key in parameters.LAYOUT.coordinates:
         if key not in numbers:
             raise CraneError(f'{where}: initial.{key} is missing. Give the angle at the start, such as "10 deg".')
-    lift, tilt = (to_si(p, "Pa", f"{where}: initial.less_loaded_pressure") for p in pair)
-    return Initial(numbers["z1"], numbers["z4"], (lift, tilt))
+    pressures = tuple(to_si(p, "Pa", f"{where}: initial.less_loaded_pressure") for p in pair)
+    z1, z4 = (numbers[key] for key in parameters.LAYOUT.coordinates)
+    return Initial(z1, z4, pressures)
 
 
 def _voltages(valves: Mapping[str, Any], where: str) -> dict[str, Voltage]:
@@ -227,7 +228,8 @@ def to_text(crane: Crane) -> str:
         lines.append(f"description = {_text(crane.description)}")
     lines += [f"gravity = {_number(crane['gravity'])}", ""]
     lines += _value_lines(crane)
-    lines += ["[initial]", f"z1 = {_number(crane.initial.z1)}", f"z4 = {_number(crane.initial.z4)}"]
+    pose = zip(crane.layout.coordinates, crane.initial.pose, strict=True)
+    lines += ["[initial]", *(f"{name} = {_number(angle)}" for name, angle in pose)]
     lines += [f"less_loaded_pressure = [{', '.join(_number(p) for p in crane.initial.less_loaded_pressure)}]", ""]
     if crane.sensors:
         lines += ["[sensors]", *(f"{k} = {_number(v)}" for k, v in crane.sensors.items()), ""]

@@ -16,8 +16,6 @@ from .effects import hooks, registry
 from .errors import CraneError, nearest
 from .step_control import MOST_HALVINGS, limit, next_level
 
-STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
-SWING_NAMES = ("theta", "dtheta")
 _MOST_ITERATIONS = 15
 #: systems that are kept for further steps, one a batch size
 _MOST_SYSTEMS = 6
@@ -44,7 +42,7 @@ class ExudynEngine:
         self.crane, self.accuracy = crane, float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
         self._swings = bool(hooks.pendulum(self._E)[0] > 0.0)
-        self.state_names = STATE_NAMES + (SWING_NAMES if self._swings else ())
+        self.state_names = crane.layout.all_states if self._swings else crane.layout.states
         self._systems: OrderedDict[int, _System] = OrderedDict()
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
         self.halved = 0
@@ -73,7 +71,7 @@ class ExudynEngine:
             dt: step in s.
             time: start of the step in s; effects that begin at a time need it.
             parameters: {name: (n,)}, what differs from row to row (SI): nominal parameters such as "payload.mass",
-                parameters of effects such as "internal_leakage@lift.k", and hydraulics.DISTURBANCES such as "flow.p1".
+                parameters of effects such as "internal_leakage@lift.k", and disturbances such as "flow.p1".
 
         Raises:
             CraneError: wrong shapes, a pose that cannot be reached, an end of stroke, or no convergence.
@@ -87,13 +85,14 @@ class ExudynEngine:
         if not dt > 0.0:
             raise CraneError(f"propagate: dt = {dt:g} s is not positive.")
         w = np.asarray(inputs, dtype=float)
-        if w.shape not in ((2, 4), (2, len(x), 4)):
+        names = self.crane.layout.inputs
+        if w.shape not in ((2, len(names)), (2, len(x), len(names))):
             raise CraneError(
-                f"propagate: inputs have shape {w.shape}, expected (2, 4) or (2, {len(x)}, 4): [U1 U2 pp pt] at the "
+                f"propagate: inputs have shape {w.shape}, expected (2, {len(names)}) or (2, {len(x)}, {len(names)}): [{' '.join(names)}] at the "
                 "start and the end of the step."
             )
         rows = np.zeros((2, len(x), hydraulics.N_W))
-        rows[:, :, :4] = w[:, None, :] if w.ndim == 2 else w
+        rows[:, :, self.crane.layout.driving] = w[:, None, :] if w.ndim == 2 else w
         P, E = self._rows(parameters, rows) if parameters else (None, None)
         return self._step(x, rows[0], rows[1], dt, time, P, E)
 
@@ -104,10 +103,10 @@ class ExudynEngine:
         for name, values in parameters.items():
             if name in parameter_index.INDEX:
                 P[:, parameter_index.INDEX[name]] = values
-            elif name in hydraulics.DISTURBANCES:
-                w[:, :, 4 + hydraulics.DISTURBANCES.index(name)] = values
+            elif name in self.crane.layout.disturbances:
+                w[:, :, self.crane.layout.all_inputs.index(name)] = values
             else:
-                E[:, _effect_column(name)] = values
+                E[:, _effect_column(self.crane, name)] = values
         return P, E
 
     def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float = 1e-3) -> np.ndarray:
@@ -123,7 +122,7 @@ class ExudynEngine:
             CraneError: wrong shapes, time that does not increase, or what `propagate` raises.
         """
         t, w = np.asarray(time, dtype=float), np.asarray(inputs, dtype=float)
-        _check_grid(t, w, step)
+        _check_grid(self.crane.layout.inputs, t, w, step)
         x, rows = np.ascontiguousarray(x0, dtype=float)[None].copy(), np.zeros((2, 1, hydraulics.N_W))
         if x.shape[1] != len(self.state_names):
             raise CraneError(f"simulate: x0 has {x.shape[1]} numbers, expected {len(self.state_names)}.")
@@ -265,10 +264,10 @@ class ExudynEngine:
         )
 
 
-def _check_grid(t: np.ndarray, w: np.ndarray, step: float) -> None:
-    if t.ndim != 1 or t.size < 1 or w.shape != (t.size, 4):
+def _check_grid(names: tuple[str, ...], t: np.ndarray, w: np.ndarray, step: float) -> None:
+    if t.ndim != 1 or t.size < 1 or w.shape != (t.size, len(names)):
         raise CraneError(
-            f"simulate: time has shape {t.shape} and inputs {w.shape}, expected (N,) and (N, 4) with [U1 U2 pp pt]."
+            f"simulate: time has shape {t.shape} and inputs {w.shape}, expected (N,) and (N, {len(names)}) with [{' '.join(names)}]."
         )
     back = np.flatnonzero(~(np.diff(t) > 0.0))
     if back.size:
@@ -281,7 +280,7 @@ def _check_grid(t: np.ndarray, w: np.ndarray, step: float) -> None:
         raise CraneError(f"simulate: step = {step:g} s is not positive.")
 
 
-def _effect_column(name: str) -> int:
+def _effect_column(crane: Crane, name: str) -> int:
     """Return where in E the parameter "effect@place.parameter" stands.
 
     Raises:
@@ -289,7 +288,7 @@ def _effect_column(name: str) -> int:
     """
     key, _, parameter = name.rpartition(".")
     if not key or key.split("@")[0] not in [e.name for e in registry.known()]:
-        known = [*parameter_index.NAMES, *hydraulics.DISTURBANCES]
+        known = [*parameter_index.NAMES, *crane.layout.disturbances]
         raise CraneError(f"parameters: there is no {name!r}.{nearest(name, known)}")
     effect, place = registry.split_key(key)
     names = [p.name for p in effect.parameters]

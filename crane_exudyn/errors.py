@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 
@@ -21,6 +21,11 @@ def doing(what: str) -> Iterator[None]:
     except Exception as problem:
         problem.add_note(what)
         raise
+
+
+def listed(names: Iterable[str], values: Iterable[float], form: str) -> str:
+    """Return names with their values, such as "z1 = 10.00 deg, z4 = -40.00 deg" for the form "{:.2f} deg"."""
+    return ", ".join(f"{name} = {form.format(value)}" for name, value in zip(names, values, strict=True))
 
 
 def nearest(word: str, known: list[str]) -> str:

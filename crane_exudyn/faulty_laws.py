@@ -15,7 +15,7 @@ import numpy as np
 
 from .crane import Crane
 from .effects import registry
-from .errors import CraneError
+from .errors import CraneError, listed
 
 #: parts of the failing step at which to look: an engine has halved it so often, or its iterates went beyond its end
 _FRACTIONS = (0.0, *(2.0**k for k in range(-14, 3)))
@@ -34,8 +34,9 @@ def where_run_failed(crane: Crane, state: np.ndarray, w: np.ndarray, time: float
             return None  # the crane itself cannot come there
         found = without_numbers(crane, lambda tried, x=x, t=t: _terms_are_finite(tried, x, w, t))  # type: ignore[misc]
         if found:
-            angles = ", ".join(f"{n} = {np.degrees(v):.4g} deg" for n, v in zip(("z1", "z4"), x[:2], strict=True))
-            pressures = ", ".join(f"p{i + 1} = {p / 1e5:.4g} bar" for i, p in enumerate(x[4:8]))
+            lay = crane.layout
+            angles = listed(lay.coordinates, np.degrees(x[lay.positions]), "{:.4g} deg")
+            pressures = listed(lay.chambers, x[lay.pressures] / 1e5, "{:.4g} bar")
             return refusal(crane, found, f"t = {t:.6g} s, {angles}, {pressures}")
     return None
 
@@ -43,7 +44,7 @@ def where_run_failed(crane: Crane, state: np.ndarray, w: np.ndarray, time: float
 def where_start_failed(crane: Crane, state: np.ndarray) -> CraneError | None:
     """Return the same for a static start (nx,) that is not finite; valves are closed there."""
     known = np.where(np.isfinite(state), state, 0.0)
-    return where_run_failed(crane, known, np.array([0.0, 0.0, np.nan, np.nan]), 0.0, 0.0)
+    return where_run_failed(crane, known, np.array(crane.layout.closed), 0.0, 0.0)
 
 
 def without_numbers(crane: Crane, finite: Callable[[Crane], bool]) -> list[str]:
@@ -87,11 +88,12 @@ def _onwards(
     """Yield states with their times: the given one, and where it goes at its rates there."""
     from .statics import terms
 
-    x = state[:8]
+    lay = crane.layout
     yield state, time
-    rates = terms(crane.nominal(), x, w[:4], time)
-    names = ("ddz1", "ddz4", "dp1", "dp2", "dp3", "dp4")
-    slope = np.concatenate([x[2:4], [rates[n] for n in names], state[9:10], np.zeros(len(state[9:10]))])
+    rates = terms(crane.nominal(), state[lay.basic], w[lay.driving], time)
+    names = [f"d{n}" for n in (*lay.rates, *lay.chambers)]
+    swings = state[lay.extra][1:]
+    slope = np.concatenate([state[lay.velocities], [rates[n] for n in names], swings, np.zeros(len(swings))])
     for share in _FRACTIONS[1:]:
         yield state + share * h * slope, time + share * h
 

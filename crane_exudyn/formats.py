@@ -79,7 +79,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, str):
         return str(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "OUS":
-        return Unread("is a cell array" if value.dtype.kind == "O" else "is text")
+        return Unread("is a cell array" if value.dtype == object else "is text")
     return value
 
 

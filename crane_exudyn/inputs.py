@@ -36,7 +36,7 @@ class Valve(NamedTuple):
 def _apply_command_hooks(E, commands, out):
     """Fill out (n, 2) with the commands after the effects that act on them."""
     for k in range(commands.shape[0]):
-        for c in range(2):
+        for c in range(commands.shape[1]):
             out[k, c] = hooks.command(E, c, commands[k, c])
 
 
@@ -129,14 +129,14 @@ class SpoolPath:
             CraneError: wrong shapes, commands outside [-1, 1] or missing, or time that does not increase.
         """
         t, u = np.asarray(time, dtype=float), np.asarray(commands, dtype=float)
-        if t.ndim != 1 or u.shape != (t.size, 2):
+        if t.ndim != 1 or u.shape != (t.size, len(self._valves)):
             raise CraneError(
-                f"spool path: time {t.shape} and commands {u.shape} do not match; expected (n,) and (n, 2)."
+                f"spool path: time {t.shape} and commands {u.shape} do not match; expected (n,) and (n, {len(self._valves)})."
             )
         self._check(t, u)
         changed = self._changed(u)
         out = np.zeros_like(changed)
-        for c in range(2) if valve is None else (valve,):
+        for c in range(len(self._valves)) if valve is None else (valve,):
             out[:, c] = _run_one(t, np.ascontiguousarray(changed[:, c]), self._valves[c])
         return out
 
@@ -145,7 +145,7 @@ class SpoolPath:
 
         The first call sets the spools to rest at that command.
         """
-        u = np.asarray(command, dtype=float).reshape(1, 2)
+        u = np.asarray(command, dtype=float).reshape(1, len(self._valves))
         times = np.array([*([self._past[-1][0]] if self._past else []), time], dtype=float)
         self._check(times, np.broadcast_to(u, (times.size, 2)))
         changed = self._changed(u)

@@ -20,7 +20,8 @@ from .effects.registry import known, neutral_vector, slot
 from .faulty_laws import check_law
 from .geometry import cylinder_length
 from .hydraulics import vapour_pressure
-from .sensors import PLACES, SENSORS, STATES, Sensor, sensor
+from .parameters import LAYOUT
+from .sensors import PLACES, SENSORS, Sensor, sensor
 
 _HOOKS = {"measurement", "lag"}
 #: step of the difference quotient of a law: shares of a usual sensor's noise and of the reading
@@ -42,7 +43,7 @@ class Measurement:
         P: np.ndarray,
         E: np.ndarray,
         table: Mapping[str, Sensor] = SENSORS,
-        states: Sequence[str] = STATES,
+        states: Sequence[str] = LAYOUT.states,
     ) -> None:
         """Raises CraneError for a sensor that is not in the table."""
         self.names, chosen = tuple(names), [sensor(n, table) for n in names]

@@ -31,13 +31,13 @@ class SolveDynamicEngine:
     def propagate(self, states: np.ndarray, inputs: np.ndarray, dt: float, time: float = 0.0) -> np.ndarray:
         """Return the states (n, nx) after one step; arguments as in `ExudynEngine.propagate`."""
         x, w = np.atleast_2d(np.asarray(states, dtype=float)), np.asarray(inputs, dtype=float)
-        rows = np.broadcast_to(w[:, None, :] if w.ndim == 2 else w, (2, len(x), 4))
+        rows = np.broadcast_to(w[:, None, :] if w.ndim == 2 else w, (2, len(x), w.shape[-1]))
         return np.array([self._step(x[k], rows[0, k].copy(), rows[1, k], dt, time) for k in range(len(x))])
 
     def _step(self, x: np.ndarray, w0: np.ndarray, w1: np.ndarray, dt: float, time: float) -> np.ndarray:
         plant, data = self.plant, self.mbs.systemData
         self._set_start(x, w0, time)
-        plant.inputs[:, :4] = w1
+        plant.inputs[:, self.crane.layout.driving] = w1
         settings = mechanism.settings(dt, dt)
         settings.timeIntegration.startTime, settings.timeIntegration.endTime = time, time + dt
         settings.timeIntegration.generalizedAlpha.computeInitialAccelerations = False  # they are set
@@ -48,7 +48,7 @@ class SolveDynamicEngine:
         q, v = (np.array(f()) for f in (data.GetODE2Coordinates, data.GetODE2Coordinates_t))
         out = np.empty(x.size)
         trapezoidal.read_motion(plant.P[0], plant.inertia[0], x, q, v, np.zeros((reduction.N_ARMS, 2)), out)
-        out[4:8] = data.GetODE1Coordinates()
+        out[self.crane.layout.pressures] = data.GetODE1Coordinates()
         return out
 
     def _set_start(self, x: np.ndarray, w: np.ndarray, time: float) -> None:
@@ -57,7 +57,7 @@ class SolveDynamicEngine:
         q, v, a, p, dp = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(4), np.zeros(4)
         arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
         held, udd = np.zeros((trapezoidal.N_BALANCES, 4)), np.zeros(width // 2 - 4)
-        wide = np.concatenate([w, np.zeros(8)])
+        wide = np.concatenate([w, np.zeros(len(self.crane.layout.disturbances))])
         flag = trapezoidal.start(
             plant.P[0], plant.E[0], time, plant.inertia[0], x, wide, arms, N, q, v, a, p, dp, held, udd
         )

@@ -7,8 +7,16 @@ code finds, say, the mass of body k at ``BODY + 4*k``.
 
 from __future__ import annotations
 
+from .layout import Layout
+
 BODIES = ("lift_boom", "bracket_1", "bracket_2", "outer_boom")
-CYLINDERS = ("lift", "tilt")
+#: the PATU's own names
+LAYOUT = Layout(
+    coordinates=("z1", "z4"), joints=("O", "A"), bodies=("lift_boom", "outer_boom"), parents=("", "z1"),
+    cylinders=("lift", "tilt"), sides=(("p1", "p2"), ("p3", "p4")), loaded=("p1", "p4"), lengths=("s1", "s2"),
+    commands=("u1", "u2"), voltages=("U1", "U2"), driven=("z1", "z4"), added=("theta", "dtheta"),
+)  # fmt: skip
+CYLINDERS = LAYOUT.cylinders
 #: points in the frame of the body named beside them; the order is that of the block POINT
 POINTS = {
     "joints.O": "pillar",

@@ -12,10 +12,13 @@ from contextlib import AbstractContextManager
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from unicodedata import normalize
 
 import numpy as np
 
 from .channels import CHANNELS
+from .layout import Layout
+from .parameters import LAYOUT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,14 +73,26 @@ _STYLE: dict[str, Any] = {
 }
 #: width of a figure in inches: as wide as makes 10 point letters legible on a phone
 WIDTH = 5.4
-_NAMES: Mapping[str, tuple[str, str]] = {
-    "u1": ("lift command", "u1"), "u2": ("tilt command", "u2"), "U1": ("lift valve", "U1"), "U2": ("tilt valve", "U2"),
-    "z1": ("lift boom", "z1"), "z4": ("outer boom against lift boom", "z4"), "z4_abs": ("outer boom", "z1+z4"),
-    "dz1": ("lift boom rate", "ż1"), "dz4": ("outer boom rate", "ż4"), "dz4_abs": ("outer boom rate", "ż1+ż4"),
-    "p1": ("lift piston side", "p1"), "p2": ("lift rod side", "p2"), "p3": ("tilt piston side", "p3"),
-    "p4": ("tilt rod side", "p4"), "s1": ("lift cylinder", "s1"), "s2": ("tilt cylinder", "s2"), "pp": ("pump", "pp"),
-    "pt": ("tank", "pt"), "theta": ("payload's pendulum", "θ"), "dtheta": ("payload's pendulum rate", "θ̇"),
-}  # fmt: skip
+
+
+def _names(layout: Layout) -> dict[str, tuple[str, str]]:
+    """Return the words and the symbol of every channel of a machine."""
+    bodies = {n: body.replace("_", " ") for n, body in zip(layout.coordinates, layout.bodies, strict=True)}
+    dotted = {n: normalize("NFC", f"{n[0]}\u0307{n[1:]}") for n in layout.coordinates}
+    found = {"theta": ("payload's pendulum", "θ"), "dtheta": ("payload's pendulum rate", "θ\u0307")}
+    for name, body in bodies.items():
+        *carriers, _ = path = layout.absolute(name)
+        found[name] = (f"{body} against {bodies[carriers[-1]]}" if carriers else body, name)
+        found[f"{name}_abs"] = (body, "+".join(path))
+        found[f"d{name}"] = (f"{body} rate", dotted[name])
+        found[f"d{name}_abs"] = (f"{body} rate", "+".join(dotted[n] for n in path))
+    for names, words in ((layout.commands, "command"), (layout.voltages, "valve"), (layout.lengths, "cylinder")):
+        found |= {n: (f"{cylinder} {words}", n) for n, cylinder in zip(names, layout.cylinders, strict=True)}
+    found |= {n: (layout.side_of(n).replace(",", ""), n) for n in layout.chambers}
+    return found | {n: (words, n) for n, words in zip(layout.supply, ("pump", "tank"), strict=True)}
+
+
+_NAMES: Mapping[str, tuple[str, str]] = _names(LAYOUT)
 #: what one SI unit is in the unit that people read
 _PEOPLE = {"rad": (math.degrees(1.0), "°"), "rad/s": (math.degrees(1.0), "°/s"), "Pa": (1e-5, "bar"), "m": (1e3, "mm")}
 
@@ -108,7 +123,7 @@ def shown(channel: str, unit: str | None = None) -> Shown:
         channel: a channel of recordings, or any other quantity, such as "payload.mass" or "internal_leakage@lift.k".
         unit: its SI unit, where the channel is none of recordings.
     """
-    if channel in _NAMES:
+    if channel in CHANNELS:
         words, symbol = _NAMES[channel]
         factor, people = _PEOPLE.get(CHANNELS[channel], (1.0, CHANNELS[channel]))
         return Shown(words, symbol, factor, people)

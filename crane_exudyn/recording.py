@@ -129,8 +129,9 @@ class Recording:
         if commands and not (self.has(*COMMANDS) or self.has(*VOLTAGES)):
             missing = [c for c in (VOLTAGES if any(map(self.has, VOLTAGES)) else COMMANDS) if not self.has(c)]
             raise CraneError(
-                f"{where}: {' and '.join(missing)} missing, found only {', '.join(self.channels)}. Expected spool commands u1 "
-                f"and u2 in [-1, 1], or valve voltages U1[V] and U2[V]; a valve that stays closed is a column of zeros.{self._unused()}"
+                f"{where}: {' and '.join(missing)} missing, found only {', '.join(self.channels)}. Expected spool commands "
+                f"{' and '.join(COMMANDS)} in [-1, 1], or valve voltages "
+                f"{' and '.join(f'{u}[V]' for u in VOLTAGES)}; a valve that stays closed is a column of zeros.{self._unused()}"
             )
         if len(self.sensors) < sensors:
             raise CraneError(

@@ -30,7 +30,7 @@ from .errors import CraneError
 from .files import replacing
 from .geometry import pose
 from .mechanism import exu, items
-from .parameters import POINT_NAMES
+from .parameters import LAYOUT, POINT_NAMES
 
 if TYPE_CHECKING:
     from .recording import Recording
@@ -48,7 +48,6 @@ _BEHIND = {"side": 2.5, "oblique": 0.02}
 _SUPERSAMPLING = 2
 _VIEWS = {"side": (0.0, 0.0), "oblique": (math.radians(-24.0), math.radians(14.0))}
 _SECONDS_TO_START = 20.0
-PRESSURES = ("p1", "p2", "p3", "p4")
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,10 @@ class Trajectory:
     @classmethod
     def from_states(cls, label: str, time: np.ndarray, states: np.ndarray) -> Trajectory:
         """Return the trajectory of states (n, nx) as engines give them, at `time` (n,)."""
-        pressures = {name: states[:, 4 + i] for i, name in enumerate(PRESSURES)}
-        theta = states[:, 8] if states.shape[1] > 8 else None
-        return cls(label, np.asarray(time, dtype=float), states[:, 0], states[:, 1], pressures, theta)
+        pressures = dict(zip(LAYOUT.chambers, states[:, LAYOUT.pressures].T, strict=True))
+        theta = next(iter(states[:, LAYOUT.extra].T), None)
+        z1, z4 = states[:, LAYOUT.positions].T
+        return cls(label, np.asarray(time, dtype=float), z1, z4, pressures, theta)
 
     @classmethod
     def from_recording(cls, recording: Recording, label: str = "measured") -> Trajectory:
@@ -92,14 +92,14 @@ class Trajectory:
             )
         time, z1 = recording["z1"].time, recording["z1"].values
         z4 = recording[other].held(time) - (z1 if other == "z4_abs" else 0.0)
-        known = [p for p in PRESSURES if recording.has(p)]
+        known = [p for p in LAYOUT.chambers if recording.has(p)]
         theta = recording["theta"].held(time) if recording.has("theta") else None
         return cls(label, time, z1, z4, {p: recording[p].held(time) for p in known}, theta)
 
     @classmethod
     def at_rest(cls, crane: Crane) -> Trajectory:
         """Return the crane standing still at the start that its file gives, for one second."""
-        z1, z4 = (np.full(2, angle) for angle in (crane.initial.z1, crane.initial.z4))
+        z1, z4 = (np.full(2, angle) for angle in crane.initial.pose)
         return cls("start", np.array([0.0, 1.0]), z1, z4)
 
     def at(self, time: float) -> tuple[float, float]:
@@ -344,14 +344,14 @@ class Scene:
 
     def _oil(self, time: float, frames: dict[str, np.ndarray]) -> list[shapes.Graphics]:
         drawn = []
-        for c, name in enumerate(("lift", "tilt")):
+        for c, name in enumerate(LAYOUT.cylinders):
             length = float(pose(self.crane, *self.trajectories[0].at(time)).lengths[0, c])
             colors = (self._chamber_color(2 * c, time), self._chamber_color(2 * c + 1, time))
             drawn += [_placed(g, frames[f"{name}_barrel"]) for g in shapes.oil(self.crane, name, length, colors)]
         return drawn
 
     def _chamber_color(self, chamber: int, time: float) -> shapes.Color:
-        value = self.value(PRESSURES[chamber], time)
+        value = self.value(LAYOUT.chambers[chamber], time)
         return _NO_VALUE if math.isnan(value) else _map_color(self.colour, value / self.scales["pressure"])
 
     def _booms(self, time: float, frames: dict[str, np.ndarray]) -> list[shapes.Graphics]:
@@ -371,9 +371,9 @@ class Scene:
         if self.colour == "pressure":
             return main.pressure_at(channel, time)
         other = self.trajectories[1]
-        if channel in PRESSURES:
+        if channel in LAYOUT.chambers:
             return abs(main.pressure_at(channel, time) - other.pressure_at(channel, time))
-        return abs(main.at(time)[channel == "z4"] - other.at(time)[channel == "z4"])
+        return abs(main.at(time)[LAYOUT.index(channel)] - other.at(time)[LAYOUT.index(channel)])
 
     def _arrow(self, mark: str, time: float) -> shapes.Graphics:
         tip, direction = self.mark_at(mark, time)
@@ -561,7 +561,9 @@ def _solution_header(shape: tuple[int, ...]) -> str:
 
 # -- checks ----------------------------------------------------------------------------------------------------------
 
-_PLACES = {"p1": "lift", "p2": "lift", "p3": "tilt", "p4": "tilt", "lift": "lift", "tilt": "tilt"}
+_PLACES = {p: c for c, sides in zip(LAYOUT.cylinders, LAYOUT.sides, strict=True) for p in sides} | {
+    c: c for c in LAYOUT.cylinders
+}
 _JOINTS = ("O", "A", "B", "C", "D", "E")
 
 
@@ -571,7 +573,7 @@ def _check(colour: Colour | None, trajectories: Sequence[Trajectory], marks: Seq
     if colour == "residual" and len(trajectories) < 2:
         raise CraneError("--colour residual shows a difference: give a second run with --ghost FILE.")
     if colour == "pressure" and not trajectories[0].pressures:
-        raise CraneError("--colour pressure needs pressures, and this run has none of p1, p2, p3, p4.")
+        raise CraneError(f"--colour pressure needs pressures, and this run has none of {', '.join(LAYOUT.chambers)}.")
     for mark in marks:
         if mark not in (*_PLACES, *_JOINTS):
             raise CraneError(f"There is no place {mark!r} to mark. Known: {', '.join((*_PLACES, *_JOINTS))}.")
@@ -587,7 +589,7 @@ def _scales(trajectories: Sequence[Trajectory], colour: Colour | None) -> dict[s
     other = trajectories[1]
     angles = [float(np.max(np.abs(a - np.interp(main.time, other.time, b))))
               for a, b in ((main.z1, other.z1), (main.z4, other.z4))]  # fmt: skip
-    both = [p for p in PRESSURES if p in main.pressures and p in other.pressures]
+    both = [p for p in LAYOUT.chambers if p in main.pressures and p in other.pressures]
     drops = [
         float(np.max(np.abs(main.pressures[p] - np.interp(main.time, other.time, other.pressures[p])))) for p in both
     ]

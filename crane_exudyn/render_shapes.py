@@ -23,6 +23,7 @@ import numpy as np
 from .crane import Crane
 from .effects import hooks
 from .mechanism import exu  # imports Exudyn quietly, and always the same build of it
+from .parameters import LAYOUT
 
 Graphics = dict[str, Any]
 Color = tuple[float, float, float, float]
@@ -274,7 +275,7 @@ def parts(crane: Crane, paint: Paint) -> Mapping[str, list[Graphics]]:
         "bracket_2": bracket_2(crane, paint),
         "outer_boom": outer_boom(crane, paint),
     }
-    for name in ("lift", "tilt"):
+    for name in LAYOUT.cylinders:
         made[f"{name}_barrel"] = barrel(crane, name, paint)
         made[f"{name}_rod"] = rod(crane, name, paint)
     return made | {"rope": rope(crane, paint), "log": log(crane, paint)}

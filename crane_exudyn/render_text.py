@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .parameters import LAYOUT
+
 if TYPE_CHECKING:
     from .render import Scene
 
@@ -45,8 +47,8 @@ def _font(size: int, bold: bool = False) -> Any:
 def _heading(draw: Any, scene: Scene, time: float, unit: float) -> None:
     title = scene.title or scene.crane.name
     draw.text((28 * unit, 20 * unit), title, font=_font(round(24 * unit), True), fill=_INK)
-    z1, z4 = scene.trajectories[0].at(time)
-    words = f"t = {time:6.2f} s    z1 = {math.degrees(z1):6.1f}°    z4 = {math.degrees(z4):6.1f}°"
+    pose = zip(LAYOUT.coordinates, np.degrees(scene.trajectories[0].at(time)), strict=True)
+    words = "    ".join([f"t = {time:6.2f} s", *(f"{name} = {angle:6.1f}°" for name, angle in pose)])
     draw.text((28 * unit, 54 * unit), words.replace("-", "−"), font=_font(round(17 * unit)), fill=_SOFT)
 
 
@@ -62,9 +64,9 @@ def _legend(draw: Any, scene: Scene, unit: float) -> None:
 
 def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, int]) -> None:
     """Draw one bar for each quantity, with the present values written beside it."""
-    rows: list[tuple[str, float, str, tuple[str, ...]]] = [("pressure", 1e-5, "bar", ("p1", "p2", "p3", "p4"))]
+    rows: list[tuple[str, float, str, tuple[str, ...]]] = [("pressure", 1e-5, "bar", LAYOUT.chambers)]
     if scene.colour == "residual":
-        rows.append(("angle", math.degrees(1.0), "°", ("z1", "z4")))
+        rows.append(("angle", math.degrees(1.0), "°", LAYOUT.coordinates))
     for i, (name, factor, symbol, channels) in enumerate(rows):
         x = size[0] - (330 + 350 * i) * unit
         y = size[1] - 78 * unit
@@ -103,7 +105,7 @@ def _mark(draw: Any, scene: Scene, mark: str, time: float, unit: float) -> None:
     tail = tip - 0.57 * np.asarray(direction) / math.hypot(*direction)
     (x, y), (x_tip, y_tip) = scene.project(np.array([[*tail, 0.3], [*tip, 0.3]]))
     font = _font(round(19 * unit), True)
-    words = mark if mark not in ("lift", "tilt") else f"{mark} cylinder"
+    words = mark if mark not in LAYOUT.cylinders else f"{mark} cylinder"
     pad = 6 * unit
     x += (draw.textlength(words, font=font) / 2.0 + pad) * (x - x_tip) / math.hypot(x - x_tip, y - y_tip)
     y += 20 * unit * (y - y_tip) / math.hypot(x - x_tip, y - y_tip)

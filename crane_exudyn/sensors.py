@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
 from .errors import CraneError, nearest
-
-#: the order of the state, but for what effects add to it
-STATES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
+from .layout import Layout
+from .parameters import LAYOUT
 
 
 class Sizes(NamedTuple):
@@ -51,17 +50,26 @@ class Sensor:
         return SIZES[self.unit]
 
 
-#: The sensors of the PATU. The outer boom has one place: an encoder at A shows z4, an inclinometer z4_abs, and an effect at "z4" acts
-#: on what that sensor shows, whichever of the two it is.
-_PATU = (
-    Sensor("z1", "rad", ("z1",), 0, "z1"), Sensor("z4", "rad", ("z4",), 1, "z4"), Sensor("z4_abs", "rad", ("z1", "z4"), 1, "z4"),
-    Sensor("dz1", "rad/s", ("dz1",), 0), Sensor("dz4", "rad/s", ("dz4",), 1), Sensor("dz4_abs", "rad/s", ("dz1", "dz4"), 1),
-    Sensor("p1", "Pa", ("p1",), 0, "p1"), Sensor("p2", "Pa", ("p2",), 0, "p2"),
-    Sensor("p3", "Pa", ("p3",), 1, "p3"), Sensor("p4", "Pa", ("p4",), 1, "p4"),
-    Sensor("s1", "m", (), 0), Sensor("s2", "m", (), 1),
-)  # fmt: skip
+def of(layout: Layout) -> Iterator[Sensor]:
+    """Yield the sensors that a machine may have.
+
+    A body that stands on another has one place: an encoder at its joint shows the coordinate, an inclinometer the absolute angle,
+    and an effect at that place acts on what the sensor shows, whichever of the two it is.
+    """
+    for rate, unit in (("", "rad"), ("d", "rad/s")):
+        for name in layout.coordinates:
+            cylinder, place, sum_ = layout.cylinder_of(name), "" if rate else name, layout.absolute(name)
+            yield Sensor(rate + name, unit, (rate + name,), cylinder, place)
+            if len(sum_) > 1:
+                yield Sensor(f"{rate}{name}_abs", unit, tuple(rate + n for n in sum_), cylinder, place)
+    for name in layout.chambers:
+        yield Sensor(name, "Pa", (name,), layout.cylinder_of(name), name)
+    for cylinder, name in enumerate(layout.lengths):
+        yield Sensor(name, "m", (), cylinder)
+
+
 #: by name
-SENSORS: Mapping[str, Sensor] = MappingProxyType({sensor.name: sensor for sensor in _PATU})
+SENSORS: Mapping[str, Sensor] = MappingProxyType({sensor.name: sensor for sensor in of(LAYOUT)})
 #: the places of effects on sensors, in the order in which the hooks number them
 PLACES = tuple(name for name, sensor in SENSORS.items() if sensor.place == name)
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 CYCLE = 25.0
 #: most time steps of a run: their inputs alone are half a gigabyte
 MOST_STEPS = 1e7
-PRESSURES = ("p1", "p2", "p3", "p4")
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class Simulation:
         found = dict(zip(COMMANDS, self.commands.T, strict=True))
         found |= dict(zip(self.state_names, self.states.T, strict=True))
         found |= dict(zip(SENSORS, self.readings.T, strict=True))
-        supply = dict(zip(SUPPLY, self.inputs[:, 2:].T, strict=True))
+        supply = dict(zip(SUPPLY, self.inputs[:, self.crane.layout.supplies].T, strict=True))
         return found | {name: values for name, values in supply.items() if not np.isnan(values).all()}
 
     def recording(self) -> Recording:
@@ -78,7 +77,8 @@ class Simulation:
         """Return a matplotlib figure of commands, angles and pressures."""
         from . import plots
 
-        names = [n for n in (*COMMANDS, "z1", "z4", "theta", *PRESSURES) if n in self.channels()]
+        lay = self.crane.layout
+        names = [n for n in (*lay.commands, *lay.coordinates, *lay.added[:1], *lay.chambers) if n in self.channels()]
         made = plots.figure(len(names), height=1.2)
         for axes, name in zip(made.axes, names, strict=True):
             plots.draw_lines(axes, self.time, {"": self[name]}, channel=name)
@@ -86,11 +86,9 @@ class Simulation:
         return made
 
     def __repr__(self) -> str:
-        z1, z4 = (np.degrees(self[name]) for name in ("z1", "z4"))
-        return (
-            f"<Simulation of {self.crane.name}: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants; "
-            f"z1 {z1.min():.1f} … {z1.max():.1f} deg, z4 {z4.min():.1f} … {z4.max():.1f} deg>"
-        )
+        angles = ((name, np.degrees(self[name])) for name in self.crane.layout.coordinates)
+        ranges = ", ".join(f"{name} {z.min():.1f} … {z.max():.1f} deg" for name, z in angles)
+        return f"<Simulation of {self.crane.name}: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants; {ranges}>"
 
     def _repr_html_(self) -> str:
         from .display import table_html
@@ -177,7 +175,7 @@ def paper_time() -> np.ndarray:
 def initial_state(crane: Crane, engine: Any) -> np.ndarray:
     """Return the crane file's start (nx,): its angles, at rest, valves closed."""
     rule = crane.initial
-    return np.asarray(engine.static_start(rule.z1, rule.z4, rule.less_loaded_pressure))
+    return np.asarray(engine.static_start(*rule.pose, rule.less_loaded_pressure))
 
 
 def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:

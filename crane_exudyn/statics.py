@@ -13,8 +13,8 @@ from . import hydraulics as hyd
 from . import reduction as red
 from .crane import Crane
 from .effects import hooks
-from .errors import CraneError
-from .parameters import CYLINDERS, POINT_NAMES
+from .errors import CraneError, listed
+from .parameters import POINT_NAMES
 
 
 def _reduce(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
@@ -23,8 +23,8 @@ def _reduce(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
     width = 14 if hooks.pendulum(E)[0] > 0.0 else 12
     nu = width // 2 - 4
     x = np.asarray(state, dtype=float)
-    if x.shape != (nu + 6 + (nu == 3),):
-        raise CraneError(f"{crane.name}: a state has {8 if nu == 2 else 10} numbers, found shape {x.shape}.")
+    if x.shape != (size_of_state(crane),):
+        raise CraneError(f"{crane.name}: a state has {size_of_state(crane)} numbers, found shape {x.shape}.")
     inertia, arms, N = np.zeros((5, 4)), np.zeros((red.N_ARMS, 2)), np.zeros((nu, width))
     q, v, bias, work, M = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width), np.zeros((nu, nu))
     red.inertias(P, E, time, inertia)
@@ -39,7 +39,8 @@ def _reduce(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
 
 def size_of_state(crane: Crane) -> int:
     """Return how many numbers a state of the crane has: two more where its payload hangs on a pendulum."""
-    return 10 if hooks.pendulum(crane.effect_vector())[0] > 0.0 else 8
+    swings = hooks.pendulum(crane.effect_vector())[0] > 0.0
+    return len(crane.layout.all_states if swings else crane.layout.states)
 
 
 def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) -> np.ndarray:
@@ -56,10 +57,13 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
         CraneError: the pose cannot be reached, a pressure below vapour pressure, or a cylinder without leverage there.
     """
     P, E = crane.parameter_vector(), crane.effect_vector()
-    swings = hooks.pendulum(E)[0] > 0.0
     gx, gy = hooks.gravity(E, 0.0, -1.0)
-    state = np.array([z1, z4, *[0.0] * 6, *([math.atan2(gx, -gy), 0.0] if swings else [])])
-    low = np.broadcast_to(np.asarray(less_loaded, dtype=float), (2,))
+    lay = crane.layout
+    state = np.zeros(size_of_state(crane))
+    state[lay.positions] = z1, z4
+    state[lay.extra][:1] = math.atan2(gx, -gy)
+    pose = listed(lay.coordinates, np.degrees(state[lay.positions]), "{:.2f} deg")
+    low = np.broadcast_to(np.asarray(less_loaded, dtype=float), len(lay.cylinders))
     floor = vapour_pressure(crane)
     if not np.all(low >= floor):
         raise CraneError(
@@ -67,17 +71,16 @@ def static_start(crane: Crane, z1: float, z4: float, less_loaded: Any = 20e5) ->
         )
     r = _reduce(crane, state, 0.0)
     needed = -_at_rest(crane, r)
-    for c in range(2):
+    for c, name in enumerate(lay.cylinders):
         leverage = r["D"][c, c]
         if abs(leverage) < 1e-6:
             raise CraneError(
-                f"{crane.name}: the {CYLINDERS[c]} cylinder has no leverage at z1 = {math.degrees(z1):.2f} deg, z4 = "
-                f"{math.degrees(z4):.2f} deg, so no pressure balances the load. Start at another pose."
+                f"{crane.name}: the {name} cylinder has no leverage at {pose}, so no pressure balances the load. Start at another pose."
             )
-        state[4 + 2 * c : 6 + 2 * c] = _pressures(P, E, c, r["kinematics"][c], needed[c] / leverage, low[c])
+        state[lay.pressures_of(c)] = _pressures(P, E, c, r["kinematics"][c], needed[c] / leverage, low[c])
     if not np.isfinite(state).all():
         raise faulty_laws.where_start_failed(crane, state) or CraneError(
-            f"{crane.name}: there is no static start at z1 = {math.degrees(z1):.2f} deg, z4 = {math.degrees(z4):.2f} deg: "
+            f"{crane.name}: there is no static start at {pose}: "
             "the forces there are not finite. Look for numbers of the crane that are out of proportion."
         )
     return state
@@ -118,8 +121,8 @@ def vapour_pressure(crane: Crane) -> float:
 
 def visible(crane: Crane, states: np.ndarray) -> np.ndarray:
     """Return states (…, nx) with the pressures that a gauge would show: vapour pressure where the state remembers a void."""
-    shown = np.array(states, dtype=float)
-    shown[..., 4:8] = np.maximum(shown[..., 4:8], vapour_pressure(crane))
+    shown, p = np.array(states, dtype=float), crane.layout.pressures
+    shown[..., p] = np.maximum(shown[..., p], vapour_pressure(crane))
     return shown
 
 
@@ -127,18 +130,18 @@ def stroke_message(crane: Crane, state: np.ndarray) -> str:
     """Return which cylinder is at which end of its stroke at a state."""
     r = _reduce(crane, state, 0.0)
     s1, s2 = r["kinematics"][:2]
-    code = trapezoidal.stroke_end(r["P"], r["E"], s1, s2, state[4:8]) - 1
+    code = trapezoidal.stroke_end(r["P"], r["E"], s1, s2, state[crane.layout.pressures]) - 1
     if code < 0:
         return "the end of a stroke is reached"
     end = "retracted" if code % 2 == 0 else "extended"
-    return f"the {CYLINDERS[code // 2]} cylinder is fully {end} (length {(s1, s2)[code // 2]:.4f} m)"
+    return f"the {crane.layout.cylinders[code // 2]} cylinder is fully {end} (length {(s1, s2)[code // 2]:.4f} m)"
 
 
 def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
     """Return every term of the balances at one state by name, in SI.
 
     Args:
-        state: (nx,);  w: (4,) [U1 U2 pp pt], or (12,) with hydraulics.DISTURBANCES behind;  time in s.
+        state: (nx,);  w: (4,) [U1 U2 pp pt], or (12,) with disturbances behind;  time in s.
 
     Returns:
         Pin-to-pin lengths "s1", "s2", "ds1", "ds2"; loop "z2", "z3", "dz2_dz4", "dz3_dz4", "phi_bracket_1", "phi_bracket_2";
@@ -152,13 +155,14 @@ def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> 
     wide = np.zeros(hyd.N_W)
     wide[: np.size(w)] = w
     r = _reduce(crane, x, time)
-    p = x[4:8].copy()
+    p = x[crane.layout.pressures].copy()
     return _geometry_terms(crane, x, r) | _pressure_terms(r, p, wide) | _motion_terms(r, p, wide, time)
 
 
 def _geometry_terms(crane: Crane, x: np.ndarray, r: dict[str, Any]) -> dict[str, float]:
     pose = geo.pose(crane, x[0], x[1])
-    out = dict(zip(("s1", "s2", "ds1", "ds2"), r["kinematics"][:4], strict=True))
+    lengths = crane.layout.lengths
+    out = dict(zip((*lengths, *(f"d{n}" for n in lengths)), r["kinematics"], strict=False))
     out |= {"z2": pose.z2[0], "z3": pose.z3[0], "dz2_dz4": pose.dz2_dz4[0], "dz3_dz4": pose.dz3_dz4[0]}
     out |= {"phi_bracket_1": x[0] + pose.z2[0], "phi_bracket_2": x[0] + pose.z2[0] + pose.z3[0]}
     for name, (px, py) in zip(POINT_NAMES, pose.points[0], strict=True):
@@ -175,9 +179,8 @@ def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str
     amounts, real = balances[hyd.AMOUNT], balances[hyd.REAL]
     forces = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
     pp, pt = hyd.supply_loop(P, E, w, real)
-    out = (
-        {"pp": pp, "pt": pt} | {f"dp{i + 1}": rates[i] for i in range(4)} | {f"N{i + 1}": amounts[i] for i in range(4)}
-    )
+    out = {"pp": pp, "pt": pt} | {f"N{i + 1}": n for i, n in enumerate(amounts)}
+    out |= {f"d{name}": rate for name, rate in zip(r["crane"].layout.chambers, rates, strict=True)}
     for c, s in enumerate((s1, s2)):
         a, b = 2 * c + 1, 2 * c + 2
         pa, pb = real[2 * c], real[2 * c + 1]
@@ -191,7 +194,7 @@ def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str
 
 
 def _motion_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray, time: float) -> dict[str, float]:
-    P, E, N, M = r["P"], r["E"], r["N"], r["M"]
+    P, E, N, M, lay = r["P"], r["E"], r["N"], r["M"], r["crane"].layout
     forces = np.array(hyd.cylinder_forces(P, E, w, *r["kinematics"][:4], p))
     weight, joint, inertial = (np.zeros(r["width"]) for _ in range(3))
     red.add_gravity(P, E, r["inertia"], weight)
@@ -199,11 +202,12 @@ def _motion_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray, time: float) 
     red.mass_times(r["inertia"], r["bias"], inertial)
     parts = {"Qg": N @ weight, "Qv": -N @ inertial, "Qh": r["D"] @ forces, "Qj": N @ joint}
     acceleration = np.linalg.solve(M, sum(parts.values()))
-    if len(N) > 2:  # the pendulum's own row, solved for its acceleration and put into the others
-        share = M[:2, 2] / M[2, 2]
-        M = M[:2, :2] - np.outer(share, M[2, :2])
-        parts = {name: q[:2] - share * q[2] for name, q in parts.items()}
+    z, swings = lay.positions, len(lay.coordinates)
+    if len(N) > swings:  # the pendulum's own row, solved for its acceleration and put into the others
+        share = M[z, swings] / M[swings, swings]
+        M = M[z, z] - np.outer(share, M[swings, z])
+        parts = {name: q[z] - share * q[swings] for name, q in parts.items()}
     out = {f"{name}{axis}": q[i] for name, q in parts.items() for i, axis in enumerate("14")}
     out |= {"M11": M[0, 0], "M12": M[0, 1], "M22": M[1, 1], "ddtheta": 0.0}
-    out |= {f"dd{name}": a for name, a in zip(("z1", "z4", "theta"), acceleration, strict=False)}
+    out |= {f"dd{name}": a for name, a in zip((*lay.coordinates, *lay.added), acceleration, strict=False)}
     return {k: float(v) for k, v in out.items()}

@@ -20,7 +20,6 @@ from . import geometry as geo
 from .channels import BEYOND, SENSORS, SUPPLY, Channel
 from .crane import Crane
 from .errors import CraneError
-from .parameters import CYLINDERS
 from .recording import Recording
 from .signals import noise_std, sampling_rate
 
@@ -151,7 +150,7 @@ def _rates(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 
 def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    for c, name in enumerate(("s1", "s2")):
+    for c, name in enumerate(crane.layout.lengths):
         if not recording.has(name):
             continue
         low, high = _usual(recording[name])
@@ -159,7 +158,7 @@ def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
         if low < shortest - _PLAY or high > longest + _PLAY:
             text = (
                 f"{name} goes from {low:.4g} to {high:.4g} m, expected {shortest:.4g} to {longest:.4g} m, "
-                f"the {CYLINDERS[c]} cylinder from pin to pin"
+                f"the {crane.layout.cylinders[c]} cylinder from pin to pin"
             )
             if low > -_PLAY and high < longest - shortest + _PLAY:
                 mend = f"Is it the stroke? Then add the empty length, {shortest:.4g} m."
@@ -170,13 +169,13 @@ def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 def _reach(crane: Crane, c: int) -> tuple[float, float]:
     """Return the shortest and the longest pin-to-pin length of cylinder c in m."""
-    empty = crane[f"cylinders.{CYLINDERS[c]}.empty_length"]
-    return empty, empty + crane[f"cylinders.{CYLINDERS[c]}.chamber_range"]
+    empty = crane[f"cylinders.{crane.layout.cylinders[c]}.empty_length"]
+    return empty, empty + crane[f"cylinders.{crane.layout.cylinders[c]}.chamber_range"]
 
 
 def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
     """Find angles that the linkage or a cylinder's stroke does not reach; the lift cylinder goes with z1, the tilt cylinder with z4."""
-    for c, name in enumerate(("z1", "z4")):
+    for c, name in enumerate(crane.layout.driven):
         if not recording.has(name) or max(map(abs, _usual(recording[name]))) > _TURNS:
             continue
         values = recording[name].values
@@ -186,7 +185,7 @@ def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
             low, high = np.degrees(_usual(recording[name]))
             text = (
                 f"{name} goes from {low:.4g} to {high:.4g} deg; in {100 * share:.0f} % of the samples this is beyond what the "
-                f"{CYLINDERS[c]} cylinder's stroke and linkage reach"
+                f"{crane.layout.cylinders[c]} cylinder's stroke and linkage reach"
             )
             severity: Severity = "error" if share > 0.5 else "warning"
             yield Finding("pose", (name,), severity, text, _other_angle(recording, crane, c, shown))
@@ -194,7 +193,7 @@ def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 def _other_angle(recording: Recording, crane: Crane, c: int, shown: np.ndarray) -> str:
     """Return what would bring an angle into reach: another sign, unit, or the horizontal as the line it is measured against."""
-    name = ("z1", "z4")[c]
+    name = crane.layout.driven[c]
     others = {
         "with the other sign": -shown,
         "in deg where rad is given": np.radians(shown),
@@ -203,10 +202,11 @@ def _other_angle(recording: Recording, crane: Crane, c: int, shown: np.ndarray) 
     for words, values in others.items():
         if _beyond(crane, c, values) <= _SHARE:
             return f"It would fit {words}. Mend the column, or is it another crane? Then give its file with --crane."
-    if c == 1 and recording.has("z1"):
-        lift = float(np.median(recording["z1"].values))
-        if _beyond(crane, 1, shown - lift) <= _SHARE:
-            return "It would fit as the angle against the horizontal: name the column z4_abs."
+    carriers = crane.layout.absolute(name)[:-1]
+    if carriers and recording.has(*carriers):
+        base = sum(float(np.median(recording[n].values)) for n in carriers)
+        if _beyond(crane, c, shown - base) <= _SHARE:
+            return f"It would fit as the angle against the horizontal: name the column {name}_abs."
     return f"Mend the zero point of {name}, or is it another crane? Then give its file with --crane."
 
 
@@ -215,7 +215,7 @@ def _beyond(crane: Crane, c: int, values: np.ndarray) -> float:
     P = crane.parameter_vector()
     reached = np.array([bool(geo.loop_angles(P, z)[2]) for z in values]) if c else np.ones(len(values), dtype=bool)
     inside = values[reached]
-    still = np.full(len(inside), crane.initial.z4 if c == 0 else crane.initial.z1)
+    still = np.full(len(inside), crane.initial.pose[1 - c])
     pair = (inside, still) if c == 0 else (still, inside)
     lengths = geo.pose(crane, *pair).lengths[:, c] if len(inside) else np.empty(0)
     shortest, longest = _reach(crane, c)

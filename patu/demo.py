@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from validation.paper import Case
 
 MODEL_ERROR = 0.15
-_SYMBOL = {"dz1": "ż1", "dz4": "ż4"}
 
 
 def command(
@@ -62,9 +61,11 @@ def document(case: Case, seconds: float) -> dict[str, Any]:
 
 def rows(case: Case) -> list[tuple[object, ...]]:
     """Return the table: PN-RMSE in % of each state by the filter, as published, by the model alone; share inside 95 %."""
+    from crane_exudyn.plots import shown
+
     published = case.published or {}
     filtered, alone, inside = case.pn_rmse, case.pn_rmse_open_loop, case.coverage
-    return [(_SYMBOL.get(s, s), filtered[s], published.get(s), alone[s], 100 * inside[s]) for s in filtered]
+    return [(shown(s).symbol, filtered[s], published.get(s), alone[s], 100 * inside[s]) for s in filtered]
 
 
 OWN_MEANS = (
@@ -83,6 +84,7 @@ def tell(printer: Printer, case: Case, seconds: float) -> None:
 
 def verdict(case: Case) -> str:
     """Return in one sentence how the filter compares with the published one."""
+
     published = case.published or {}
     better = [s for s, value in published.items() if case.pn_rmse[s] <= value]
     return f"{len(better)} of {len(published)} states are at or below the published error."

@@ -33,16 +33,6 @@ if TYPE_CHECKING:
     from crane_exudyn.recording import Recording
     from crane_exudyn.simulation import Simulation
 
-#: channels of the printed table: name, unit for people, what one of these is in SI
-_SHOWN = (
-    ("z1", "deg", math.pi / 180),
-    ("z4", "deg", math.pi / 180),
-    ("p1", "bar", 1e5),
-    ("p2", "bar", 1e5),
-    ("p3", "bar", 1e5),
-    ("p4", "bar", 1e5),
-)
-
 
 def command(
     inputs: Annotated[
@@ -94,7 +84,7 @@ def _compile(crane: Crane, engine: Any) -> None:
 
     from crane_exudyn.simulation import initial_state, sensed
 
-    closed, time = np.tile([0.0, 0.0, np.nan, np.nan], (2, 1)), np.array([0.0, 1e-3])
+    closed, time = np.tile(crane.layout.closed, (2, 1)), np.array([0.0, 1e-3])
     sensed(crane, engine.simulate(initial_state(crane, engine), time, closed), time)
 
 
@@ -108,7 +98,7 @@ def first_state(crane: Crane, engine: Any, recording: Recording) -> np.ndarray:
 
     first = vetted(recording.require(sensors=1), crane).first_values()
     mean: np.ndarray = start_belief(crane, engine, first, recording.noise()).mean
-    mean[2:4] = 0.0
+    mean[crane.layout.velocities] = 0.0
     return mean
 
 
@@ -134,8 +124,9 @@ def tell(printer: Printer, run: Simulation, recording: Recording | None, engine:
     )
     for note in recording.notes if recording is not None else ():
         printer.line(f"note: {note}")
-    channels = run.channels()
-    rows = [(f"{n} / {unit}", *(float(f(channels[n]) / si) for f in _RANGE)) for n, unit, si in _SHOWN]
+    channels, lay = run.channels(), run.crane.layout
+    shown = [(n, "deg", math.pi / 180) for n in lay.coordinates] + [(n, "bar", 1e5) for n in lay.chambers]
+    rows = [(f"{n} / {unit}", *(float(f(channels[n]) / si) for f in _RANGE)) for n, unit, si in shown]
     printer.table("", ("channel", "first", "last", "min", "max"), rows)
 
 

@@ -115,7 +115,7 @@ def test_pressures_are_told_as_gauges_would_show_them():
     std = np.r_[np.ones(4), 2e5, 2e5, 2e5, 2e5]
     drawn = np.maximum(mean[4:] + std[4:] * np.random.default_rng(0).standard_normal((1_000_000, 4)), 0.0)
     shown, variance = mean.copy(), std**2
-    show(shown, variance, 0.0)
+    show(shown, variance, CRANE.layout.pressures, 0.0)
     assert shown[4:] == pytest.approx(drawn.mean(axis=0), abs=1e3)
     assert np.sqrt(variance[4:]) == pytest.approx(drawn.std(axis=0), abs=1e3)
     assert (shown[[0, 1, 2, 3, 7]] == mean[[0, 1, 2, 3, 7]]).all() and variance[7] == std[7] ** 2

@@ -11,7 +11,8 @@ import pytest
 from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.geometry import pose
 from crane_exudyn.measurement import Measurement, lagged
-from crane_exudyn.sensors import PLACES, SENSORS, STATES, Sensor
+from crane_exudyn.parameters import LAYOUT
+from crane_exudyn.sensors import PLACES, SENSORS, Sensor
 from crane_exudyn.simulation import sensed
 from ukf.channels import Channels
 from validation.fit.data import FitData
@@ -140,7 +141,7 @@ def test_another_machine_brings_a_table_of_its_own() -> None:
 
 def test_places_of_effects_keep_their_order_in_old_files() -> None:
     assert PLACES == ("z1", "z4", "p1", "p2", "p3", "p4")
-    assert all(set(s.shows) <= set(STATES) for s in SENSORS.values())
+    assert all(set(s.shows) <= set(LAYOUT.states) for s in SENSORS.values())
 
 
 OWN = """

@@ -25,7 +25,7 @@ SMALL = (320, 180)
 def motion(label="measured", off=0.0):
     z1, z4 = np.radians(10 + 8 * TIME + off), np.radians(-40 - 6 * TIME - 2 * off)
     return Trajectory(
-        label, TIME, z1, z4, {p: np.full(81, (20.0 + 30 * i) * 1e5) for i, p in enumerate(render.PRESSURES)}
+        label, TIME, z1, z4, {p: np.full(81, (20.0 + 30 * i) * 1e5) for i, p in enumerate(CRANE.layout.chambers)}
     )
 
 

@@ -21,19 +21,16 @@ from crane_exudyn import parameters
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.parameters import LAYOUT
 from crane_exudyn.sensors import SENSORS
 
 #: places of the vector D of disturbances that the engines take, with a standard deviation that is worth a search
-DISTURBANCES = {
-    "torque.O": 300.0,
-    "torque.A": 200.0,
-    "force.x": 200.0,
-    "force.y": 200.0,
-    "flow.p1": 1e-5,
-    "flow.p2": 1e-5,
-    "flow.p3": 1e-5,
-    "flow.p4": 1e-5,
-}
+_TORQUES, _FORCE, _FLOW = (300.0, 200.0), 200.0, 1e-5
+DISTURBANCES = (
+    dict.fromkeys(LAYOUT.disturbances, _FORCE)
+    | dict(zip(LAYOUT.torques, _TORQUES, strict=True))
+    | dict.fromkeys(LAYOUT.flows, _FLOW)
+)
 
 
 @dataclass(frozen=True)

@@ -30,10 +30,10 @@ class Bounds:
     lower: np.ndarray
     upper: np.ndarray
 
-    def without_angles(self) -> Bounds:
-        """Return the same limits but for z1 and z4, which are left free."""
+    def without(self, columns: slice) -> Bounds:
+        """Return the same limits but for some states, which are left free."""
         lower, upper = self.lower.copy(), self.upper.copy()
-        lower[:2], upper[:2] = -np.inf, np.inf
+        lower[columns], upper[columns] = -np.inf, np.inf
         return Bounds(lower, upper)
 
     def split(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -89,26 +89,27 @@ def crane_bounds(
     `margin` (m) keeps both chambers of a cylinder a little longer than nothing.
     """
     lower, upper = np.full(states, -np.inf), np.full(states, np.inf)
-    lower[4:8] = -_MOST_VOID * crane["fluid.oil_bulk_modulus"]
+    lower[crane.layout.pressures] = -_MOST_VOID * crane["fluid.oil_bulk_modulus"]
     if lengths is not None:
-        for i, cylinder in enumerate(("lift", "tilt")):
+        for c, (cylinder, driven) in enumerate(zip(crane.layout.cylinders, crane.layout.driven, strict=True)):
+            i = crane.layout.index(driven)
             empty = crane[f"cylinders.{cylinder}.empty_length"] + margin
             full = empty + crane[f"cylinders.{cylinder}.chamber_range"] - 2 * margin
-            lower[i], upper[i] = _angle_range(lengths, i, (crane.initial.z1, crane.initial.z4), empty, full)
+            lower[i], upper[i] = _angle_range(lengths, c, i, crane.initial.pose, empty, full)
     return Bounds(lower, upper)
 
 
 def _angle_range(
-    lengths: Callable[[np.ndarray], np.ndarray], i: int, start: tuple[float, float], empty: float, full: float
+    lengths: Callable[[np.ndarray], np.ndarray], c: int, i: int, start: tuple[float, float], empty: float, full: float
 ) -> tuple[float, float]:
-    """Return the connected range of angle i around the start in which the length of cylinder i stays in its limits.
+    """Return the connected range of angle i around the start in which the length of cylinder c stays in its limits.
 
     A boom may pass the pose at which its cylinder is shortest; nothing but the length is a limit.
     """
     angles = np.linspace(-np.pi, np.pi, 1441)
     z = np.tile(np.asarray(start, float), (angles.size, 1))
     z[:, i] = angles
-    s = lengths(z)[:, i]
+    s = lengths(z)[:, c]
     good = (s > empty) & (s < full)  # a loop that cannot close has NaN lengths and is not good
     home = int(np.argmin(np.abs(angles - start[i])))
     if not good[home]:

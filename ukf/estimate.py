@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crane_exudyn.channels import CHANNELS
+from crane_exudyn.crane import Crane
+
 from . import consistency
 from .monitor import ABSENT, FROZEN, OUTLIER, USED
 from .smoother import smooth
-from .visible import PRESSURES, show
+from .visible import show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +57,7 @@ class Estimate:
         inputs: (N, 4) spool positions and supply pressures.
         sensor_std: (k,) noise that the filter took the sensors to have.
         covariance: (N, n, n) of the filter's own state, which remembers voids, if it was kept.
-        floor: Pa, the lowest pressure that a gauge shows.
+        floor: Pa, the lowest pressure that a gauge shows; pressures: which of the n quantities are those of chambers.
         noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed (`consistency.guessed_noise`).
         smoothed: the smoothed estimate if it was asked for.
     """
@@ -78,6 +81,7 @@ class Estimate:
     sensor_std: np.ndarray | None = None
     covariance: np.ndarray | None = None
     floor: float = -np.inf
+    pressures: slice = field(default_factory=lambda: slice(0))
     noise_slack: float = 0.0
     smoothed: Estimate | None = None
     units: Mapping[str, str] = field(default_factory=dict)
@@ -95,7 +99,7 @@ class Estimate:
 
     def visible(self, states: np.ndarray) -> np.ndarray:
         """Return states (N, m) with no pressure below what a gauge shows; the same array, changed."""
-        np.maximum(states[:, PRESSURES], self.floor, out=states[:, PRESSURES])
+        np.maximum(states[:, self.pressures], self.floor, out=states[:, self.pressures])
         return states
 
     @property
@@ -345,14 +349,15 @@ class Recorder:
         self,
         plan: Any,
         events: list[tuple[float, str, str]],
-        crane: str,
+        crane: Crane,
         method: str,
         sensor_std: np.ndarray,
         floor: float,
     ) -> Estimate:
         """Return what was collected; `sensor_std` (k,) and `floor` as in `Estimate`."""
-        smoothed = self._smoothed(floor) if self.smooth else None
-        show(self.mean, self.std, floor)
+        pressures = crane.layout.pressures
+        smoothed = self._smoothed(pressures, floor) if self.smooth else None
+        show(self.mean, self.std, pressures, floor)
         result = Estimate(
             time=plan.time,
             state_names=self.states,
@@ -368,22 +373,23 @@ class Recorder:
             log_likelihood=self.log_likelihood,
             events=tuple(merged(events) + flagged(plan.time, self.flags, self.channels)),
             inputs=plan.inputs[plan.inner],
-            crane=crane,
+            crane=crane.name,
             method=method,
             sensor_std=sensor_std,
             covariance=self.covariance if self._keeps else None,
             floor=floor,
+            pressures=pressures,
             units={n: unit_of(n) for n in (*self.states, *self.channels)},
         )
         if smoothed is None:
             return result
         return replace(result, smoothed=replace(result, **smoothed, method=method + " + RTS smoother"))
 
-    def _smoothed(self, floor: float) -> dict[str, Any]:
+    def _smoothed(self, pressures: slice, floor: float) -> dict[str, Any]:
         """Return what the smoother makes of mean, std and covariance."""
         mean, covariance = smooth(self.mean, self.covariance, self._prior_mean, self._prior_covariance, self._cross)
         variance = np.einsum("nii->ni", covariance).copy()
-        show(mean, variance, floor)
+        show(mean, variance, pressures, floor)
         return {"mean": mean, "std": _root_of(variance), "covariance": covariance}
 
 
@@ -427,8 +433,4 @@ def unit_of(name: str) -> str:
     if "@" in name or "." in name:
         effect = registry.find(name.split("@")[0].split(".")[0])
         return next((p.unit for p in effect.parameters if p.name == name.rpartition(".")[2]), "")
-    if name[0] == "p":
-        return "Pa"
-    if name[0] == "s":
-        return "m"
-    return "rad/s" if name.startswith("d") else "rad"
+    return CHANNELS.get(name, "")

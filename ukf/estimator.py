@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from crane_exudyn.channels import SUPPLY
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import cylinder_lengths
+from crane_exudyn.parameters import LAYOUT
 from crane_exudyn.sensors import SENSORS, sensor
 from crane_exudyn.statics import vapour_pressure
 
@@ -32,10 +34,9 @@ from .process import Process, engine_of
 from .samples import command_of, first_stamp, impossible, number, readings_of
 from .second_opinion import SecondOpinion
 from .signals import LONG_GAP, Plan, Signals
-from .start import ANGLE, RIVALS, start_belief, taken
+from .start import ANGLE, RIVALS, showing, start_belief, taken
 from .visible import show
 
-SUPPLY = ("pp", "pt")
 #: in the first so many seconds of a recording a leap puts the start in doubt
 _EARLY = 1.0
 #: after so many growing stamps that are not later than the last good one the clock has gone back
@@ -90,7 +91,7 @@ class Estimator:
         self,
         crane: Crane,
         engine: Any = "exudyn",
-        sensors: Mapping[str, float] | Sequence[str] = ("z1", "z4", "p1", "p4"),
+        sensors: Mapping[str, float] | Sequence[str] = (*LAYOUT.coordinates, *LAYOUT.loaded),
         noise: Any = None,
         method: str = "ukf",
         augment: Iterable[Augment | str] = (),
@@ -114,7 +115,7 @@ class Estimator:
         self._engine_states = len(self.engine.state_names)
         self._channels = Channels(crane, list(self.std_of), self._engine_states, self._extras)
         self._bounds = self._all_bounds(partial(cylinder_lengths, crane))
-        self._limits = self._bounds.without_angles()
+        self._limits = self._bounds.without(crane.layout.positions)
         self._process = Process(self.engine, self._channels, self._extras, self._bounds)
         self._method_name = method
         self._method = method_of(method, np.ones(self.size))
@@ -251,13 +252,12 @@ class Estimator:
 
     def _live_inputs(self, times: np.ndarray, command: np.ndarray, supply: np.ndarray) -> np.ndarray:
         assert self._last_command is not None and self._last_input is not None
-        inputs = np.empty((times.size, 4))
+        inputs = np.empty((times.size, self._last_input.size))
         inputs[0] = self._last_input
         for k in range(1, times.size):
             share = (times[k] - times[0]) / (times[-1] - times[0])
             between = self._last_command + share * (command - self._last_command)
-            inputs[k, :2] = self._spool.step(float(times[k]), between)
-            inputs[k, 2:] = supply
+            inputs[k] = [*self._spool.step(float(times[k]), between), *supply]
         self._last_command, self._last_input = command, inputs[-1].copy()
         return inputs
 
@@ -270,7 +270,7 @@ class Estimator:
         assert self.time is not None
         names = self._channels.names
         mean, variance = self.belief.mean.copy(), self.belief.covariance.diagonal().copy()
-        show(mean, variance, self._floor)
+        show(mean, variance, self.crane.layout.pressures, self._floor)
         return Now(
             time=self.time,
             mean=mean,
@@ -422,9 +422,10 @@ class Estimator:
     def _anew(self, first: Mapping[str, float], spread: Mapping[str, float] | None = None) -> Any:
         """Return a belief from what the sensors read now; what they do not show of pose and motion, and the extras, stay."""
         old = self.belief
-        kept = dict(zip(("z1", "z4", "dz1", "dz4"), old.mean[:4].tolist(), strict=True))
-        for name, others in (("z1", ("z1", "s1")), ("z4", ("z4", "z4_abs", "s2"))):
-            if any(n in first and np.isfinite(first[n]) for n in others):
+        lay = self.crane.layout
+        kept = dict(zip(lay.states[lay.motion], old.mean[lay.motion].tolist(), strict=True))
+        for name in lay.coordinates:
+            if any(n in first and np.isfinite(first[n]) for n in showing(name)):
                 del kept[name]
         mean, covariance = old.mean.copy(), np.diag(np.diag(old.covariance))
         self._set_states(
@@ -513,7 +514,8 @@ class Estimator:
             if len(self._noises) > 1000:
                 self._noises.clear()
             full = np.zeros((self.size, self.size))
-            full[:8, :8] = self.noise.covariance(dt)
+            known = self.noise.covariance(dt)
+            full[: len(known), : len(known)] = known
             for k, extra in enumerate(self._extras):
                 at = self._engine_states + len(self._channels.lags) + k
                 full[at, at] = extra.drift**2 * dt
@@ -577,7 +579,7 @@ class Estimator:
             recorder.note(k, self.belief, *result)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
-        return recorder.estimate(plan, self.events, self.crane.name, self._method_name, self._std, self._floor)
+        return recorder.estimate(plan, self.events, self.crane, self._method_name, self._std, self._floor)
 
     def _on_plan(
         self, plan: Plan, k: int, recorder: Recorder | None = None
@@ -602,7 +604,7 @@ class Estimator:
         groups: dict[float, list[str]] = {}
         for name, (time, values) in plan.series.items():
             early, std = time <= end, self.std_of[name]
-            at = leaps(time[early], values[early], std, FASTEST[name[0]], self._gate)
+            at = leaps(time[early], values[early], std, FASTEST[sensor(name).unit], self._gate)
             if at.size:
                 longest = at[np.argmax(np.diff([*at, early.sum()]))]
                 for k in sorted({int(at[0]), int(longest)}):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from crane_exudyn.parameters import LAYOUT
 
 #: The paper's tuning: variances of acceleration in rad²/s⁴ and of pressure in Pa² a step
 PAPER_ACCELERATION = 0.0175
@@ -26,37 +29,38 @@ def paper_process_noise(
     The block of an angle and its rate is σ² [[dt³, dt²], [dt², dt]]; the pressure variance stands on the diagonal as
     it is, whatever the step. `acceleration` in rad²/s⁴ and `pressure` in Pa² are variances.
     """
-    out = np.zeros((8, 8))
-    for i in (0, 1):
-        out[np.ix_((i, i + 2), (i, i + 2))] = acceleration * np.array([[dt**3, dt**2], [dt**2, dt]])
-    out[range(4, 8), range(4, 8)] = pressure
+    block = np.array([[dt**3, dt**2], [dt**2, dt]])
+    return _in_blocks([acceleration] * len(LAYOUT.coordinates), block, [pressure] * len(LAYOUT.chambers))
+
+
+def _in_blocks(accelerations: Sequence[float], block: np.ndarray, pressures: Sequence[float]) -> np.ndarray:
+    """Return the covariance (n, n) of states: a block (2, 2) times a density for each coordinate and its rate, variances of pressures."""
+    m = len(accelerations)
+    out = np.diag([*[0.0] * 2 * m, *pressures])
+    for i, density in enumerate(accelerations):
+        out[np.ix_((i, i + m), (i, i + m))] = density * block
     return out
 
 
 def paper_start_covariance() -> np.ndarray:
     """Return the paper's P0 (8, 8): independent angles, rates and pressures."""
-    angle, rate, pressure = PAPER_START
-    return np.diag([angle, angle, rate, rate, pressure, pressure, pressure, pressure])
+    return np.diag(np.repeat(PAPER_START, [len(n) for n in (LAYOUT.coordinates, LAYOUT.rates, LAYOUT.chambers)]))
 
 
 @dataclass(frozen=True)
 class ProcessNoise:
     """White-noise densities: what the model does not know, per second, so that any step gives the same growth.
 
-    acceleration: rad²/s³ (one for each of z̈1, z̈4); pressure: Pa²/s (one for each chamber).
+    acceleration: rad²/s³ (one for each coordinate); pressure: Pa²/s (one for each chamber).
     """
 
-    acceleration: tuple[float, float] = (1e-4, 1e-4)
-    pressure: tuple[float, float, float, float] = (1e8, 1e8, 1e8, 1e8)
+    acceleration: tuple[float, ...] = (1e-4,) * len(LAYOUT.coordinates)
+    pressure: tuple[float, ...] = (1e8,) * len(LAYOUT.chambers)
 
     def covariance(self, dt: float) -> np.ndarray:
-        """Return Q (8, 8) over `dt` seconds: Van Loan's integral of white acceleration, and white pressure rates."""
-        out = np.zeros((8, 8))
-        for i, density in enumerate(self.acceleration):
-            block = density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-            out[np.ix_((i, i + 2), (i, i + 2))] = block
-        out[range(4, 8), range(4, 8)] = np.asarray(self.pressure) * dt
-        return out
+        """Return Q (n, n) over `dt` seconds: Van Loan's integral of white acceleration, and white pressure rates."""
+        block = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        return _in_blocks(self.acceleration, block, [density * dt for density in self.pressure])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from crane_exudyn import plots
 from crane_exudyn.plots import Shown
 
 from .monitor import FROZEN, OUTLIER
-from .visible import PRESSURES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,7 +105,7 @@ def _state(axes: Axes, estimate: Estimate, i: int, truth: np.ndarray | None) -> 
     part = _thin(estimate.time.size)
     time, mean = estimate.time[part], estimate.mean[part, i] * what.factor
     half = 1.96 * estimate.std[part, i] * what.factor
-    floor = estimate.floor * what.factor if i in range(PRESSURES.start, PRESSURES.stop) else -np.inf
+    floor = estimate.floor * what.factor if i in range(estimate.mean.shape[1])[estimate.pressures] else -np.inf
     lower = np.maximum(mean - half, floor)
     with plots.style():
         axes.fill_between(time, lower, mean + half, color=_BLUE, alpha=0.25, lw=0, label="95 % interval")

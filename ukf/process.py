@@ -11,7 +11,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 
-from .augment import DISTURBANCES, Extra
+from .augment import Extra
 from .bounds import Bounds
 from .channels import Channels
 from .linear_algebra import all_finite
@@ -89,8 +89,3 @@ def engine_of(engine: Any, crane: Crane) -> Any:
         # by name, because imports point from validation to ukf
         return import_module("validation.semi_recursive").SemiRecursiveEngine(crane, accuracy=ACCURACY)
     raise CraneError(f'There is no engine {engine!r}. Use "exudyn" or "semi-recursive".')
-
-
-def disturbance_names() -> tuple[str, ...]:
-    """Return the disturbances in the order in which engines take them."""
-    return tuple(DISTURBANCES)

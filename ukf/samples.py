@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from crane_exudyn.channels import BEYOND, CHANNELS
+from crane_exudyn.channels import BEYOND, CHANNELS, COMMANDS
 from crane_exudyn.errors import CraneError, nearest
-
-VALVES = ("u1", "u2")
 
 
 def command_of(commands: Sequence[float] | Mapping[str, float]) -> np.ndarray:
@@ -21,17 +19,17 @@ def command_of(commands: Sequence[float] | Mapping[str, float]) -> np.ndarray:
         CraneError: not two numbers, or names other than u1 and u2.
     """
     if isinstance(commands, Mapping):
-        if set(commands) != set(VALVES):
+        if set(commands) != set(COMMANDS):
             raise CraneError(
-                f"commands: found {', '.join(map(str, commands)) or 'nothing'}. Give u1 and u2 in [-1, 1]."
+                f"commands: found {', '.join(map(str, commands)) or 'nothing'}. Give {' and '.join(COMMANDS)} in [-1, 1]."
             )
-        commands = [commands[name] for name in VALVES]
+        commands = [commands[name] for name in COMMANDS]
     found = np.asarray(commands, object)
-    if found.shape != (2,):
+    if found.shape != (len(COMMANDS),):
         raise CraneError(
-            f"commands: found {_shown(commands)}. Give two numbers in [-1, 1], one for each valve: (u1, u2)."
+            f"commands: found {_shown(commands)}. Give two numbers in [-1, 1], one for each valve: ({', '.join(COMMANDS)})."
         )
-    return np.array([number(value, f"commands: {name}") for name, value in zip(VALVES, found, strict=True)])
+    return np.array([number(value, f"commands: {name}") for name, value in zip(COMMANDS, found, strict=True)])
 
 
 def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.ndarray:

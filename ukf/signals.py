@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from crane_exudyn.channels import SUPPLY
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.sensors import SENSORS
@@ -96,7 +97,7 @@ class Signals:
             np.asarray(time, float),
             np.asarray(commands, float),
             {n: held[n] for n in SENSORS if n in held},
-            {n: held[n] for n in ("pp", "pt") if n in held},
+            {n: held[n] for n in SUPPLY if n in held},
             str(recording.name),
             tuple(recording.notes),
         )
@@ -128,7 +129,7 @@ class Signals:
         _note_gaps(time, events)
         grid, inner = _grid(time, max_step)
         spool = spool_on(crane, grid, self.command_time, self.commands)
-        inputs = np.column_stack([spool, *(self._supply(n, grid) for n in ("pp", "pt"))])
+        inputs = np.column_stack([spool, *(self._supply(n, grid) for n in SUPPLY)])
         return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, series, events)
 
     def _supply(self, name: str, grid: np.ndarray) -> np.ndarray:
@@ -155,7 +156,7 @@ def _held(grid: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _rates(series: Mapping[str, Series]) -> dict[str, float]:
     """Return the rates with which the angles set out, where they stand out of the noise: a recording may begin in motion."""
     rates = {}
-    for angle in ("z1", "z4", "z4_abs"):
+    for angle in (n for n, own in SENSORS.items() if own.unit == "rad"):
         time, values = series.get(angle, (np.empty(0), np.empty(0)))
         early = time <= time[:1] + _GLANCE
         if early.sum() < _FIRST or f"d{angle}" in series:

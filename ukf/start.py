@@ -9,6 +9,8 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.geometry import cylinder_lengths
+from crane_exudyn.parameters import LAYOUT
+from crane_exudyn.sensors import SENSORS
 from crane_exudyn.statics import vapour_pressure
 
 from .filter import Belief
@@ -17,8 +19,16 @@ from .filter import Belief
 ANGLE, RATE, PRESSURE = 0.1, 0.05, 10e5
 
 
+def showing(coordinate: str) -> tuple[str, ...]:
+    """Return the sensors from which a coordinate may be taken: its own, and the length of the cylinder that drives it."""
+    length = LAYOUT.lengths[LAYOUT.driven.index(coordinate)]
+    return (*(n for n, own in SENSORS.items() if own.place == coordinate), length)
+
+
 #: what the start is not taken from when the channel is there, and so what must go where the channel shall be believed
-RIVALS = {"z4_abs": ("z4",), "s1": ("z1",), "s2": ("z4", "z4_abs"), "dz4_abs": ("dz4",)}
+RIVALS = {n: own.shows[-1:] for n, own in SENSORS.items() if len(own.shows) > 1} | {
+    length: showing(driven)[:-1] for length, driven in zip(LAYOUT.lengths, LAYOUT.driven, strict=True)
+}
 
 
 def taken(first: Mapping[str, float]) -> tuple[str, ...]:
@@ -38,34 +48,39 @@ def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Map
     nx = len(engine.state_names)
     mean, deviation = np.zeros(nx), np.full(nx, 0.05)
     mean[:] = engine.static_start(z[0], z[1])
-    mean[2:4] = [known.get("dz1", 0.0), known.get("dz4", known.get("dz4_abs", 0.0) - known.get("dz1", 0.0))]
-    deviation[:8] = [*z_std, *np.hypot(RATE, 0.5 * mean[2:4]), *[PRESSURE] * 4]
-    for cylinder in (0, 1):
+    lay = crane.layout
+    for name in lay.coordinates:
+        carried = sum(known.get(f"d{n}", 0.0) for n in lay.absolute(name)[:-1])
+        mean[lay.index(f"d{name}")] = known.get(f"d{name}", known.get(f"d{name}_abs", 0.0) - carried)
+    deviation[lay.positions], deviation[lay.pressures] = z_std, PRESSURE
+    deviation[lay.velocities] = np.hypot(RATE, 0.5 * mean[lay.velocities])
+    for cylinder in range(len(lay.cylinders)):
         _set_pressures(crane, cylinder, mean, deviation, known, std)
     return Belief(mean, np.diag(deviation**2))
 
 
 def _angles(crane: Crane, known: Mapping[str, float], std: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    z = np.array([crane.initial.z1, crane.initial.z4])
-    deviation = np.array([ANGLE, ANGLE])
-    if "z1" in known:
-        z[0], deviation[0] = known["z1"], std["z1"]
-    elif "s1" in known:
-        z[0], deviation[0] = _angle_of_length(crane, z, 0, known["s1"]), 5 * std["s1"] / 0.3
-    if "z4" in known:
-        z[1], deviation[1] = known["z4"], std["z4"]
-    elif "z4_abs" in known:
-        z[1], deviation[1] = known["z4_abs"] - z[0], np.hypot(std["z4_abs"], deviation[0])
-    elif "s2" in known:
-        z[1], deviation[1] = _angle_of_length(crane, z, 1, known["s2"]), 5 * std["s2"] / 0.3
+    z = np.array(crane.initial.pose)
+    lay, deviation = crane.layout, np.full(len(z), ANGLE)
+    for i, name in enumerate(lay.coordinates):
+        carriers = [lay.index(n) for n in lay.absolute(name)[:-1]]
+        absolute, cylinder = f"{name}_abs", lay.driven.index(name)
+        length = lay.lengths[cylinder]
+        if name in known:
+            z[i], deviation[i] = known[name], std[name]
+        elif absolute in known:
+            z[i] = known[absolute] - z[carriers].sum()
+            deviation[i] = np.hypot(std[absolute], np.linalg.norm(deviation[carriers]))
+        elif length in known:
+            z[i], deviation[i] = _angle_of_length(crane, z, i, cylinder, known[length]), 5 * std[length] / 0.3
     return z, np.minimum(2.0 * deviation, 0.2)  # a first sample may be off by more than one standard deviation
 
 
-def _angle_of_length(crane: Crane, z: np.ndarray, i: int, length: float) -> float:
-    """Return the angle i nearest to z at which cylinder i has this length."""
+def _angle_of_length(crane: Crane, z: np.ndarray, i: int, cylinder: int, length: float) -> float:
+    """Return the angle i nearest to z at which a cylinder has this length."""
     grid = np.tile(z, (4001, 1))
     grid[:, i] = z[i] + np.linspace(-1.5, 1.5, 4001)
-    off = np.abs(cylinder_lengths(crane, grid)[:, i] - length)
+    off = np.abs(cylinder_lengths(crane, grid)[:, cylinder] - length)
     off = np.where(np.isfinite(off), off, np.inf)
     good = np.flatnonzero(off < off.min() + 1e-3)
     return float(grid[good[np.argmin(np.abs(grid[good, i] - z[i]))], i])
@@ -80,12 +95,11 @@ def _set_pressures(
     std: Mapping[str, float],
 ) -> None:
     """Fill in the pressures of one cylinder: measured ones as measured, a missing one from the cylinder's static force."""
-    name = ("lift", "tilt")[cylinder]
+    name, channels = crane.layout.cylinders[cylinder], crane.layout.sides[cylinder]
     bore, rod = crane[f"cylinders.{name}.bore"], crane[f"cylinders.{name}.rod"]
     area = np.pi / 4 * np.array([bore**2, bore**2 - rod**2])
-    at = 4 + 2 * cylinder
+    at = crane.layout.pressures_of(cylinder).start
     force = mean[at] * area[0] - mean[at + 1] * area[1]
-    channels = (f"p{at - 3}", f"p{at - 2}")
     for side, channel in enumerate(channels):
         if channel in known:
             mean[at + side], deviation[at + side] = known[channel], 2.0 * std[channel]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crane_exudyn.formats import write_table
+from crane_exudyn.parameters import LAYOUT
 
 if TYPE_CHECKING:
     from .estimate import Estimate
@@ -13,8 +14,8 @@ if TYPE_CHECKING:
 
 def write_csv(estimate: Estimate, path: str | Path) -> None:
     """Write .csv, .csv.gz, .parquet or .mat, one row an instant: time, inputs, each state with its 95 % limits, innovations with their std, NIS."""
-    names, columns = ["time[s]", "U_lift[dimensionless]", "U_tilt[dimensionless]"], [estimate.time]
-    columns += [estimate.inputs[:, 0], estimate.inputs[:, 1]]
+    names = ["time[s]", *(f"U_{name}[dimensionless]" for name in LAYOUT.cylinders)]
+    columns = [estimate.time, *estimate.inputs[:, LAYOUT.spools].T]
     low, high = estimate.interval()
     for i, name in enumerate(estimate.state_names):
         unit = estimate.units.get(name, "") or "dimensionless"

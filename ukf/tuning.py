@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.parameters import LAYOUT
 
 from .estimator import Estimator, sensor_std
 from .noise import ProcessNoise
@@ -38,9 +39,10 @@ class Tuned:
     evaluations: int
 
     def __repr__(self) -> str:
-        a, p = self.noise.acceleration, self.noise.pressure
+        accelerations = ", ".join(f"{a:.2g}" for a in self.noise.acceleration)
+        pressures = ", ".join(f"{n} {p:.2g}" for n, p in zip(LAYOUT.cylinders, self.noise.pressure[::2], strict=True))
         return (
-            f"<Tuned: acceleration {a[0]:.2g}, {a[1]:.2g} rad²/s³; pressure lift {p[0]:.2g}, tilt {p[2]:.2g} Pa²/s; "
+            f"<Tuned: acceleration {accelerations} rad²/s³; pressure {pressures} Pa²/s; "
             f"log-likelihood a sample {self.before:.4g} -> {self.after:.4g} in {self.evaluations} runs>"
         )
 
@@ -171,14 +173,14 @@ def _cost(
 
 
 def noise_of(logs: np.ndarray) -> ProcessNoise:
-    """Return the noise of [log10 acceleration z1, z4, log10 pressure lift, tilt]."""
-    a1, a4, lift, tilt = (float(v) for v in 10.0 ** np.asarray(logs, float))
-    return ProcessNoise((a1, a4), (lift, lift, tilt, tilt))
+    """Return the noise of [log10 acceleration of each coordinate, log10 pressure of each cylinder]."""
+    densities, m = 10.0 ** np.asarray(logs, float), len(LAYOUT.coordinates)
+    return ProcessNoise(tuple(densities[:m].tolist()), tuple(np.repeat(densities[m:], 2).tolist()))
 
 
 def logs_of(noise: ProcessNoise) -> np.ndarray:
-    """Return [log10 acceleration z1, z4, log10 pressure lift, tilt] of a noise."""
-    return np.log10([*noise.acceleration, noise.pressure[0], noise.pressure[2]])
+    """Return [log10 acceleration of each coordinate, log10 pressure of each cylinder] of a noise."""
+    return np.log10([*noise.acceleration, *noise.pressure[::2]])
 
 
 def busiest(signals: Signals, seconds: float) -> Signals:

@@ -11,15 +11,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-#: columns of a state that are pressures
-PRESSURES = slice(4, 8)
 #: standard deviations above the floor from which on it is not felt
 _FAR = 6.0
 
 
-def show(mean: np.ndarray, variance: np.ndarray, floor: float) -> None:
-    """Replace means and variances (…, n) of states, Pa where they are pressures, by those of what gauges would show, in their place."""
-    m, v = mean[..., PRESSURES], variance[..., PRESSURES]
+def show(mean: np.ndarray, variance: np.ndarray, pressures: slice, floor: float) -> None:
+    """Replace means and variances (…, n) of the pressures in states, Pa, by those of what gauges would show, in their place."""
+    m, v = mean[..., pressures], variance[..., pressures]
     s = np.sqrt(np.maximum(v, 1e-300))
     felt = m < floor + _FAR * s
     if not felt.any():

@@ -20,18 +20,18 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.hydraulics import vapour_pressure
+from crane_exudyn.parameters import LAYOUT
 
 from .fit.data import ACCURACY, FitData
 from .fit.linear import JUMP, cut
 from .fit.model import Model, model_of
 from .fit.start import knots_of
 from .semi_recursive import sensitivity
-from .semi_recursive.engine import DISTURBANCES
 
 #: the unknown inputs, by the equation in which they stand
-EQUATIONS = ("torque.O", "torque.A", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
+EQUATIONS = (*LAYOUT.torques, *LAYOUT.flows)
 #: standard deviation of each unknown input before anything was measured: N m, m³/s
-SPREAD = np.array([300.0, 200.0, 5e-5, 5e-5, 5e-5, 5e-5])
+SPREAD = np.array([300.0, 200.0, *[5e-5] * len(LAYOUT.flows)])
 #: time in s after which an unknown input may be another
 MEMORY = 0.3
 #: the smoother is run again around what it found, until states and inputs move by less than this (RMS, in JUMP and SPREAD), or so often
@@ -72,7 +72,7 @@ class Balances:
     @property
     def at_floor(self) -> np.ndarray:
         """Return (K, 4) whether a chamber stands at the pressure floor, where the model takes any flow out of it."""
-        return self.states[:, 4:8] <= self.floor + _AT_FLOOR
+        return self.states[:, LAYOUT.pressures] <= self.floor + _AT_FLOOR
 
     def mean(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean residuals (6,) over instants first … last - 1, and their standard deviations (6,).
@@ -229,9 +229,10 @@ def _transitions(
     model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray, inputs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return states (N, nx), and A (N-1, nx, nx), B (N-1, nx, 6), jump (N-1, nx) of every grid step, SI."""
-    nx, columns = model.nx, [4 + DISTURBANCES.index(e) for e in EQUATIONS]
-    W = np.zeros((1 + len(columns), len(data.time), 4 + len(DISTURBANCES)))
-    W[:, :, :4] = model.W
+    lay = model.crane.layout
+    nx, columns = model.nx, [lay.all_inputs.index(e) for e in EQUATIONS]
+    W = np.zeros((1 + len(columns), len(data.time), len(lay.all_inputs)))
+    W[:, :, lay.driving] = model.W
     W[:, :, columns] = inputs * SPREAD
     for j, column in enumerate(columns):
         W[1 + j, :, column] += SPREAD[j]

@@ -19,6 +19,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.parameters import LAYOUT
 
 #: length of the paper's working cycle, and of the stretch in which the slow filters are timed, s
 CYCLE, STRETCH, NAIVE_STRETCH = 25.0, 3.0, 0.05
@@ -276,9 +277,9 @@ def leaking_recording(crane: Crane, rate: float = 200.0) -> Any:
     run = simulate(leaking, engine=engine_of("semi-recursive", leaking))
     every = slice(None, None, round(1.0 / (rate * _STEP)))
     rng = np.random.default_rng(0)
-    noise = {"z1": math.radians(0.05), "z4": math.radians(0.05)} | dict.fromkeys(("p1", "p2", "p3", "p4"), 0.3e5)
+    noise = dict.fromkeys(LAYOUT.coordinates, math.radians(0.05)) | dict.fromkeys(LAYOUT.chambers, 0.3e5)
     measured = {n: run[n][every] + std * rng.normal(size=len(run.time[every])) for n, std in noise.items()}
-    commands = {n: run[n][every] for n in ("u1", "u2")}
+    commands = {n: run[n][every] for n in LAYOUT.commands}
     return Recording.from_arrays("leaking lift cylinder", run.time[every], commands | measured)
 
 

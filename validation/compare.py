@@ -22,6 +22,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
+from crane_exudyn.parameters import LAYOUT
 from crane_exudyn.recording import Recording
 from ukf.consistency import guessed_noise
 from ukf.estimate import Estimate
@@ -46,7 +47,7 @@ Engine = Literal["semi-recursive", "exudyn"]
 Series = dict[str, tuple[np.ndarray, np.ndarray]]
 
 #: what the filter allows the model to be wrong by: next to nothing, so that whatever the model lacks is left in the innovations
-_TRUSTING = ProcessNoise(acceleration=(1e-6, 1e-6), pressure=(1e6, 1e6, 1e6, 1e6))
+_TRUSTING = ProcessNoise((1e-6,) * len(LAYOUT.coordinates), (1e6,) * len(LAYOUT.chambers))
 #: a lateness of the commands beyond this is told, s
 _LATE = 1e-3
 
@@ -312,7 +313,7 @@ def _signals(data: FitData, first: int, last: int) -> Signals:
         inside = (s.index >= first) & (s.index <= last)
         if inside.any():
             sensors[s.channel] = (data.time[s.index[inside]] + s.fraction[inside] * data.step, s.values[inside])
-    supply = {n: (data.time, v) for n, v in zip(("pp", "pt"), data.supply.T, strict=True) if np.isfinite(v).any()}
+    supply = {n: (data.time, v) for n, v in zip(LAYOUT.supply, data.supply.T, strict=True) if np.isfinite(v).any()}
     return Signals(data.command_time, data.commands, sensors, supply, data.name)
 
 

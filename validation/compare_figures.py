@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crane_exudyn.parameters import LAYOUT
+
 from . import plots
 from .balances import EQUATIONS
 from .findings import PREDICTED_BADLY, VIOLATED, people_unit
-from .phases import KINDS, Phase
+from .phases import BOTH, KINDS, LOW_PRESSURE, MOVING, REST, REVERSAL, STROKE_END, Phase
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,18 +25,15 @@ if TYPE_CHECKING:
 
 #: colours of the kinds of work: extending warm, retracting cold, what is special dark
 _COLORS = {
-    "rest": "#eeeeee", "lift extending": "#F0C27B", "lift retracting": "#A7CBE8", "tilt extending": "#E39B57",
-    "tilt retracting": "#6FA3CF", "both moving": "#B9A3C9", "reversal": "#7A5C8E", "low pressure": "#3E6E5A", "end of stroke": "#333333",
+    REST: "#eeeeee", BOTH: "#B9A3C9", REVERSAL: "#7A5C8E", LOW_PRESSURE: "#3E6E5A", STROKE_END: "#333333",
+    **{kind: {1: ("#F0C27B", "#E39B57"), -1: ("#A7CBE8", "#6FA3CF")}[side][c % 2] for (c, side), kind in MOVING.items()},
 }  # fmt: skip
 #: and hatches, so that they differ without colour
 _HATCHES = {
-    "lift extending": "//////", "lift retracting": "\\\\\\\\\\\\", "tilt extending": "......", "tilt retracting": "xxxxxx",
-    "both moving": "++++++", "reversal": "------",
+    BOTH: "++++++", REVERSAL: "------",
+    **{kind: {1: ("//////", "......"), -1: ("\\\\\\\\\\\\", "xxxxxx")}[side][c % 2] for (c, side), kind in MOVING.items()},
 }  # fmt: skip
-_LABELS = {
-    "torque.O": "moment at O", "torque.A": "moment at A", "flow.p1": "flow into p1", "flow.p2": "flow into p2",
-    "flow.p3": "flow into p3", "flow.p4": "flow into p4",
-}  # fmt: skip
+_LABELS = {e: e.replace("torque.", "moment at ").replace("flow.", "flow into ") for e in EQUATIONS}
 #: scores at which the map is white and at which it is darkest
 _PALE, _DARK = 1.0, 100.0
 
@@ -79,8 +79,10 @@ def where_figure(comparison: Comparison) -> Figure:
 
 def _commands(axes: Axes, comparison: Comparison) -> None:
     time, commands = comparison.commands
-    for name, u, look in zip(("u1 lift", "u2 tilt"), commands.T, ("-", (0, (4, 2))), strict=True):
-        axes.plot(*plots.thin(time, u), label=name, linestyle=look, color="#111111" if look == "-" else "#D55E00")
+    names = zip(LAYOUT.commands, LAYOUT.cylinders, strict=True)
+    for name, u, look in zip(names, commands.T, cycle(("-", (0, (4, 2)))), strict=False):
+        color = "#111111" if look == "-" else "#D55E00"
+        axes.plot(*plots.thin(time, u), label=" ".join(name), linestyle=look, color=color)
     axes.set_ylabel("command")
     axes.set_ylim(-1.05 * max(0.2, np.abs(commands).max()), 1.05 * max(0.2, np.abs(commands).max()))
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2)

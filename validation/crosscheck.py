@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from crane_exudyn.channels import CHANNELS
 from crane_exudyn.crane import Crane
+from crane_exudyn.errors import listed
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import paper_cycle
-from crane_exudyn.parameters import POINT_NAMES
+from crane_exudyn.parameters import LAYOUT, POINT_NAMES
+from crane_exudyn.simulation import initial_state
 from crane_exudyn.statics import visible
 
 from . import crosscheck_cases as cases
@@ -247,7 +250,7 @@ def _judge(group: Group, name: str, values: np.ndarray, states: cases.States) ->
     size = np.abs(difference)
     worst = int(np.argmax(np.where(np.isnan(size), np.inf, size)))
     scale = max(float(np.nanmax(np.abs(values), initial=0.0)), group.floor, 1e-300)
-    place = f"z1 = {math.degrees(states.x[worst, 0]):.1f}°, z4 = {math.degrees(states.x[worst, 1]):.1f}°"
+    place = listed(LAYOUT.coordinates, np.degrees(states.x[worst, LAYOUT.positions]), "{:.1f}°")
     worst_size = float(size[worst])
     return Quantity(name, group.unit, worst_size, worst_size / scale, group.tolerance, group.reason, place)
 
@@ -260,17 +263,17 @@ def worst_of(name: str, quantities: Sequence[Quantity]) -> Quantity:
 
 
 def compare_static_starts(first: Engine, second: Engine, states: cases.States) -> list[Quantity]:
-    """Return the four pressures of the static start, compared over the poses of the states."""
-    pressures = []
+    """Return the pressures of the static start, compared over the poses of the states."""
+    lay, pressures = first.crane.layout, []
     for x in states.x:
-        z1, z4 = float(x[0]), float(x[1])
-        pressures.append([e.static_start(z1, z4)[4:8] for e in (first, second)])
+        pose = x[lay.positions].tolist()
+        pressures.append([e.static_start(*pose)[lay.pressures] for e in (first, second)])
     values = np.array(pressures)
     reason = ROUNDING
     group = Group("static start", "Pa", (), 1e-9, reason, 1e5)
     out = []
-    for i in range(4):
-        q = _judge(group, f"static start: p{i + 1}", values[:, :, i], states)
+    for i, name in enumerate(lay.chambers):
+        q = _judge(group, f"static start: {name}", values[:, :, i], states)
         out.append(q)
     return out
 
@@ -281,7 +284,7 @@ def acts(engine: Engine, states: cases.States) -> bool:
 
     neutral = SemiRecursiveEngine(engine.crane.nominal())
     for x, w, t in zip(states.x, states.w, states.time, strict=True):
-        with_it, without = engine.terms(x, w, t), neutral.terms(x[:8], w, t)
+        with_it, without = engine.terms(x, w, t), neutral.terms(x[engine.crane.layout.basic], w, t)
         if any(with_it[n] != without[n] for g in GROUPS for n in g.names if n in with_it and n in without):
             return True
     return False
@@ -298,13 +301,15 @@ def compare_runs(
     The difference must fall with the square of the step, and at `step` be below 1e-6 rad and 1e-4 of the pressures' ranges.
     """
     crane = first.crane
-    x0 = second.static_start(crane.initial.z1, crane.initial.z4, crane.initial.less_loaded_pressure)
+    x0 = initial_state(crane, second)
 
     first, second = _as_asked(first), _as_asked(second)
 
     def run(t: np.ndarray, inputs: np.ndarray, h: float) -> Run:
         one, other = (visible(crane, e.simulate(x0, t, inputs, step=h)) for e in (first, second))
-        boiling = np.flatnonzero((other[:, 4:8] <= vapour_pressure(crane.parameter_vector())).any(axis=1))
+        boiling = np.flatnonzero(
+            (other[:, crane.layout.pressures] <= vapour_pressure(crane.parameter_vector())).any(axis=1)
+        )
         return Run(name, h, t, one, other, int(boiling[0]) if boiling.size else len(t))
 
     coarse = round(ORDER_STEPS[0] / (time[1] - time[0]))
@@ -329,7 +334,7 @@ def _orders(runs: Sequence[Run]) -> list[Quantity]:
     A difference that ends in the noise has no order; one that is nothing at all is not that of two engines.
     """
     out = []
-    for text, columns, noise in (("angles", slice(0, 2), NOISE[0]), ("pressures", slice(4, 8), NOISE[1])):
+    for text, columns, noise in (("angles", LAYOUT.positions, NOISE[0]), ("pressures", LAYOUT.pressures, NOISE[1])):
         sizes = [float(np.sqrt(np.mean((r.first - r.second)[:, columns] ** 2))) for r in runs]
         order = math.log(sizes[0] / sizes[-1]) / math.log(runs[0].step / runs[-1].step) if sizes[-1] > 0.0 else math.nan
         reason = f"found {order:.2f}; kinks of the laws leave some room"
@@ -347,8 +352,8 @@ def _final_differences(run: Run, names: Sequence[str]) -> list[Quantity]:
     difference = np.abs(run.first - run.second)
     reach = np.ptp(run.second, axis=0)
     for i, name in enumerate(names):
-        angle = name in ("z1", "z4", "theta")
-        if not angle and not name.startswith("p"):
+        angle = CHANNELS[name] == "rad"
+        if not angle and CHANNELS[name] != "Pa":
             continue
         worst = int(np.argmax(np.where(np.isnan(difference[:, i]), np.inf, difference[:, i])))
         size, range_ = float(difference[worst, i]), max(float(reach[i]), 1e-12)
@@ -392,7 +397,7 @@ def crosscheck(
     result = CrossCheck(crane.name)
     first, second = make_first(crane), make_second(crane)
     drawn = cases.random_states(crane, states, rng)
-    skip = SPLIT_BY_PENDULUM if len(second.state_names) > 8 else ()
+    skip = SPLIT_BY_PENDULUM if len(second.state_names) > len(LAYOUT.states) else ()
     result.quantities += compare_terms(first, second, drawn, skip=skip)
     result.quantities += compare_static_starts(first, second, drawn)
     progress(0.03)
@@ -458,10 +463,10 @@ def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.ra
     """
     nominal = second.crane.nominal()
     drawn = cases.random_states(nominal if "end_stop" not in key else cases.without_short_strokes(nominal), count, rng)
-    swings = len(second.state_names) > 8
-    if swings:
-        drawn = cases.States(np.column_stack([drawn.x, rng.normal(0.0, 0.4, (count, 2))]), drawn.w, drawn.time)
-    quantities = compare_terms(first, second, drawn, skip=SPLIT_BY_PENDULUM if swings else ())
+    added = len(second.state_names) - len(LAYOUT.states)
+    if added:
+        drawn = cases.States(np.column_stack([drawn.x, rng.normal(0.0, 0.4, (count, added))]), drawn.w, drawn.time)
+    quantities = compare_terms(first, second, drawn, skip=SPLIT_BY_PENDULUM if added else ())
     if "end_stop" not in key:  # whose poses are beyond the ends
         quantities += compare_static_starts(first, second, drawn)
     worst = worst_of(key, quantities)
@@ -482,9 +487,9 @@ def run_effect(key: str, first: Engine, second: Engine) -> Quantity:
         crane = cases.without_short_strokes(crane)
         first, second = type(first)(crane), type(second)(crane)  # type: ignore[call-arg]
     time, w = cases.exciting(crane, key.partition("@")[2] if "end_stop" in key else "")
-    x0 = second.static_start(crane.initial.z1, crane.initial.z4, crane.initial.less_loaded_pressure)
+    x0 = initial_state(crane, second)
     apart = visible(crane, first.simulate(x0, time, w)) - visible(crane, second.simulate(x0, time, w))
-    angles, pressures = (float(np.sqrt(np.mean(apart[:, c] ** 2))) for c in (slice(0, 2), slice(4, 8)))
+    angles, pressures = (float(np.sqrt(np.mean(apart[:, c] ** 2))) for c in (LAYOUT.positions, LAYOUT.pressures))
     share = max(angles / ALONG[0], pressures / ALONG[1])
     reason = f"{angles:.1e} rad and {pressures / 1e5:.1e} bar (RMS) of {ALONG[0]:g} rad and {ALONG[1] / 1e5:g} bar"
     return Quantity(f"{key}, along 5 s", "-", share, share, 1.0, reason)
@@ -495,7 +500,7 @@ def manoeuvres(
 ) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """Return (name, time, commands) of the paper's cycle and of random joystick inputs."""
     time = np.arange(round(seconds / cases.SAMPLE) + 1) * cases.SAMPLE
-    x0 = engine.static_start(crane.initial.z1, crane.initial.z4, crane.initial.less_loaded_pressure)
+    x0 = initial_state(crane, engine)
     return [("paper's cycle", time, paper_cycle(time)), ("random joystick", *cases.joystick(crane, x0, seconds, rng))]
 
 
@@ -506,7 +511,7 @@ def figure_of(runs: Sequence[Run]) -> Figure:
     """Return a figure of one manoeuvre: both engines on top of each other, and below each their difference at every step."""
     from . import plots
 
-    columns = {"z1": 0, "z4": 1, "p1": 4, "p2": 5, "p3": 6, "p4": 7}
+    columns = {name: LAYOUT.index(name) for name in (*LAYOUT.coordinates, *LAYOUT.chambers)}
     last = runs[-1]
     made = plots.figure(2 * len(columns), height=1.0)
     for row, (name, i) in enumerate(columns.items()):

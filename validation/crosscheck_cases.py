@@ -63,26 +63,30 @@ def random_states(crane: Crane, count: int, rng: np.random.Generator) -> States:
         raise CraneError(
             f"{crane.name}: only {len(found)} of {800 * count} random poses are feasible. Mend joints or strokes."
         )
-    w = np.column_stack([rng.uniform(-1, 1, (count, 2)), np.full((count, 2), np.nan)])
+    lay = crane.layout
+    w = np.tile(lay.closed, (count, 1))
+    w[:, lay.spools] = rng.uniform(-1, 1, (count, len(lay.commands)))
     measured = rng.random(count) < 0.5
     pump, tank = crane["supply.pump_pressure"], crane["supply.tank_pressure"]
-    w[measured, 2:] = np.array([pump, tank]) * rng.uniform(0.8, 1.2, (np.count_nonzero(measured), 2))
+    w[measured, lay.supplies] = np.array([pump, tank]) * rng.uniform(0.8, 1.2, (np.count_nonzero(measured), 2))
     return States(np.array(found[:count]), w, rng.uniform(0.0, 10.0, count))
 
 
 def _drawn(crane: Crane, nx: int, count: int, rng: np.random.Generator) -> np.ndarray:
     x = np.zeros((count, nx))
     x[:, 0], x[:, 1] = rng.uniform(-0.4, 1.3, count), rng.uniform(-2.8, 0.3, count)
-    x[:, 2:4] = rng.normal(0.0, 0.3, (count, 2))
-    x[:, 4:8] = rng.uniform(0.2e5, 1.5 * crane["supply.pump_pressure"], (count, 4))
-    x[rng.random(count) < 1.0 / 3.0, 4:8] *= 0.1
-    x[:, 4:8][rng.random((count, 4)) < 0.05] = vapour_pressure(crane.parameter_vector())
-    x[:, 8:] = rng.normal(0.0, 0.4, (count, nx - 8))
+    lay = crane.layout
+    dz, p, added = x[:, lay.velocities], x[:, lay.pressures], x[:, lay.extra]
+    dz[:] = rng.normal(0.0, 0.3, dz.shape)
+    p[:] = rng.uniform(0.2e5, 1.5 * crane["supply.pump_pressure"], p.shape)
+    p[rng.random(count) < 1.0 / 3.0] *= 0.1
+    p[rng.random(p.shape) < 0.05] = vapour_pressure(crane.parameter_vector())
+    added[:] = rng.normal(0.0, 0.4, added.shape)
     return x
 
 
 def _feasible(engine: SemiRecursiveEngine, x: np.ndarray) -> np.ndarray:
-    t = engine.terms_along(x, np.zeros((len(x), 4)), np.zeros(len(x)))
+    t = engine.terms_along(x, np.zeros((len(x), len(engine.crane.layout.inputs))), np.zeros(len(x)))
     chambers = np.min([t[f"l{i}"] for i in range(1, 5)], axis=0)
     with np.errstate(invalid="ignore"):
         return (chambers > MARGIN) & (np.abs(t["dz2_dz4"]) < 5.0) & (np.abs(t["dz3_dz4"]) < 5.0)
@@ -115,7 +119,7 @@ def _drawn_crane(crane: Crane, rng: np.random.Generator) -> Crane:
             changes[f"cylinders.{c}.rod"] = changes[f"cylinders.{c}.bore"] * rng.uniform(0.3, 0.7)
         drawn = crane.with_parameters(changes)
         try:
-            SemiRecursiveEngine(drawn).static_start(drawn.initial.z1, drawn.initial.z4)
+            SemiRecursiveEngine(drawn).static_start(*drawn.initial.pose)
             random_states(drawn, 20, rng)
         except CraneError:
             continue
@@ -162,13 +166,13 @@ def joystick(crane: Crane, x0: np.ndarray, seconds: float, rng: np.random.Genera
     """
     engine, n = SemiRecursiveEngine(crane), round(seconds / SAMPLE) + 1
     stop = round(0.6 / SAMPLE)
-    time, commands = np.arange(n + stop) * SAMPLE, np.zeros((n + stop, 2))
-    at, x, level = round(0.2 / SAMPLE), np.asarray(x0), np.zeros(2)
+    time, commands = np.arange(n + stop) * SAMPLE, np.zeros((n + stop, len(CYLINDERS)))
+    at, x, level = round(0.2 / SAMPLE), np.asarray(x0), np.zeros(len(CYLINDERS))
     while at < n - 1:
         end = min(n - 1, at + int(rng.uniform(0.5, 1.7) / SAMPLE))
         for wanted in _tries(rng):
             commands[at : end + 1] = _ramp(level, wanted, end + 1 - at)
-            commands[end : end + stop] = _ramp(wanted, np.zeros(2), stop)
+            commands[end : end + stop] = _ramp(wanted, np.zeros_like(wanted), stop)
             spools = spool_inputs(crane, time[: end + stop], commands[: end + stop])[at:]
             after = _safe_state(engine, x, time[at : end + stop], spools, end - at)
             if after is not None:
@@ -191,9 +195,9 @@ def spool_inputs(crane: Crane, time: np.ndarray, commands: np.ndarray) -> np.nda
 
 def _tries(rng: np.random.Generator) -> list[np.ndarray]:
     """Return positions of both levers in the order in which the driver thinks of them; stopping is the last."""
-    drawn = rng.uniform(-0.7, 0.7, (30, 2))
-    drawn[rng.random((30, 2)) < 0.25] = 0.0
-    return [*drawn, np.zeros(2)]
+    drawn = rng.uniform(-0.7, 0.7, (30, len(CYLINDERS)))
+    drawn[rng.random(drawn.shape) < 0.25] = 0.0
+    return [*drawn, np.zeros(len(CYLINDERS))]
 
 
 def _safe_state(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
@@ -675,16 +676,12 @@ def _candidate(w: Weighed, probability: float) -> Candidate:
         values, spread = fitted_values(w, key), deviations(w, key)
         prefix = f"{key}:" if len(w.hypothesis.keys) > 1 else ""
         for p in registry.split_key(key)[0].parameters:
-            unit = _sensor_unit(key) if p.unit == "channel" else p.unit
+            unit = unit_at(p.unit, key.partition("@")[2])
             parameters[prefix + p.name] = {"value": values[p.name], "std": spread.get(p.name, math.inf), "unit": unit}
     bounds = tuple(f"{k}:{p}" for k in w.hypothesis.keys for p in at_bound(w, k))
     return Candidate(
         w.hypothesis.keys, parameters, w.evidence, probability, w.fit.crane, at_bound=bounds, level=w.level, fit=w.fit
     )
-
-
-def _sensor_unit(key: str) -> str:
-    return "rad" if key.endswith(("z1", "z4")) else "Pa"
 
 
 def moved_parameters(search: _Search, chosen: Weighed) -> dict[str, dict[str, Any]]:

@@ -9,6 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from crane_exudyn.channels import CHANNELS
+from crane_exudyn.parameters import LAYOUT
 from ukf.estimate import Estimate
 
 from .balances import EQUATIONS, Balances
@@ -18,13 +20,11 @@ from .phases import KINDS, Phase
 PREDICTED_BADLY = 1.5
 #: a balance counts as violated when its mean residual is so many standard deviations from zero
 VIOLATED = 4.0
-#: unit for people by the first letter(s) of a channel or equation, and what one of it is in SI
+#: unit for people by the SI unit of a channel or the kind of a balance, and what one of it is in SI
 _UNITS = {
-    "dz": ("deg/s", math.pi / 180), "z": ("deg", math.pi / 180), "p": ("bar", 1e5), "s": ("mm", 1e-3),
-    "flow.": ("l/min", 1e-3 / 60.0), "torque.": ("N m", 1.0),
+    "rad/s": ("deg/s", math.pi / 180), "rad": ("deg", math.pi / 180), "Pa": ("bar", 1e5), "m": ("mm", 1e-3),
+    "flow": ("l/min", 1e-3 / 60.0), "torque": ("N m", 1.0),
 }  # fmt: skip
-_SIDE = {"p1": "lift, piston side", "p2": "lift, rod side", "p3": "tilt, piston side", "p4": "tilt, rod side"}
-_BODY = {"O": "lift boom", "A": "outer boom"}
 #: a joint counts as turning from this mean rate on, rad/s
 _TURNING = 5e-3
 
@@ -97,7 +97,7 @@ class Scores:
         found = []
         for i, j in np.argwhere(np.abs(self.equations) > VIOLATED):
             phase, name, mean = self.phases[i], EQUATIONS[j], float(self.means[i, j])
-            rate = float(self.turning[i, j]) if j < 2 else 0.0
+            rate = float(self.turning[i, j]) if name in LAYOUT.torques else 0.0
             text = f"{phase.words}, {violation(name, mean, float(self.stds[i, j]), rate)}"
             score = float(abs(self.equations[i, j]))
             found.append(Finding("equation", name, phase.start, phase.end, phase.kind, score, text, mean))
@@ -134,10 +134,10 @@ def scores_of(estimate: Estimate, balances: Balances, phases: Sequence[Phase]) -
                 channels[i, j] = np.sqrt(np.mean(relative[a:b, j][known] ** 2))
                 errors[i, j] = np.sqrt(np.mean(estimate.innovation[a:b, j][known] ** 2))
     pairs = [balances.mean(p.first, p.last) for p in phases]
-    turning = np.array([balances.states[p.first : p.last, 2:4].mean(axis=0) for p in phases])
+    turning = np.array([balances.states[p.first : p.last, LAYOUT.velocities].mean(axis=0) for p in phases])
     means, stds = np.array([m for m, _ in pairs]), np.array([s for _, s in pairs])
     for i, p in enumerate(phases):  # at the pressure floor a balance says nothing about the flow into the chamber
-        stds[i, 2:][balances.at_floor[p.first : p.last].any(axis=0)] = math.inf
+        stds[i, len(LAYOUT.torques) :][balances.at_floor[p.first : p.last].any(axis=0)] = math.inf
     return Scores(phases, estimate.channel_names, channels, errors, samples, means, stds, turning)
 
 
@@ -146,7 +146,7 @@ def scores_of(estimate: Estimate, balances: Balances, phases: Sequence[Phase]) -
 
 def people_unit(name: str) -> tuple[str, float]:
     """Return the unit in which people read a channel or a balance, and what one of it is in SI."""
-    return next(_UNITS[head] for head in _UNITS if name.startswith(head))
+    return _UNITS[CHANNELS[name] if name in CHANNELS else name.partition(".")[0]]
 
 
 def told(name: str, value: float) -> str:
@@ -161,14 +161,13 @@ def violation(equation: str, mean: float, std: float, rate: float = 0.0) -> str:
     amount = f"{rounded(abs(mean) / factor, 1.96 * std / factor)} {unit}"
     place = equation.rpartition(".")[2]
     if equation.startswith("flow."):
-        return (
-            f"chamber {place} ({_SIDE[place]}) receives {amount} {'more' if mean > 0 else 'less'} than the model says"
-        )
+        return f"chamber {place} ({LAYOUT.side_of(place)}) receives {amount} {'more' if mean > 0 else 'less'} than the model says"
     motion = ""
     if abs(rate) > _TURNING:
         motion = ", against its motion" if rate * mean < 0 else ", along with its motion"
     way = "upwards" if mean > 0 else "downwards"
-    return f"joint {place} turns the {_BODY[place]} {way} with {amount} more than the model says{motion}"
+    body = LAYOUT.bodies[LAYOUT.joints.index(place)].replace("_", " ")
+    return f"joint {place} turns the {body} {way} with {amount} more than the model says{motion}"
 
 
 def rounded(value: float, uncertainty: float) -> str:

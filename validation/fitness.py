@@ -8,6 +8,7 @@ import numpy as np
 
 from crane_exudyn.channels import CHANNELS, Channel
 from crane_exudyn.crane import Crane
+from crane_exudyn.effects.base import CYLINDERS
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.sensors import SENSORS
@@ -147,9 +148,7 @@ def _range(channel: Channel) -> float:
 def _notes(recording: Recording, time: np.ndarray, commands: np.ndarray, constant: list[str], moves: bool) -> list[str]:
     notes = list(recording.notes)
     notes += [f"{name} shows one value throughout and is left out" for name in constant]
-    notes += [
-        f"the {name} valve is never opened" for i, name in enumerate(("lift", "tilt")) if not _opened(commands[:, i])
-    ]
+    notes += [f"the {name} valve is never opened" for i, name in enumerate(CYLINDERS) if not _opened(commands[:, i])]
     if free := recording.noise_free():
         notes.append(
             f"{', '.join(free)} show{'s' * (len(free) == 1)} no noise, as simulations do: noise is added as [sensors] of the crane file says, "

@@ -75,8 +75,8 @@ def one_run(settings: Settings, number: int, crane: Crane) -> dict[str, Any]:
     time = np.arange(round(settings.duration / settings.step) + 1) * settings.step
     commands = paper.INPUT_SETS[settings.inputs](time)
     model = engine_of(settings.engine, crane)
-    nominal = model.static_start(crane.initial.z1, crane.initial.z4)
-    truth = shaken(model, crane, nominal + START * rng.normal(size=8), time, commands, settings, rng)
+    nominal = model.static_start(*crane.initial.pose)
+    truth = shaken(model, crane, nominal + START * rng.normal(size=START.size), time, commands, settings, rng)
     sensors = paper.noisy_sensors(crane, time, truth, rng)
     believed = crane if settings.model_error == 0 else paper.wrong_crane(crane, settings.model_error)
     filter_ = Estimator(

@@ -8,18 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.parameters import LAYOUT
 
 REST = "rest"
-LIFT_OUT, LIFT_IN, TILT_OUT, TILT_IN = "lift extending", "lift retracting", "tilt extending", "tilt retracting"
+#: what a cylinder does by the way its valve is open
+_WAYS = {1: "extends", -1: "retracts"}
 BOTH, REVERSAL, LOW_PRESSURE, STROKE_END = "both moving", "reversal", "low pressure", "end of stroke"
-KINDS = (REST, LIFT_OUT, LIFT_IN, TILT_OUT, TILT_IN, BOTH, REVERSAL, LOW_PRESSURE, STROKE_END)
+#: the kinds of work of one cylinder: (cylinder, way its valve is open) -> kind
+MOVING = {
+    (c, side): f"{name} {way}"
+    for c, name in enumerate(LAYOUT.cylinders)
+    for side, way in ((1, "extending"), (-1, "retracting"))
+}
+KINDS = (REST, *MOVING.values(), BOTH, REVERSAL, LOW_PRESSURE, STROKE_END)
 #: what is going on, for a sentence: "while …"
 WORDS = {
     REST: "while both valves are closed",
-    LIFT_OUT: "while the lift cylinder extends",
-    LIFT_IN: "while the lift cylinder retracts",
-    TILT_OUT: "while the tilt cylinder extends",
-    TILT_IN: "while the tilt cylinder retracts",
+    **{kind: f"while the {LAYOUT.cylinders[c]} cylinder {_WAYS[side]}" for (c, side), kind in MOVING.items()},
     BOTH: "while both cylinders are driven",
     REVERSAL: "while a cylinder reverses",
     LOW_PRESSURE: "while a chamber is below the pressure of the tank",
@@ -47,20 +52,16 @@ class Phase:
     last: int
     start: float
     end: float
-    sides: tuple[int, int] = (0, 0)
+    sides: tuple[int, ...] = ()
 
     @property
     def words(self) -> str:
         """Where and when, as a sentence begins: "between 7.6 and 8.5 s, while the tilt cylinder extends"."""
         doing = WORDS[self.kind]
-        if self.kind == BOTH and all(self.sides):
-            lift, tilt = ("extends" if side > 0 else "retracts" for side in self.sides)
-            both = (
-                "both cylinders " + lift.rstrip("s")
-                if lift == tilt
-                else f"the lift cylinder {lift} and the tilt cylinder {tilt}"
-            )
-            doing = f"while {both}"
+        if self.kind == BOTH and self.sides and all(self.sides):
+            ways = [_WAYS[side] for side in self.sides]
+            each = [f"the {name} cylinder {way}" for name, way in zip(LAYOUT.cylinders, ways, strict=True)]
+            doing = "while " + ("both cylinders " + ways[0].rstrip("s") if len(set(ways)) == 1 else " and ".join(each))
         return f"between {self.start:.1f} and {self.end:.1f} s, {doing}"
 
 
@@ -76,8 +77,9 @@ def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndar
     side = _sides(spool)
     kinds = labels(crane, time, spool, states)
     # driving both counts as another piece of work when one of them turns
-    way = np.where(kinds == KINDS.index(BOTH), 3 * side[:, 0] + side[:, 1], 0).astype(int)
-    code = _smooth(9 * kinds + way, time)
+    ways = 3 ** np.arange(side.shape[1])[::-1]
+    way = np.where(kinds == KINDS.index(BOTH), side @ ways, 0).astype(int)
+    code = _smooth(3 * ways[0] * kinds + way, time)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1, [len(code)]])
     found = []
     for a, b in itertools.pairwise(edges):
@@ -86,8 +88,8 @@ def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndar
         for i, j in itertools.pairwise(cuts):
             end = time[min(j, len(time) - 1)]
             middle = side[(i + j) // 2]
-            kind = KINDS[round(code[a] / 9)]
-            found.append(Phase(kind, int(i), int(j), float(time[i]), float(end), (int(middle[0]), int(middle[1]))))
+            kind = KINDS[round(code[a] / (3 * ways[0]))]
+            found.append(Phase(kind, int(i), int(j), float(time[i]), float(end), tuple(map(int, middle))))
     return found
 
 
@@ -98,12 +100,13 @@ def _sides(spool: np.ndarray) -> np.ndarray:
 
 def labels(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Return the kind of work at every instant as an index into KINDS (N,); special states come before plain motion."""
-    lift, tilt = _sides(spool).T
+    side = _sides(spool)
     kind = np.full(len(time), KINDS.index(REST))
+    empty = states[:, crane.layout.pressures] < LOW * crane["supply.tank_pressure"]
     for chosen, name in (
-        ((lift > 0), LIFT_OUT), ((lift < 0), LIFT_IN), ((tilt > 0), TILT_OUT), ((tilt < 0), TILT_IN),
-        ((lift != 0) & (tilt != 0), BOTH), (_reverses(time, lift) | _reverses(time, tilt), REVERSAL),
-        ((states[:, 4:8] < LOW * crane["supply.tank_pressure"]).any(axis=1), LOW_PRESSURE), (_at_end(crane, states), STROKE_END),
+        *((side[:, c] == way, name) for (c, way), name in MOVING.items()),
+        ((side != 0).sum(axis=1) > 1, BOTH), (np.any([_reverses(time, one) for one in side.T], axis=0), REVERSAL),
+        (empty.any(axis=1), LOW_PRESSURE), (_at_end(crane, states), STROKE_END),
     ):  # fmt: skip
         kind[chosen] = KINDS.index(name)
     return kind
@@ -124,9 +127,9 @@ def _at_end(crane: Crane, states: np.ndarray) -> np.ndarray:
     """Return whether a piston is near an end of its stroke (N,)."""
     from crane_exudyn.geometry import cylinder_lengths
 
-    lengths = cylinder_lengths(crane, states[:, :2])
-    empty = np.array([crane[f"cylinders.{c}.empty_length"] for c in ("lift", "tilt")])
-    span = np.array([crane[f"cylinders.{c}.chamber_range"] for c in ("lift", "tilt")])
+    lengths = cylinder_lengths(crane, states[:, crane.layout.positions])
+    empty = np.array([crane[f"cylinders.{c}.empty_length"] for c in crane.layout.cylinders])
+    span = np.array([crane[f"cylinders.{c}.chamber_range"] for c in crane.layout.cylinders])
     piston = lengths - empty
     return np.asarray(((piston < NEAR_END) | (piston > span - NEAR_END)).any(axis=1))
 

@@ -50,9 +50,12 @@ def step_error(run: Simulation, recording: Recording | None, step: float) -> Ste
     """
     finer = SemiRecursiveEngine(run.crane, accuracy=_FINER)
     second = simulate(run.crane, recording, start=run.states[0], engine=finer, step=step)
-    apart = visible(run.crane, run.states)[:, :8] - visible(run.crane, second.states)[:, :8]
-    promised = np.array([POSITION] * 2 + [np.inf] * 2 + [PRESSURE] * 4)
+    layout = run.crane.layout
+    apart = (visible(run.crane, run.states) - visible(run.crane, second.states))[:, layout.basic]
+    promised = np.full(apart.shape[1], np.inf)
+    promised[layout.positions], promised[layout.pressures] = POSITION, PRESSURE
     summed = np.cumsum((apart / promised) ** 2, axis=0).max(axis=1) / len(apart)
     rms = np.sqrt(np.mean(apart**2, axis=0))
     late = np.flatnonzero(~(summed <= 1.0))
-    return StepError(float(rms[:2].max()), float(rms[4:].max()), float(run.time[late[0]]) if late.size else None)
+    since = float(run.time[late[0]]) if late.size else None
+    return StepError(float(rms[layout.positions].max()), float(rms[layout.pressures].max()), since)

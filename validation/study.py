@@ -21,8 +21,10 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.errors import CraneError
+from crane_exudyn.parameters import LAYOUT
+from crane_exudyn.sensors import PLACES
 
-from .hidden import SEVERITIES, HiddenCase, hideable, make_case
+from .hidden import SENSOR_SETS, SEVERITIES, HiddenCase, hideable, make_case
 from .workers import results_of
 
 #: kinds of ten consecutive cases of a plan
@@ -47,9 +49,9 @@ def planned(seed: int) -> dict[str, Any]:
     )
     names = list(SEVERITIES)
     name = names[turn % len(names)]
-    keys = [k for k in hideable(("z1", "z4", "p1", "p2", "p3", "p4")) if k.partition("@")[0] == name]
+    keys = [k for k in hideable(PLACES) if k.partition("@")[0] == name]
     key = keys[(turn // len(names)) % len(keys)]
-    all_sensors = {"sensors": 0} if key in ("sensor_bias@p2", "sensor_bias@p3") or key.endswith(("p2", "p3")) else {}
+    all_sensors = {} if key.partition("@")[2] not in set(LAYOUT.chambers) - set(LAYOUT.loaded) else {"sensors": 0}
     return {"kind": kind, "keys": [key], **all_sensors}
 
 
@@ -249,12 +251,13 @@ def _by_severity(good: Sequence[Mapping[str, Any]]) -> str:
 def _by_sensors(good: Sequence[Mapping[str, Any]]) -> str:
     """Rows are sets of sensors and their noise."""
     rows = []
-    for sensors in (6, 4):
+    for sensors in SENSOR_SETS:
         for pressure_noise, name in ((0.3e5, "0.05° and 0.3 bar"), (1.5e5, "1° and 1.5 bar")):
-            own = [g for g in good if len(noise := g["answer"]["noise"]) == sensors and noise["p1"] == pressure_noise]
+            wanted = len(sensors), pressure_noise
+            own = [g for g in good if (len(noise := g["answer"]["noise"]), noise[LAYOUT.loaded[0]]) == wanted]
             hiding = [g for g in own if g["answer"]["effects"]]
             rows.append((
-                "z1 z4 p1 p2 p3 p4" if sensors == 6 else "z1 z4 p1 p4", name, _share(g["judged"]["right"] for g in hiding),
+                " ".join(sensors), name, _share(g["judged"]["right"] for g in hiding),
                 _share(g["judged"]["right"] for g in own if not g["answer"]["effects"]),
             ))  # fmt: skip
     return _table(("sensors", "noise", "effects right", "right without an effect"), rows)
@@ -322,7 +325,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--foreign", action="store_true", help="machines whose laws differ a little from the library's")
     parser.add_argument("--swapped", action="store_true", help="machines on the engine that the diagnosis uses")
     parser.add_argument("--visible", metavar="LOW-HIGH", help="severities, in noise units")
-    parser.add_argument("--sensors", type=int, choices=(0, 1), help="0: all pressures, 1: z1 z4 p1 p4")
+    parser.add_argument("--sensors", type=int, choices=(0, 1), help=f"0: all pressures, 1: {' '.join(SENSOR_SETS[1])}")
     parser.add_argument("--noise", type=int, choices=(0, 1), help="0: 0.05 deg and 0.3 bar, 1: 1 deg and 1.5 bar")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)

@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from ..parameters import LAYOUT
 from ..sensors import PLACES as SENSORS
 
-CYLINDERS = ("lift", "tilt")
-CHAMBERS = ("p1", "p2", "p3", "p4")
-JOINTS = ("O", "A")
+CYLINDERS, CHAMBERS, JOINTS = LAYOUT.cylinders, LAYOUT.chambers, LAYOUT.joints
 #: an effect without a place acts on the whole machine
 EVERYWHERE = ("",)
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from crane_exudyn.channels import SUPPLY
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
@@ -225,7 +226,7 @@ def _placed(samples: Samples, time: np.ndarray, grid: np.ndarray) -> Samples:
 
 def _supply(recording: Recording, grid: np.ndarray) -> np.ndarray:
     columns = []
-    for name in ("pp", "pt"):
+    for name in SUPPLY:
         if recording.has(name):
             channel = recording.channels[name]
             columns.append(np.interp(grid, channel.time, channel.values))

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.measurement import Measurement, sensing_slots
+from crane_exudyn.parameters import LAYOUT
 from crane_exudyn.sensors import SENSORS
 
 from ..semi_recursive import sensitivity
@@ -27,7 +28,9 @@ from .model import Model, model_of
 from .variables import Variable, lateness, with_variables
 
 #: size of a jump between two windows that is taken as one standard deviation: angles, rates, pressures, pendulum
-JUMP = np.array([3e-3, 3e-3, 2e-2, 2e-2, 1e5, 1e5, 1e5, 1e5, 3e-2, 3e-2])
+JUMP = np.repeat(
+    [3e-3, 2e-2, 1e5, 3e-2], [len(n) for n in (LAYOUT.coordinates, LAYOUT.rates, LAYOUT.chambers, LAYOUT.added)]
+)
 THREADS = 2
 #: grid points of a window beyond which only one is swept at a time: it takes 200 MB
 _LARGE = 40_000

@@ -14,7 +14,6 @@ from crane_exudyn.effects import hooks
 from crane_exudyn.effects.registry import find
 from crane_exudyn.inputs import Valve, valve_of
 from crane_exudyn.measurement import Measurement
-from crane_exudyn.parameters import CYLINDERS
 
 from .data import FitData
 
@@ -31,8 +30,9 @@ class Model:
 
     @property
     def nx(self) -> int:
-        """Number of states: 8, or 10 with a pendulum."""
-        return 10 if hooks.pendulum(self.E)[0] > 0.0 else 8
+        """Number of states: more with a pendulum."""
+        lay = self.crane.layout
+        return len(lay.all_states if hooks.pendulum(self.E)[0] > 0.0 else lay.states)
 
     def measurement(self, channels: Sequence[str]) -> Measurement:
         """Return what the crane's sensors of some channels show."""
@@ -59,7 +59,9 @@ def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:
 
 
 def _paths(crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: float) -> np.ndarray:
-    return np.column_stack([_valve_path(crane, data, c, valve_of(P, E, c), late) for c in range(2)])
+    return np.column_stack(
+        [_valve_path(crane, data, c, valve_of(P, E, c), late) for c in range(len(crane.layout.cylinders))]
+    )
 
 
 #: share of a time constant by which it may differ for the spool's path to be extrapolated, and that of the difference quotient
@@ -72,8 +74,8 @@ def _extrapolated(
     """Return spool positions (N, 2) from those of a model nearby, or None if more than the time constants differ."""
     if late != near.late or _commanded(crane) != _commanded(near.crane):
         return None
-    spool = near.W[:, :2].copy()
-    for c, name in enumerate(CYLINDERS):
+    spool = near.W[:, crane.layout.spools].copy()
+    for c, name in enumerate(crane.layout.cylinders):
         here, there = valve_of(P, E, c), valve_of(near.P, near.E, c)
         change = here.tau - there.tau
         if here._replace(tau=there.tau) != there or abs(change) > _NEAR * there.tau:

@@ -251,7 +251,8 @@ def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffne
         dx = reduced.knots_step + reduced.knots_by_u @ du
         share = 1.0 / (1.0 + damping)
         knots = point.knots + share * dx * JUMP[: dx.shape[1]]
-        knots[:, 4:8] = np.maximum(knots[:, 4:8], EMPTIEST)
+        p = crane.layout.pressures
+        knots[:, p] = np.maximum(knots[:, p], EMPTIEST)
         trial = _evaluate(crane, data, windows, knots, variables, point.u + share * du, stiffness)
         if _cost(trial, variables, guess) < before:
             return trial

@@ -30,37 +30,35 @@ def knots_of(crane: Crane, data: FitData, windows: Sequence[Window]) -> np.ndarr
 def _state(
     crane: Crane, engine: SemiRecursiveEngine, data: FitData, samples: dict[str, Samples], t: float
 ) -> np.ndarray:
-    z1, dz1 = _angle(crane, data, samples, "z1", t)
-    z4, dz4 = _angle(crane, data, samples, "z4", t)
-    if "z4" not in samples and "z4_abs" in samples:
-        absolute, rate = _line(data, samples["z4_abs"], t)
-        z4, dz4 = absolute - z1, rate - dz1
-    rest = engine.at_rest(z1, z4)[:8]
-    pressures = [_mean(data, samples.get(f"p{i}"), t) for i in (1, 2, 3, 4)]
-    for c in range(2):
-        _complete(crane, ("lift", "tilt")[c], pressures, rest, c)
-    return np.array([z1, z4, dz1, dz4, *(max(p or 0.0, 0.0) for p in pressures)])
+    lay = crane.layout
+    z, dz = np.array(crane.initial.pose), np.zeros(len(lay.rates))
+    for i, name in enumerate(lay.coordinates):
+        carriers = [lay.index(n) for n in lay.absolute(name)[:-1]]
+        if name in samples:
+            z[i], dz[i] = _line(data, samples[name], t)
+        elif f"{name}_abs" in samples:
+            absolute, rate = _line(data, samples[f"{name}_abs"], t)
+            z[i], dz[i] = absolute - z[carriers].sum(), rate - dz[carriers].sum()
+    rest = engine.at_rest(*z)[lay.pressures]
+    pressures = [_mean(data, samples.get(name), t) for name in lay.chambers]
+    for c, name in enumerate(lay.cylinders):
+        _complete(crane, name, pressures, rest, c)
+    return np.array([*z, *dz, *(max(p or 0.0, 0.0) for p in pressures)])
 
 
 def _complete(crane: Crane, name: str, pressures: list[float | None], rest: np.ndarray, c: int) -> None:
-    """Fill in the pressures of cylinder c that are not measured from the balance at rest."""
+    """Fill in the pressures of cylinder c that are not measured from those of all chambers at rest."""
     bore, rod = crane[f"cylinders.{name}.bore"], crane[f"cylinders.{name}.rod"]
     Aa, Ab = np.pi / 4 * bore**2, np.pi / 4 * (bore**2 - rod**2)
     a, b = 2 * c, 2 * c + 1
-    force = rest[4 + a] * Aa - rest[4 + b] * Ab
+    force = rest[a] * Aa - rest[b] * Ab
     pa, pb = pressures[a], pressures[b]
     if pa is None and pb is None:
-        pressures[a], pressures[b] = float(rest[4 + a]), float(rest[4 + b])
+        pressures[a], pressures[b] = float(rest[a]), float(rest[b])
     elif pa is None and pb is not None:
         pressures[a] = (force + pb * Ab) / Aa
     elif pb is None and pa is not None:
         pressures[b] = (pa * Aa - force) / Ab
-
-
-def _angle(crane: Crane, data: FitData, samples: dict[str, Samples], name: str, t: float) -> tuple[float, float]:
-    if name in samples:
-        return _line(data, samples[name], t)
-    return (crane.initial.z1 if name == "z1" else crane.initial.z4), 0.0
 
 
 def _near(data: FitData, sample: Samples, t: float, span: float) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.errors import CraneError
+from crane_exudyn.errors import CraneError, listed
+from crane_exudyn.parameters import LAYOUT
 
 from ..fit.data import FitData
 from ..fit.model import model_of
@@ -64,7 +65,7 @@ def best_manoeuvre(first: Crane, second: Crane, noise: Mapping[str, float], chan
             if found is not None and found[0] > best:
                 best = found[0]
                 text = (
-                    f"{manoeuvre.text}, starting at z1 = {pose[0]:g}°, z4 = {pose[1]:g}°: "
+                    f"{manoeuvre.text}, starting at {listed(LAYOUT.coordinates, pose, '{:g}°')}: "
                     f"the explanations then differ by {found[0]:.1f} times the noise in {found[1]}"
                 )
     return text or "none of the manoeuvres that were simulated tells them apart; another sensor would be needed"

@@ -40,7 +40,8 @@ def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
         models.append(model)
     own = columns_of_fit(fit)
     probes = pack(base, models, np.ones(len(models)))
-    knots = fit.knots if fit.knots.shape[1] == 10 else np.pad(fit.knots, ((0, 0), (0, 2)))  # room for a pendulum
+    room = len(fit.crane.layout.all_states) - fit.knots.shape[1]  # for a pendulum
+    knots = np.pad(fit.knots, ((0, 0), (0, room)))
     linear = normal_equations(fit.windows, knots, base, join(own, probes), stiffness)
     if linear.failed:
         return [Score(s, 0.0, 1.0) for s in usable]

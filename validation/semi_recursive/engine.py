@@ -12,18 +12,12 @@ from crane_exudyn import parameters as names
 from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import hooks, registry
-from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.errors import CraneError, listed, nearest
+from crane_exudyn.layout import Layout
 from crane_exudyn.step_control import MOST_HALVINGS
 
 from . import equations, kernel
 from .terms import TERM_NAMES, terms
-
-#: names of the state, and of what a payload on a pendulum adds to it
-STATE_NAMES = ("z1", "z4", "dz1", "dz4", "p1", "p2", "p3", "p4")
-PENDULUM_NAMES = ("theta", "dtheta")
-#: unknown inputs, in the order of `equations.disturbance`: moments in N m, forces on E in N, flows into chambers in m^3/s
-DISTURBANCES = ("torque.O", "torque.A", "force.x", "force.y", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
-_CHAMBERS = ("lift, piston side empty", "lift, rod side empty", "tilt, piston side empty", "tilt, rod side empty")
 
 
 @njit
@@ -43,9 +37,9 @@ def _held(z1, z4, less_loaded, P, E, x):
     return math.atan2(gx, -gy)
 
 
-def _find_column(name: str) -> tuple[str, int]:
-    if name in DISTURBANCES:
-        return "w", 4 + DISTURBANCES.index(name)
+def _find_column(layout: Layout, name: str) -> tuple[str, int]:
+    if name in layout.disturbances:
+        return "w", layout.all_inputs.index(name)
     if name in names.INDEX:
         return "P", names.INDEX[name]
     key, _, last = name.rpartition(".")
@@ -54,7 +48,7 @@ def _find_column(name: str) -> tuple[str, int]:
         for i, parameter in enumerate(effect.parameters):
             if parameter.name == last:
                 return "E", registry.slot(effect.name, place) + i
-    known = [*names.NAMES, *DISTURBANCES]
+    known = [*names.NAMES, *layout.disturbances]
     raise CraneError(f"Semi-recursive engine: no parameter {name!r} can differ from row to row.{nearest(name, known)}")
 
 
@@ -73,8 +67,8 @@ class SemiRecursiveEngine:
         self._columns: dict[str, tuple[str, int]] = {}
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
         self.halved = 0
-        swings = hooks.pendulum(self._E)[0] > 0.0
-        self.state_names = STATE_NAMES + (PENDULUM_NAMES if swings else ())
+        self._layout, swings = crane.layout, hooks.pendulum(self._E)[0] > 0.0
+        self.state_names = self._layout.all_states if swings else self._layout.states
 
     def static_start(self, z1: float, z4: float, less_loaded: float | Sequence[float] = 20e5) -> np.ndarray:
         """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded` (Pa).
@@ -89,12 +83,11 @@ class SemiRecursiveEngine:
     def at_rest(self, z1: float, z4: float, less_loaded: float | Sequence[float] = 20e5) -> np.ndarray:
         """Return the same state wherever the loop can be closed: a measured pose may lie a little beyond the file's stroke."""
         x = np.zeros(len(self.state_names))
-        x[:2] = z1, z4
+        x[self._layout.positions] = z1, z4
         angle = _held(
             float(z1), float(z4), np.broadcast_to(np.asarray(less_loaded, dtype=float), 2).copy(), self._P, self._E, x
         )
-        if len(x) > 8:
-            x[8] = angle
+        x[self._layout.extra][:1] = angle
         if not np.all(np.isfinite(x)):
             raise faulty_laws.where_start_failed(self.crane, x) or CraneError(
                 f"{self._unreachable(x)} There is no static start."
@@ -116,7 +109,7 @@ class SemiRecursiveEngine:
             inputs: w = [U1 U2 pp pt] at the start and the end of the step, (2, 4) or (2, n, 4).
             time: time at the start of the step, s.
             parameters: {name: (n,)}, what differs from row to row (SI): nominal parameters such as "payload.mass",
-                parameters of effects such as "internal_leakage@lift.k", and the disturbances of `DISTURBANCES`.
+                parameters of effects such as "internal_leakage@lift.k", and the disturbances of the layout.
 
         Raises:
             CraneError: wrong shapes, an unknown parameter, or a state whose step does not converge.
@@ -124,11 +117,12 @@ class SemiRecursiveEngine:
         x = np.ascontiguousarray(states, dtype=float)
         self._check_shape("states", x, (None, len(self.state_names)))
         w = np.ascontiguousarray(inputs, dtype=float)
-        if w.shape not in ((2, 4), (2, len(x), 4)):
+        m = len(self._layout.inputs)
+        if w.shape not in ((2, m), (2, len(x), m)):
             raise CraneError(
-                f"inputs have the shape {w.shape}; expected (2, 4) or (2, {len(x)}, 4): w at start and end."
+                f"inputs have the shape {w.shape}; expected (2, {m}) or (2, {len(x)}, {m}): w at start and end."
             )
-        w, P, E = w.reshape(2, -1, 4), self._P[None], self._E[None]
+        w, P, E = w.reshape(2, -1, m), self._P[None], self._E[None]
         if parameters:
             w, P, E = self._by_row(len(x), w, parameters)
         n = max(1, math.ceil(dt / self.step - 1e-6))
@@ -144,8 +138,8 @@ class SemiRecursiveEngine:
         self, rows: int, w: np.ndarray, parameters: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return inputs (2, rows, 12), P (rows, .) and E (rows, .) with what differs from row to row."""
-        wide = np.zeros((2, rows, 4 + len(DISTURBANCES)))
-        wide[:, :, :4] = w
+        wide = np.zeros((2, rows, len(self._layout.all_inputs)))
+        wide[:, :, self._layout.driving] = w
         P, E = np.tile(self._P, (rows, 1)), np.tile(self._E, (rows, 1))
         for name, values in parameters.items():
             table, column = self._column(name)
@@ -158,7 +152,7 @@ class SemiRecursiveEngine:
     def _column(self, name: str) -> tuple[str, int]:
         """Return where a quantity that may differ from row to row stands: "w", "P" or "E", and the column."""
         if name not in self._columns:
-            self._columns[name] = _find_column(name)
+            self._columns[name] = _find_column(self._layout, name)
         return self._columns[name]
 
     def simulate(
@@ -204,28 +198,29 @@ class SemiRecursiveEngine:
 
     def _check_run(self, x: np.ndarray, t: np.ndarray, w: np.ndarray) -> None:
         self._check_shape("x0", x, (len(self.state_names),))
-        if t.ndim != 1 or w.shape != (len(t), 4):
-            raise CraneError(f"time has the shape {t.shape} and inputs {w.shape}; expected (N,) and (N, 4).")
+        m = len(self._layout.inputs)
+        if t.ndim != 1 or w.shape != (len(t), m):
+            raise CraneError(f"time has the shape {t.shape} and inputs {w.shape}; expected (N,) and (N, {m}).")
         if not np.all(np.diff(t) > 0.0):
             k = int(np.argmin(np.diff(t) > 0.0))
             raise CraneError(f"time does not increase from sample {k} ({t[k]:g} s) to {k + 1} ({t[k + 1]:g} s).")
-        if not np.all(np.isfinite(w[:, :2])):
-            k = int(np.argmin(np.all(np.isfinite(w[:, :2]), axis=1)))
+        if not np.all(np.isfinite(w[:, self._layout.spools])):
+            k = int(np.argmin(np.all(np.isfinite(w[:, self._layout.spools]), axis=1)))
             raise CraneError(
-                f"inputs: the spool position at sample {k} ({t[k]:g} s) is {w[k, :2]}. Give finite numbers."
+                f"inputs: the spool position at sample {k} ({t[k]:g} s) is {w[k, self._layout.spools]}. Give finite numbers."
             )
 
     def _refuse_stroke_end(self, states: np.ndarray, time: np.ndarray) -> None:
         lengths = _chamber_lengths(np.ascontiguousarray(states), self._P, self._E)
-        for c, name in enumerate(("lift", "tilt")):
+        for c, name in enumerate(self._layout.cylinders):
             if self.crane.effect(f"end_stop@{name}") is not None:
-                lengths[:, 2 * c : 2 * c + 2] = 1.0
+                lengths[:, self._layout.chambers_of(c)] = 1.0
         if not (lengths < 0.0).any():
             return
         k, chamber = np.argwhere(lengths < 0.0)[0]
         raise CraneError(
             f"Semi-recursive engine: a cylinder reached the end of its stroke at t = {time[k]:.3f} s "
-            f"({_CHAMBERS[chamber]}, {-1e3 * lengths[k, chamber]:.1f} mm beyond). State: {self._told(states[k])}. "
+            f"({self._chamber(chamber)} empty, {-1e3 * lengths[k, chamber]:.1f} mm beyond). State: {self._told(states[k])}. "
             "Shorten the motion, start elsewhere, or add the effect end_stop to the crane."
         )
 
@@ -240,17 +235,19 @@ class SemiRecursiveEngine:
         return (
             f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) {what}, neither with {h:g} s nor "
             f"halved up to {MOST_HALVINGS} times. State: {self._told(x)}. Shortest chamber: "
-            f"{_CHAMBERS[chamber].replace(' empty', '')}, {1e3 * lengths[chamber]:.1f} mm. Look for a pose near the limit of the "
+            f"{self._chamber(chamber)}, {1e3 * lengths[chamber]:.1f} mm. Look for a pose near the limit of the "
             "loop A-B-C-D, a chamber near its end, or parameters out of proportion."
         )
 
     def _unreachable(self, x: np.ndarray) -> str:
-        return (
-            f"Semi-recursive engine: the loop A-B-C-D of {self.crane.name} cannot be closed at z1 = {math.degrees(x[0]):.2f} deg, "
-            f"z4 = {math.degrees(x[1]):.2f} deg: D is out of reach of the brackets. Mend z4 or the joints B, C, D."
-        )
+        pose = listed(self._layout.coordinates, np.degrees(x[self._layout.positions]), "{:.2f} deg")
+        return f"Semi-recursive engine: the loop A-B-C-D of {self.crane.name} cannot be closed at {pose}: D is out of reach of the brackets. Mend z4 or the joints B, C, D."
+
+    def _chamber(self, k: int) -> str:
+        return self._layout.side_of(self._layout.chambers[k])
 
     def _told(self, x: np.ndarray) -> str:
-        angles = ", ".join(f"{n} = {math.degrees(v):.3f} deg" for n, v in zip(("z1", "z4"), x[:2], strict=True))
-        rates = ", ".join(f"{n} = {v:.4g} rad/s" for n, v in zip(("dz1", "dz4"), x[2:4], strict=True))
-        return f"{angles}, {rates}, " + ", ".join(f"p{i + 1} = {p / 1e5:.2f} bar" for i, p in enumerate(x[4:8]))
+        lay = self._layout
+        angles = listed(lay.coordinates, np.degrees(x[lay.positions]), "{:.3f} deg")
+        rates = listed(lay.rates, x[lay.velocities], "{:.4g} rad/s")
+        return f"{angles}, {rates}, {listed(lay.chambers, x[lay.pressures] / 1e5, '{:.2f} bar')}"

@@ -1,0 +1,169 @@
+"""Layout: where a machine's coordinates, chambers, valves and supplies stand in its state and in its inputs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The names of a machine's things, in order, and the places that follow from it. ::
+
+        state   coordinates | their rates | pressures of the chambers | states that effects add
+        inputs  spool positions | supply pressures | disturbances: moments, forces on E, flows into chambers
+
+    Attributes:
+        coordinates: of the joints; joints, bodies: which joint each one belongs to, and which body it moves.
+        parents: the coordinate that carries each coordinate's base, which stands before it; "" where that is fixed.
+        cylinders: names; sides: (piston side, rod side) of each, its chambers; loaded: the chamber of each
+            that carries its load; lengths: the channels of their lengths.
+        commands, voltages: the channels of their valves; a valve's spool position has the name of its voltage.
+        driven: the coordinate that each cylinder drives.
+        supply: pump and tank pressure.
+        added: states that effects may add.
+    """
+
+    coordinates: tuple[str, ...]
+    joints: tuple[str, ...]
+    bodies: tuple[str, ...]
+    parents: tuple[str, ...]
+    cylinders: tuple[str, ...]
+    sides: tuple[tuple[str, str], ...]
+    loaded: tuple[str, ...]
+    lengths: tuple[str, ...]
+    commands: tuple[str, ...]
+    voltages: tuple[str, ...]
+    driven: tuple[str, ...]
+    supply: tuple[str, str] = ("pp", "pt")
+    added: tuple[str, ...] = ()
+
+    # -- the state -------------------------------------------------------------------------------------------------
+
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """Names of the coordinates' rates."""
+        return tuple(f"d{name}" for name in self.coordinates)
+
+    @property
+    def chambers(self) -> tuple[str, ...]:
+        """Names of all chambers, piston side before rod side."""
+        return tuple(name for pair in self.sides for name in pair)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states, without those that effects add."""
+        return (*self.coordinates, *self.rates, *self.chambers)
+
+    @property
+    def all_states(self) -> tuple[str, ...]:
+        """Names of the states, with those that effects add."""
+        return (*self.states, *self.added)
+
+    def index(self, name: str) -> int:
+        """Return where a state stands. Raises ValueError for a name that is none."""
+        return self.all_states.index(name)
+
+    @property
+    def positions(self) -> slice:
+        """Where the coordinates stand in a state."""
+        return slice(0, len(self.coordinates))
+
+    @property
+    def velocities(self) -> slice:
+        """Where the rates stand in a state."""
+        return slice(len(self.coordinates), 2 * len(self.coordinates))
+
+    @property
+    def motion(self) -> slice:
+        """Where coordinates and rates stand in a state."""
+        return slice(0, 2 * len(self.coordinates))
+
+    @property
+    def pressures(self) -> slice:
+        """Where the chambers' pressures stand in a state."""
+        first = 2 * len(self.coordinates)
+        return slice(first, first + 2 * len(self.sides))
+
+    @property
+    def basic(self) -> slice:
+        """Where everything stands in a state but what effects add."""
+        return slice(0, self.pressures.stop)
+
+    @property
+    def extra(self) -> slice:
+        """Where the states stand that effects add."""
+        return slice(self.pressures.stop, self.pressures.stop + len(self.added))
+
+    # -- cylinders and joints --------------------------------------------------------------------------------------
+
+    def cylinder_of(self, name: str) -> int:
+        """Return the number of the cylinder that has a chamber, or drives a coordinate, of that name."""
+        owned = zip(self.driven, self.sides, strict=True)
+        return next(c for c, (driven, sides) in enumerate(owned) if name in (driven, *sides))
+
+    def chambers_of(self, cylinder: int) -> slice:
+        """Return where a cylinder's chambers stand among all chambers."""
+        return slice(2 * cylinder, 2 * cylinder + 2)
+
+    def pressures_of(self, cylinder: int) -> slice:
+        """Return where a cylinder's pressures (piston side, rod side) stand in a state."""
+        first = self.pressures.start + 2 * cylinder
+        return slice(first, first + 2)
+
+    def side_of(self, chamber: str) -> str:
+        """Return a chamber as people say it, such as "lift, piston side"."""
+        cylinder = self.cylinder_of(chamber)
+        return f"{self.cylinders[cylinder]}, {('piston', 'rod')[self.sides[cylinder].index(chamber)]} side"
+
+    def absolute(self, coordinate: str) -> tuple[str, ...]:
+        """Return the coordinates whose sum is a body's coordinate against the ground, from the ground on."""
+        parent = self.parents[self.coordinates.index(coordinate)]
+        return (*(self.absolute(parent) if parent else ()), coordinate)
+
+    # -- the inputs ------------------------------------------------------------------------------------------------
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs without disturbances: spool positions and supply pressures."""
+        return (*self.voltages, *self.supply)
+
+    @property
+    def disturbances(self) -> tuple[str, ...]:
+        """Names of what may act without a law that explains it: moments in N m, forces on E in N, flows into chambers in m^3/s."""
+        return (*self.torques, "force.x", "force.y", *self.flows)
+
+    @property
+    def torques(self) -> tuple[str, ...]:
+        """Names of unknown moments on the joints."""
+        return tuple(f"torque.{name}" for name in self.joints)
+
+    @property
+    def flows(self) -> tuple[str, ...]:
+        """Names of unknown flows into the chambers."""
+        return tuple(f"flow.{name}" for name in self.chambers)
+
+    @property
+    def all_inputs(self) -> tuple[str, ...]:
+        """Names of the inputs with disturbances behind."""
+        return (*self.inputs, *self.disturbances)
+
+    @property
+    def closed(self) -> tuple[float, ...]:
+        """The inputs with closed valves and the machine's own supply pressures (NaN)."""
+        return (*(0.0 for _ in self.voltages), *(math.nan for _ in self.supply))
+
+    @property
+    def spools(self) -> slice:
+        """Where the spool positions stand in the inputs."""
+        return slice(0, len(self.voltages))
+
+    @property
+    def supplies(self) -> slice:
+        """Where the supply pressures stand in the inputs."""
+        return slice(len(self.voltages), len(self.inputs))
+
+    @property
+    def driving(self) -> slice:
+        """Where everything stands in the inputs but disturbances."""
+        return slice(0, len(self.inputs))
