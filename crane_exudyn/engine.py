@@ -207,20 +207,19 @@ class ExudynEngine:
         E: np.ndarray | None = None,
     ) -> tuple[np.ndarray, int]:
         """Return the state (1, nx) of one crane after a step, and how often the next is halved; this one begins with parts halved `level` times."""
-        system, done, left = self._system(1), 0.0, self.accuracy
+        system, done = self._system(1), 0.0
         while done < 1.0:
             part = 0.5**level
             start = w0 + done * (w1 - w0) if done > 0.0 else w0
             end = w0 + (done + part) * (w1 - w0) if done + part < 1.0 else w1
             t = time + done * h
-            out, beyond = system.step(x, start, end, part * h, t, P, E, limit(level, done, left))
+            out, beyond = system.step(x, start, end, part * h, t, P, E, limit(level, part * h, self.accuracy))
             cause = int(system.status[0])
             if cause == trapezoidal.DONE:
                 if beyond >= 0:
                     raise self._stroke_end(out[0], t + part * h)
                 x, done = out, done + part
-                left = left - system.errors[0] if done < 1.0 else self.accuracy
-                level = next_level(level, done % 1.0, system.errors[0], left)
+                level = next_level(level, done, part * h, system.errors[0], self.accuracy)
             elif cause == trapezoidal.UNREACHABLE or level == MOST_HALVINGS:
                 raise self._failure(cause, x[0], start[0], t, part * h, level)
             else:

@@ -23,6 +23,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.files import write_text
 from crane_exudyn.inputs import SpoolPath
+from crane_exudyn.statics import visible
 from ukf.consistency import mean_bounds, nees
 from ukf.estimator import Estimator
 from ukf.filter import Belief
@@ -76,7 +77,8 @@ def one_run(settings: Settings, number: int, crane: Crane) -> dict[str, Any]:
     commands = paper.INPUT_SETS[settings.inputs](time)
     model = engine_of(settings.engine, crane)
     nominal = model.static_start(*crane.initial.pose)
-    truth = shaken(model, crane, nominal + START * rng.normal(size=START.size), time, commands, settings, rng)
+    start = nominal + START * rng.normal(size=START.size)
+    truth = visible(crane, shaken(model, crane, start, time, commands, settings, rng))
     sensors = paper.noisy_sensors(crane, time, truth, rng)
     believed = crane if settings.model_error == 0 else paper.wrong_crane(crane, settings.model_error)
     filter_ = Estimator(

@@ -21,6 +21,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath, paper_cycle
 from crane_exudyn.measurement import Measurement
+from crane_exudyn.statics import visible
 from ukf.augment import Augment
 from ukf.estimate import Estimate
 from ukf.estimator import Estimator
@@ -210,7 +211,7 @@ def real_system(crane: Crane, inputs: int, engine: str, seed: int, duration: flo
     commands = INPUT_SETS[inputs](time)
     w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((time.size, 2), np.nan)])
     model = engine_of(engine, crane)
-    truth = model.simulate(model.static_start(crane.initial.z1, crane.initial.z4), time, w, step=STEP)
+    truth = visible(crane, model.simulate(model.static_start(crane.initial.z1, crane.initial.z4), time, w, step=STEP))
     rng = np.random.default_rng(seed)
     signals = Signals(time, commands, noisy_sensors(crane, time, truth, rng), name=f"input set {inputs}")
     return Experiment(crane, time, commands, w, truth, signals)
@@ -236,7 +237,7 @@ def simulation_model(wrong: Crane, experiment: Experiment, engine: str) -> np.nd
             out[part] = model.simulate(out[i], experiment.time[part], experiment.inputs[part], step=STEP)
         except CraneError:
             break
-    return out
+    return visible(wrong, out)
 
 
 def estimator(wrong: Crane, experiment: Experiment, engine: Any, tuning: str, method: str = "ukf") -> Estimator:

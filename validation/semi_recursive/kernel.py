@@ -391,24 +391,23 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
 
     It begins with parts as long as the last one. With `last` nobody asks for the rates at the end any more.
     """
-    done, level, left = 0.0, int(work.said[LEVEL]), work.said[ALLOWED]
+    done, level = 0.0, int(work.said[LEVEL])
     while done < 1.0:
         part = 0.5**level
         wa, wb = work.w[0], work.w[1]
         between(w0, w1, done, wa)
         between(w0, w1, done + part, wb)
-        work.said[LIMIT] = limit(level, done, left)
+        work.said[LIMIT] = limit(level, part * h, work.said[ALLOWED])
         status = try_step(now, wa, wb, t0 + done * h, part * h, P, E, work, level)
         if status == OK:
             done += part
-            left = left - work.said[ERROR] if done < 1.0 else work.said[ALLOWED]
             remember(now, part * h, work)
             now.x[:], now.N[:] = work.end.x, work.end.N
             if done < 1.0 or not last:
                 settle(now, wb, t0 + done * h, P, E)
             else:
                 settle_pressures(now.x, now.N, P, E)
-            level = next_level(level, done % 1.0, work.said[ERROR], left)
+            level = next_level(level, done, part * h, work.said[ERROR], work.said[ALLOWED])
         elif level < MOST_HALVINGS:
             level += 1
             work.said[HALVED] += 1.0

@@ -272,14 +272,14 @@ def copy_tangents(source, target):
 def advance_sample(base, k, v, work):
     """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a status."""
     wa, wb = v.inputs[0], v.inputs[1]
-    done, level, left = 0.0, int(work.said[LEVEL]), work.said[ALLOWED]  # in steps, and of one
+    done, level = 0.0, int(work.said[LEVEL])  # in steps
     while done < base.substeps:
         part = 0.5**level
         start, end = done / base.substeps, (done + part) / base.substeps
         h, t = part * base.h / base.substeps, base.t0 + (k + start) * base.h
         between(base.W_all[0, k], base.W_all[0, k + 1], start, wa)
         between(base.W_all[0, k], base.W_all[0, k + 1], end, wb)
-        work.said[LIMIT] = limit(level, done % 1.0, left)
+        work.said[LIMIT] = limit(level, h, work.said[ALLOWED])
         status = try_step(v.now, wa, wb, t, h, base.P, base.E, work, level)
         if status == OK:
             remember(v.now, h, work)
@@ -290,8 +290,7 @@ def advance_sample(base, k, v, work):
                 return NOT_CONVERGED
             copy_tangents(v.after, v.before)
             done += part
-            left = left - work.said[ERROR] if done % 1.0 > 0.0 else work.said[ALLOWED]
-            level = next_level(level, done % 1.0, work.said[ERROR], left)
+            level = next_level(level, done, h, work.said[ERROR], work.said[ALLOWED])
         elif level < MOST_HALVINGS:
             level += 1
             work.said[HALVED] += 1.0
