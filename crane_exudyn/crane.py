@@ -15,10 +15,11 @@ import numpy as np
 
 from . import crane_toml, parameters
 from .effects import registry
-from .effects.base import CYLINDERS, Acting
+from .effects.base import Acting
 from .errors import CraneError, nearest
 from .files import write_text
 from .layout import Layout
+from .machine import Machine
 
 _DATA = "crane_exudyn.data"
 
@@ -57,26 +58,26 @@ class Voltage:
 
 @dataclass(frozen=True)
 class Initial:
-    """The crane file's start: angles in rad, at rest, valves closed, the less loaded chamber of each cylinder at a pressure."""
+    """The crane file's start: at rest, valves closed, the less loaded chamber of each cylinder at a pressure.
 
-    z1: float
-    z4: float
-    less_loaded_pressure: tuple[float, ...] = (20e5,) * len(CYLINDERS)
+    Attributes:
+        pose: independent coordinates in the order of the state, rad or m.
+        less_loaded_pressure: Pa, one a cylinder, or one for all.
+    """
 
-    @property
-    def pose(self) -> tuple[float, float]:
-        """The coordinates in the order of the state, rad."""
-        return self.z1, self.z4
+    pose: tuple[float, ...]
+    less_loaded_pressure: tuple[float, ...] = (20e5,)
 
 
 @dataclass(frozen=True)
 class Crane:
-    """A crane: numbers by name in SI, valve calibration, start, sensors, uncertainties, effects, and what was done to it.
+    """A crane: its machine, numbers by name in SI, valve calibration, start, sensors, uncertainties, effects, and what was done to it.
 
     Immutable; `with_parameters`, `with_effect` and their kin return changed copies. `crane["payload.mass"]` gives a number.
     """
 
     name: str
+    machine: Machine
     values: Mapping[str, float]
     initial: Initial
     description: str = ""
@@ -90,7 +91,7 @@ class Crane:
     def __post_init__(self) -> None:
         for name in ("values", "voltage", "sensors", "uncertainty", "sources"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-        check(self.name, self.values, self.effects)
+        check(self.name, self.machine, self.values, self.effects)
 
     # -- reading and writing -------------------------------------------------------------------------------------
 
@@ -121,7 +122,7 @@ class Crane:
     @property
     def layout(self) -> Layout:
         """Where its coordinates, chambers and valves stand in states and inputs."""
-        return parameters.LAYOUT
+        return self.machine.layout
 
     # -- numbers -------------------------------------------------------------------------------------------------
 
@@ -131,25 +132,25 @@ class Crane:
             return self.values[name]
         except KeyError:
             raise CraneError(
-                f"{self.name}: there is no parameter {name!r}.{nearest(name, list(parameters.NAMES))}"
+                f"{self.name}: there is no parameter {name!r}.{nearest(name, list(self.machine.names))}"
             ) from None
 
     def parameter_vector(self) -> np.ndarray:
-        """Return P, shape (len(parameters.NAMES),): all nominal parameters in SI."""
-        return np.array([self.values[name] for name in parameters.NAMES])
+        """Return P, shape (len(machine.names),): all nominal parameters in SI."""
+        return np.array([self.values[name] for name in self.machine.names])
 
     def effect_vector(self) -> np.ndarray:
         """Return E: parameters of every effect at every place, neutral where the crane has no such effect."""
         vector = registry.neutral_vector()
         for acting in self.effects:
-            start = registry.slot(acting.name, acting.place)
+            start = registry.slot(acting.name, acting.place, self.layout)
             for i, parameter in enumerate(registry.find(acting.name).parameters):
                 vector[start + i] = acting.parameters.get(parameter.name, parameter.neutral)
         return np.array(vector)
 
     def commands_from_voltages(self, volts: np.ndarray) -> np.ndarray:
-        """Return spool commands (n, 2) of valve voltages (n, 2) through the calibration of the crane file."""
-        missing = [c for c in CYLINDERS if c not in self.voltage]
+        """Return spool commands of valve voltages, both (n, cylinders), through the calibration of the crane file."""
+        missing = [c for c in self.layout.cylinders if c not in self.voltage]
         if missing:
             raise CraneError(
                 f"{self.name}: the recording holds valve voltages, but the crane has no calibration for the "
@@ -157,7 +158,7 @@ class Crane:
                 f"record {' and '.join(self.layout.commands)}."
             )
         volts = np.asarray(volts, dtype=float)
-        return np.column_stack([self.voltage[c].command(volts[:, i]) for i, c in enumerate(CYLINDERS)])
+        return np.column_stack([self.voltage[c].command(volts[:, i]) for i, c in enumerate(self.layout.cylinders)])
 
     # -- changed copies ------------------------------------------------------------------------------------------
 
@@ -169,7 +170,7 @@ class Crane:
 
     def with_effect(self, key: str, values: Mapping[str, float]) -> Crane:
         """Return a copy with the effect "name@place" added, or given other parameters where it is there already."""
-        effect, place = registry.split_key(key)
+        effect, place = registry.split_key(key, self.layout)
         acting = Acting(effect.name, place, MappingProxyType(complete(effect, values)))
         kept = [e for e in self.effects if e.key != key]
         at = next((i for i, e in enumerate(self.effects) if e.key == key), len(kept))
@@ -237,35 +238,36 @@ _LIMITS = {
     "time_constant": (0.0, True), "oil_bulk_modulus": (0.0, False), "cylinder_bulk_modulus": (0.0, False),
     "hose_bulk_modulus": (0.0, False), "vapour_pressure": (0.0, True), "laminar_pressure": (0.0, False),
     "pump_pressure": (0.0, False), "tank_pressure": (0.0, True), "gravity": (0.0, True),
+    **dict.fromkeys(parameters.EDGES, (0.0, False)),
 }  # fmt: skip
 #: last part of a name -> the only values that it may have, with what they stand for
 _CHOICES = {"pressure_reference": {0.0: "absolute", 1.0: "gauge"}}
 
 
-def check(where: str, values: Mapping[str, float], effects: Sequence[Acting]) -> None:
+def check(where: str, machine: Machine, values: Mapping[str, float], effects: Sequence[Acting]) -> None:
     """Raise CraneError for numbers and effects that no crane can have; `where` begins the message."""
-    check_values(where, values)
+    check_values(where, machine, values)
     for acting in effects:
-        check_effect(where, acting)
+        check_effect(where, machine.layout, acting)
     keys = [e.key for e in effects]
     for key in keys:
         if keys.count(key) > 1:
             raise CraneError(f"{where}: effect {key!r} stands twice. Remove one of them.")
 
 
-def check_values(where: str, values: Mapping[str, float]) -> None:
+def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> None:
     """Raise CraneError for a missing, unknown or impossible number: field, value, limit and mend."""
     for name in values:
-        if name not in parameters.INDEX:
-            raise CraneError(f"{where}: unknown parameter {name!r}.{nearest(name, list(parameters.NAMES))}")
-    missing = [n for n in parameters.NAMES if n not in values]
+        if name not in machine.index:
+            raise CraneError(f"{where}: unknown parameter {name!r}.{nearest(name, list(machine.names))}")
+    missing = [n for n in machine.names if n not in values]
     if missing:
         raise CraneError(
             f"{where}: {missing[0]} is missing ({len(missing)} in all). Give it, in {parameters.unit_of(missing[0])}."
         )
     for name, value in values.items():
         _check_one(where, name, value)
-    for c in CYLINDERS:
+    for c in machine.layout.cylinders:
         bore, rod = values[f"cylinders.{c}.bore"], values[f"cylinders.{c}.rod"]
         if rod >= bore:
             raise CraneError(
@@ -296,9 +298,9 @@ def _check_one(where: str, name: str, value: float) -> None:
         )
 
 
-def check_effect(where: str, acting: Acting) -> None:
+def check_effect(where: str, layout: Layout, acting: Acting) -> None:
     """Raise CraneError for an unknown effect, place or parameter, or a value outside its range."""
-    effect, _ = registry.split_key(acting.key)
+    effect, _ = registry.split_key(acting.key, layout)
     ranges = {p.name: p for p in effect.parameters}
     for name, value in acting.parameters.items():
         if name not in ranges:
@@ -311,8 +313,8 @@ def check_effect(where: str, acting: Acting) -> None:
             )
 
 
-def names_matching(pattern: str) -> Iterable[str]:
-    """Return the nominal parameters that a name or a pattern with * stands for."""
+def names_matching(pattern: str, names: Iterable[str]) -> list[str]:
+    """Return the parameters among `names` that a name or a pattern with * stands for."""
     from fnmatch import fnmatchcase
 
-    return [n for n in parameters.NAMES if fnmatchcase(n, pattern)]
+    return [n for n in names if fnmatchcase(n, pattern)]

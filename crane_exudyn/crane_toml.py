@@ -9,17 +9,19 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from . import parameters
-from .channels import SENSORS
 from .effects import registry
-from .effects.base import CYLINDERS, Acting
+from .effects.base import Acting
 from .errors import CraneError, nearest
+from .layout import Layout
+from .machine import PRISMATIC, Machine
+from .machine_toml import OF_CYLINDER, OF_PAYLOAD, machine_of
 from .units import to_si
 
 if TYPE_CHECKING:
     from .crane import Crane, Initial, Uncertainty, Voltage
 
 _SECTIONS = (
-    "name", "description", "gravity", "bodies", "payload", "joints", "cylinders", "valves", "fluid", "supply",
+    "name", "description", "gravity", "independent", "bodies", "payload", "joint", "joints", "cylinders", "valves", "fluid", "supply",
     "initial", "sensors", "uncertainty", "sources", "effect", "history",
 )  # fmt: skip
 
@@ -31,16 +33,18 @@ def from_document(document: Mapping[str, Any], where: str) -> Crane:
     for key in document:
         if key not in _SECTIONS:
             raise CraneError(f"{where}: unknown section {key!r}.{nearest(key, list(_SECTIONS))}")
-    values = _values(document, where)
-    effects = tuple(_effect(table, where) for table in _tables(document, "effect", where))
-    check(where, values, effects)  # as every crane does, but here the message can name the file
+    machine = machine_of(document, where)
+    values, lay = _values(document, machine, where), machine.layout
+    effects = tuple(_effect(table, lay, where) for table in _tables(document, "effect", where))
+    check(where, machine, values, effects)  # as every crane does, but here the message can name the file
     return Crane(
         name=str(document.get("name", where)),
+        machine=machine,
         description=str(document.get("description", "")),
         values=values,
-        initial=_initial(_table(document, "initial", where), where),
-        voltage=_voltages(_table(document, "valves", where), where),
-        sensors=_sensors(_table(document, "sensors", where), where),
+        initial=_initial(_table(document, "initial", where), lay, where),
+        voltage=_voltages(_table(document, "valves", where), lay, where),
+        sensors=_sensors(_table(document, "sensors", where), lay, where),
         uncertainty=_uncertainties(_table(document, "uncertainty", where), values, where),
         sources={str(k): str(v) for k, v in _table(document, "sources", where).items()},
         effects=effects,
@@ -57,6 +61,8 @@ def _table(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, An
 
 #: what files of earlier versions do not say: their pressures are absolute, and no air presses on the rods
 _EARLIER = {"supply.air_pressure": 0.0, "supply.pressure_reference": 0.0}
+#: of a machine without payload
+_NO_PAYLOAD = dict.fromkeys(("payload.mass", "payload.width", "payload.height"), 0.0)
 #: what its pressures count from; the place in the list is its number
 _REFERENCE, _REFERENCES = "supply.pressure_reference", ("absolute", "gauge")
 
@@ -68,27 +74,39 @@ def _tables(document: Mapping[str, Any], key: str, where: str) -> list[Mapping[s
     return tables
 
 
-def _values(document: Mapping[str, Any], where: str) -> dict[str, float]:
-    values: dict[str, float] = dict(_EARLIER)
+def _values(document: Mapping[str, Any], machine: Machine, where: str) -> dict[str, float]:
+    values: dict[str, float] = dict(_EARLIER) | ({} if machine.payload[0] else _NO_PAYLOAD)
+    values |= {name: 1.0 for name in machine.names if ".edges." in name}
     for section in ("gravity", "bodies", "payload", "joints", "cylinders", "valves", "fluid", "supply"):
         if section in document:
-            _flatten(section, document[section], where, values)
+            _flatten(section, document[section], machine, where, values)
+    directions = {t["name"]: t.get("direction", 0.0) for t in document.get("joint", ())}
+    for joint in machine.joints:
+        if joint.kind == PRISMATIC:
+            name = f"joints.{joint.name}.direction"
+            values[name] = to_si(directions[joint.name], parameters.unit_of(name), f"{where}: {name}")
     return values
 
 
-def _flatten(name: str, value: Any, where: str, values: dict[str, float]) -> None:
-    if name.startswith("valves.") and name.endswith(".voltage"):
-        return
+def _describes(section: str, key: str, value: Any) -> bool:
+    """Whether a key says how the machine hangs together, which is no number."""
+    if section.startswith("cylinders."):
+        return key in OF_CYLINDER or (key in ("base", "rod_end") and isinstance(value, str))
+    return (section == "payload" and key in OF_PAYLOAD) or (section.startswith("valves.") and key == "voltage")
+
+
+def _flatten(name: str, value: Any, machine: Machine, where: str, values: dict[str, float]) -> None:
     if isinstance(value, Mapping):
         for key, inner in value.items():
-            _flatten(f"{name}.{key}", inner, where, values)
+            if not _describes(name, key, inner):
+                _flatten(f"{name}.{key}", inner, machine, where, values)
     elif isinstance(value, list):
         if len(value) != 2:
             raise CraneError(f"{where}: {name} = {value!r} should be a point [x, y].")
-        _flatten(f"{name}.x", value[0], where, values)
-        _flatten(f"{name}.y", value[1], where, values)
-    elif name not in parameters.INDEX:
-        raise CraneError(f"{where}: unknown key {name!r}.{nearest(name, list(parameters.NAMES))}")
+        _flatten(f"{name}.x", value[0], machine, where, values)
+        _flatten(f"{name}.y", value[1], machine, where, values)
+    elif name not in machine.index:
+        raise CraneError(f"{where}: unknown key {name!r}.{nearest(name, list(machine.names))}")
     elif name == _REFERENCE:
         if value not in _REFERENCES:
             raise CraneError(f'{where}: {name} = {value!r} is not known. Give "absolute" or "gauge".')
@@ -106,30 +124,31 @@ def _read(table: object, units: Mapping[str, str], where: str) -> dict[str, floa
     return {key: to_si(value, units[key], f"{where}.{key}") for key, value in table.items()}
 
 
-def _initial(table: Mapping[str, Any], where: str) -> Initial:
+def _initial(table: Mapping[str, Any], layout: Layout, where: str) -> Initial:
     from .crane import Initial
 
     table = dict(table)
     pressure = table.pop("less_loaded_pressure", 20e5)
-    pair = pressure if isinstance(pressure, list) else [pressure, pressure]
-    if len(pair) != len(CYLINDERS):
+    each = pressure if isinstance(pressure, list) else [pressure] * len(layout.cylinders)
+    if len(each) != len(layout.cylinders):
         raise CraneError(
-            f"{where}: initial.less_loaded_pressure = {pressure!r} should be one pressure, or two ({', '.join(CYLINDERS)})."
+            f"{where}: initial.less_loaded_pressure = {pressure!r} should be one pressure, or one for each of {', '.join(layout.cylinders)}."
         )
-    numbers = _read(table, dict.fromkeys(parameters.LAYOUT.coordinates, "rad"), f"{where}: initial")
-    for key in parameters.LAYOUT.coordinates:
+    units = {name: layout.unit_of(name) for name in layout.coordinates}
+    numbers = _read(table, units, f"{where}: initial")
+    for key, unit in units.items():
         if key not in numbers:
-            raise CraneError(f'{where}: initial.{key} is missing. Give the angle at the start, such as "10 deg".')
-    pressures = tuple(to_si(p, "Pa", f"{where}: initial.less_loaded_pressure") for p in pair)
-    z1, z4 = (numbers[key] for key in parameters.LAYOUT.coordinates)
-    return Initial(z1, z4, pressures)
+            example = "10 deg" if unit == "rad" else "0.5 m"
+            raise CraneError(f'{where}: initial.{key} is missing. Give its value at the start, such as "{example}".')
+    pressures = tuple(to_si(p, "Pa", f"{where}: initial.less_loaded_pressure") for p in each)
+    return Initial(tuple(numbers[key] for key in units), pressures)
 
 
-def _voltages(valves: Mapping[str, Any], where: str) -> dict[str, Voltage]:
+def _voltages(valves: Mapping[str, Any], layout: Layout, where: str) -> dict[str, Voltage]:
     from .crane import Voltage
 
     found = {}
-    for valve in CYLINDERS:
+    for valve in layout.cylinders:
         table = valves.get(valve, {}).get("voltage") if isinstance(valves.get(valve, {}), Mapping) else None
         if table is None:
             continue
@@ -144,8 +163,8 @@ def _voltages(valves: Mapping[str, Any], where: str) -> dict[str, Voltage]:
     return found
 
 
-def _sensors(table: Mapping[str, Any], where: str) -> dict[str, float]:
-    numbers = _read(table, SENSORS, f"{where}: sensors")
+def _sensors(table: Mapping[str, Any], layout: Layout, where: str) -> dict[str, float]:
+    numbers = _read(table, {name: s.unit for name, s in layout.sensors.items()}, f"{where}: sensors")
     for name, value in numbers.items():
         if value <= 0:
             raise CraneError(
@@ -159,14 +178,11 @@ def _uncertainties(table: Mapping[str, Any], values: Mapping[str, float], where:
 
     found: dict[str, Uncertainty] = {}
     for pattern, entry in table.items():
-        names = list(names_matching(pattern))
+        names = names_matching(pattern, values)
         if not names:
-            raise CraneError(
-                f"{where}: uncertainty {pattern!r} fits no parameter.{nearest(pattern, list(parameters.NAMES))}"
-            )
+            raise CraneError(f"{where}: uncertainty {pattern!r} fits no parameter.{nearest(pattern, list(values))}")
         for name in names:
-            if name in values:
-                found[name] = _uncertainty(name, entry, values[name], f"{where}: uncertainty {name!r}")
+            found[name] = _uncertainty(name, entry, values[name], f"{where}: uncertainty {name!r}")
     return found
 
 
@@ -193,7 +209,7 @@ def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty
     return Uncertainty(std, lower, upper)
 
 
-def _effect(table: Mapping[str, Any], where: str) -> Acting:
+def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
     from .crane import complete
 
     if "name" not in table:
@@ -205,17 +221,17 @@ def _effect(table: Mapping[str, Any], where: str) -> Acting:
             )
     place = str(table.get("place", ""))
     try:
-        effect, _ = registry.split_key(f"{table['name']}@{place}" if place else str(table["name"]))
+        effect, _ = registry.split_key(f"{table['name']}@{place}" if place else str(table["name"]), layout)
     except CraneError as problem:
         raise CraneError(f"{where}: {problem}") from problem
-    units = {p.name: unit_at(p.unit, place) for p in effect.parameters}
+    units = {p.name: unit_at(p.unit, place, layout) for p in effect.parameters}
     numbers = _read(table.get("parameters", {}), units, f"{where}: effect {effect.name!r}: parameters")
     return Acting(effect.name, place, MappingProxyType(complete(effect, numbers)))
 
 
-def unit_at(unit: str, place: str) -> str:
+def unit_at(unit: str, place: str, layout: Layout) -> str:
     """Return the SI unit of an effect's parameter at a place ("channel" becomes the sensor's unit)."""
-    return SENSORS[place] if unit == "channel" else unit
+    return layout.sensors[place].unit if unit == "channel" else unit
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------
@@ -226,7 +242,8 @@ def to_text(crane: Crane) -> str:
     lines = [f"name = {_text(crane.name)}"]
     if crane.description:
         lines.append(f"description = {_text(crane.description)}")
-    lines += [f"gravity = {_number(crane['gravity'])}", ""]
+    lines += [f"gravity = {_number(crane['gravity'])}", f"independent = {_any(crane.machine.independent)}", ""]
+    lines += _joint_lines(crane)
     lines += _value_lines(crane)
     pose = zip(crane.layout.coordinates, crane.initial.pose, strict=True)
     lines += ["[initial]", *(f"{name} = {_number(angle)}" for name, angle in pose)]
@@ -243,10 +260,24 @@ def to_text(crane: Crane) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def _joint_lines(crane: Crane) -> list[str]:
+    lines = []
+    for joint in crane.machine.joints:
+        lines += ["[[joint]]", f"name = {_text(joint.name)}", f"bodies = {_any((joint.carrier, joint.body))}"]
+        lines.append(f"at = {_text(joint.pin.removeprefix('joints.'))}")
+        if joint.own_pin:
+            lines.append(f"on = {_text(joint.own_pin.removeprefix('joints.'))}")
+        if joint.kind == PRISMATIC:
+            lines += [f"kind = {_text(PRISMATIC)}", f"direction = {_number(crane[f'joints.{joint.name}.direction'])}"]
+        lines.append(f'bend = "{"left" if joint.side > 0 else "right"}"' if joint.closes else f"coordinate = {_text(joint.coordinate)}")
+        lines.append("")
+    return lines
+
+
 def _value_lines(crane: Crane) -> list[str]:
-    sections: dict[str, list[str]] = {}
-    for name in parameters.NAMES:
-        if name == "gravity" or name.endswith(".y"):
+    sections: dict[str, list[str]] = {f"bodies.{body}": [] for body in crane.machine.bodies}
+    for name in crane.machine.names:
+        if name == "gravity" or name.endswith((".y", ".direction")) or (".edges." in name and crane[name] == 1.0):
             continue
         if name.endswith(".x"):
             name = name.removesuffix(".x")
@@ -257,6 +288,13 @@ def _value_lines(crane: Crane) -> list[str]:
             value = _number(crane[name])
         section, _, key = name.rpartition(".")
         sections.setdefault(section, []).append(f"{key} = {value}")
+    body, point = crane.machine.payload
+    if body:
+        sections["payload"] += [f"body = {_text(body)}", f"at = {_text(point.removeprefix('joints.'))}"]
+    for c in crane.machine.cylinders:
+        about = {"bodies": c.bodies, "chambers": c.chambers, "loaded": c.loaded, "length": c.length, "command": c.command, "voltage": c.voltage}
+        about |= {key: p.removeprefix("joints.") for key, p in zip(("base", "rod_end"), c.points, strict=True) if p.startswith("joints.")}
+        sections[f"cylinders.{c.name}"] += [f"{key} = {_any(value)}" for key, value in about.items()]
     for valve, v in crane.voltage.items():
         numbers = ", ".join(f"{k} = {_number(getattr(v, k))}" for k in ("neutral", "extend", "retract"))
         sections[f"valves.{valve}"].append(f"voltage = {{ {numbers} }}")

@@ -3,7 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+
+from . import sensors
+
+#: the most coordinates (and cylinders) of a machine: how many places compiled code keeps for what acts on them
+MOST_COORDINATES = 6
+#: kinds of places at which effects act, and how many places compiled code keeps for each
+MOST = {
+    "": 1, "cylinders": MOST_COORDINATES, "chambers": 2 * MOST_COORDINATES, "joints": MOST_COORDINATES, "sensors": 3 * MOST_COORDINATES
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -16,6 +28,7 @@ class Layout:
     Attributes:
         coordinates: of the joints; joints, bodies: which joint each one belongs to, and which body it moves.
         parents: the coordinate that carries each coordinate's base, which stands before it; "" where that is fixed.
+        slides: whether each coordinate is a way in m instead of an angle in rad.
         cylinders: names; sides: (piston side, rod side) of each, its chambers; loaded: the chamber of each
             that carries its load; lengths: the channels of their lengths.
         commands, voltages: the channels of their valves; a valve's spool position has the name of its voltage.
@@ -35,6 +48,7 @@ class Layout:
     commands: tuple[str, ...]
     voltages: tuple[str, ...]
     driven: tuple[str, ...]
+    slides: tuple[bool, ...] = ()
     supply: tuple[str, str] = ("pp", "pt")
     added: tuple[str, ...] = ()
 
@@ -95,6 +109,32 @@ class Layout:
         """Where the states stand that effects add."""
         return slice(self.pressures.stop, self.pressures.stop + len(self.added))
 
+    def unit_of(self, state: str) -> str:
+        """Return the SI unit of a state."""
+        if state in self.chambers:
+            return "Pa"
+        name = state.removeprefix("d") if state in (*self.rates, *self.added[1:]) else state
+        way = name in self.coordinates and any(self.slides) and self.slides[self.coordinates.index(name)]
+        return ("m" if way else "rad") + ("" if name == state else "/s")
+
+    @cached_property
+    def sensors(self) -> Mapping[str, sensors.Sensor]:
+        """The sensors that the machine may have, by name."""
+        return MappingProxyType({sensor.name: sensor for sensor in sensors.of(self)})
+
+    # -- where effects act ------------------------------------------------------------------------------------------
+
+    def places(self, kind: str) -> tuple[str, ...]:
+        """Return the places of a kind of `MOST`; of sensors, those of coordinates and chambers."""
+        sensors = (*self.coordinates, *self.chambers)
+        return {"": ("",), "cylinders": self.cylinders, "chambers": self.chambers, "joints": self.joints, "sensors": sensors}[kind]
+
+    def place_number(self, kind: str, place: str) -> int:
+        """Return the number by which compiled code knows a place. Raises ValueError for one that the machine does not have."""
+        if kind == "sensors" and place in self.chambers:
+            return MOST_COORDINATES + self.chambers.index(place)
+        return self.places(kind).index(place)
+
     # -- cylinders and joints --------------------------------------------------------------------------------------
 
     def cylinder_of(self, name: str) -> int:
@@ -118,8 +158,9 @@ class Layout:
 
     def absolute(self, coordinate: str) -> tuple[str, ...]:
         """Return the coordinates whose sum is a body's coordinate against the ground, from the ground on."""
-        parent = self.parents[self.coordinates.index(coordinate)]
-        return (*(self.absolute(parent) if parent else ()), coordinate)
+        k = self.coordinates.index(coordinate)
+        own = () if self.slides and self.slides[k] else (coordinate,)
+        return (*(self.absolute(self.parents[k]) if self.parents[k] else ()), *own)
 
     # -- the inputs ------------------------------------------------------------------------------------------------
 

@@ -1,69 +1,43 @@
-"""The flat vector P of nominal parameters that compiled code reads, and the names behind its places.
+"""The flat vector P of nominal parameters that compiled code reads: the blocks that every machine has, and units by name.
 
-Every number of a crane file that a fit may move has one name, such as `payload.mass`, used alike in crane files,
-on the command line, in JSON results and in error messages. The vector is laid out in regular blocks, so that compiled
-code finds, say, the mass of body k at ``BODY + 4*k``.
+Every number of a crane file that a fit may move has one name, such as `payload.mass`, used alike in crane files, on the command line, in
+JSON results and in error messages. P begins with what all machines have and with a block a cylinder, so that compiled code finds, say,
+the bore of cylinder c at ``CYLINDER + N_CYLINDER*c``; where bodies and points stand behind them says `Machine.topology`.
 """
 
 from __future__ import annotations
 
-from .layout import Layout
-
-BODIES = ("lift_boom", "bracket_1", "bracket_2", "outer_boom")
-#: the PATU's own names
-LAYOUT = Layout(
-    coordinates=("z1", "z4"), joints=("O", "A"), bodies=("lift_boom", "outer_boom"), parents=("", "z1"),
-    cylinders=("lift", "tilt"), sides=(("p1", "p2"), ("p3", "p4")), loaded=("p1", "p4"), lengths=("s1", "s2"),
-    commands=("u1", "u2"), voltages=("U1", "U2"), driven=("z1", "z4"), added=("theta", "dtheta"),
-)  # fmt: skip
-CYLINDERS = LAYOUT.cylinders
-#: points in the frame of the body named beside them; the order is that of the block POINT
-POINTS = {
-    "joints.O": "pillar",
-    "cylinders.lift.base": "pillar",  # F
-    "cylinders.lift.rod_end": "lift_boom",  # G
-    "cylinders.tilt.base": "lift_boom",  # H
-    "joints.B": "lift_boom",
-    "joints.A": "lift_boom",
-    "joints.C": "bracket_1",  # also the rod end of the tilt cylinder
-    "joints.D_bracket": "bracket_2",
-    "joints.D": "outer_boom",
-    "joints.E": "outer_boom",
-}
-POINT_NAMES = ("O", "F", "G", "H", "B", "A", "C", "D_bracket", "D", "E")
-
-_BODY = ("mass", "com.x", "com.y", "inertia")
+_FLUID = ("oil_bulk_modulus", "cylinder_bulk_modulus", "hose_bulk_modulus", "vapour_pressure", "laminar_pressure")
+_SUPPLY = ("pump_pressure", "tank_pressure", "air_pressure", "pressure_reference")
 _PAYLOAD = ("mass", "width", "height")
 _CYLINDER = (
     "bore", "rod", "empty_length", "chamber_range", "hose_volume_piston", "hose_volume_rod",
     "coulomb_friction", "static_friction", "stribeck_speed", "viscous_friction",
 )  # fmt: skip
-_VALVE = ("flow_coefficient", "time_constant")
-_FLUID = ("oil_bulk_modulus", "cylinder_bulk_modulus", "hose_bulk_modulus", "vapour_pressure", "laminar_pressure")
-_SUPPLY = ("pump_pressure", "tank_pressure", "air_pressure", "pressure_reference")
+#: edges of a valve: their flow coefficients are that of the valve times these
+EDGES = ("pump_to_piston", "pump_to_rod", "piston_to_tank", "rod_to_tank")
+_VALVE = ("flow_coefficient", "time_constant", *(f"edges.{edge}" for edge in EDGES))
 
-#: names of all nominal parameters, in the order of the vector P
-NAMES: tuple[str, ...] = (
-    *(f"bodies.{b}.{p}" for b in BODIES for p in _BODY),
-    *(f"payload.{p}" for p in _PAYLOAD),
-    *(f"{p}.{axis}" for p in POINTS for axis in "xy"),
-    *(f"cylinders.{c}.{p}" for c in CYLINDERS for p in _CYLINDER),
-    *(f"valves.{c}.{p}" for c in CYLINDERS for p in _VALVE),
+#: names that every machine has, at the beginning of P
+SHARED = (
+    "gravity",
     *(f"fluid.{p}" for p in _FLUID),
     *(f"supply.{p}" for p in _SUPPLY),
-    "gravity",
+    *(f"payload.{p}" for p in _PAYLOAD),
 )
-INDEX: dict[str, int] = {name: i for i, name in enumerate(NAMES)}
+#: of each body
+OF_BODY = ("mass", "com.x", "com.y", "inertia")
+
+
+def of_cylinder(name: str) -> tuple[str, ...]:
+    """Return the names of a cylinder and its valve, in the order of their block of P."""
+    return (*(f"cylinders.{name}.{p}" for p in _CYLINDER), *(f"valves.{name}.{p}" for p in _VALVE))
+
 
 # Where each block begins, and its length per item, as plain integers: compiled code takes them as constants.
-BODY, N_BODY = INDEX["bodies.lift_boom.mass"], len(_BODY)
-PAYLOAD = INDEX["payload.mass"]
-POINT = INDEX["joints.O.x"]  # point k of POINT_NAMES stands at POINT + 2*k
-CYLINDER, N_CYLINDER = INDEX["cylinders.lift.bore"], len(_CYLINDER)
-VALVE, N_VALVE = INDEX["valves.lift.flow_coefficient"], len(_VALVE)
-FLUID = INDEX["fluid.oil_bulk_modulus"]
-SUPPLY = INDEX["supply.pump_pressure"]
-GRAVITY = INDEX["gravity"]
+GRAVITY, FLUID, SUPPLY, PAYLOAD = 0, 1, 1 + len(_FLUID), 1 + len(_FLUID) + len(_SUPPLY)
+CYLINDER, N_CYLINDER = len(SHARED), len(_CYLINDER) + len(_VALVE)
+VALVE, N_VALVE = CYLINDER + len(_CYLINDER), N_CYLINDER
 
 #: pint units by the last part of a name; everything else is dimensionless
 _UNITS = {
@@ -72,10 +46,21 @@ _UNITS = {
     "coulomb_friction": "N", "static_friction": "N", "stribeck_speed": "m/s", "viscous_friction": "N*s/m",
     "flow_coefficient": "m^3/s/Pa^0.5", "time_constant": "s", "oil_bulk_modulus": "Pa", "cylinder_bulk_modulus": "Pa",
     "hose_bulk_modulus": "Pa", "vapour_pressure": "Pa", "laminar_pressure": "Pa", "pump_pressure": "Pa",
-    "tank_pressure": "Pa", "air_pressure": "Pa", "pressure_reference": "", "gravity": "m/s^2",
+    "tank_pressure": "Pa", "air_pressure": "Pa", "pressure_reference": "", "gravity": "m/s^2", "direction": "rad",
+    **dict.fromkeys(EDGES, ""),
 }  # fmt: skip
 
 
 def unit_of(name: str) -> str:
     """Return the SI unit of a nominal parameter as pint writes it, such as "Pa"."""
     return _UNITS[name.rsplit(".", 1)[-1]]
+
+
+def __getattr__(name: str):  # of the one machine that was, until everything asks its crane
+    from .machine_toml import machine_of
+
+    machine = machine_of({}, "")
+    known = {"LAYOUT": machine.layout, "NAMES": machine.names, "INDEX": machine.index, "CYLINDERS": machine.layout.cylinders}
+    if name not in known:
+        raise AttributeError(name)
+    return known[name]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from .errors import CraneError, nearest
-from .layout import Layout
-from .parameters import LAYOUT
+
+if TYPE_CHECKING:
+    from .layout import Layout
 
 
 class Sizes(NamedTuple):
@@ -23,7 +23,7 @@ class Sizes(NamedTuple):
 
 _DEGREE = math.radians(1.0)
 SIZES: Mapping[str, Sizes] = {
-    "rad": Sizes(2e-3, _DEGREE, _DEGREE), "rad/s": Sizes(1e-2, _DEGREE, _DEGREE), "Pa": Sizes(5e4, 2e5, 1e5), "m": Sizes(1e-3, 5e-3, 1e-3)
+    "rad": Sizes(2e-3, _DEGREE, _DEGREE), "rad/s": Sizes(1e-2, _DEGREE, _DEGREE), "Pa": Sizes(5e4, 2e5, 1e5), "m": Sizes(1e-3, 5e-3, 1e-3), "m/s": Sizes(1e-2, 5e-3, 5e-3)
 }  # fmt: skip
 
 
@@ -56,11 +56,12 @@ def of(layout: Layout) -> Iterator[Sensor]:
     A body that stands on another has one place: an encoder at its joint shows the coordinate, an inclinometer the absolute angle,
     and an effect at that place acts on what the sensor shows, whichever of the two it is.
     """
-    for rate, unit in (("", "rad"), ("d", "rad/s")):
+    for rate in ("", "d"):
         for name in layout.coordinates:
             cylinder, place, sum_ = layout.cylinder_of(name), "" if rate else name, layout.absolute(name)
+            unit = layout.unit_of(rate + name)
             yield Sensor(rate + name, unit, (rate + name,), cylinder, place)
-            if len(sum_) > 1:
+            if len(sum_) > 1 and sum_[-1] == name:
                 yield Sensor(f"{rate}{name}_abs", unit, tuple(rate + n for n in sum_), cylinder, place)
     for name in layout.chambers:
         yield Sensor(name, "Pa", (name,), layout.cylinder_of(name), name)
@@ -68,14 +69,18 @@ def of(layout: Layout) -> Iterator[Sensor]:
         yield Sensor(name, "m", (), cylinder)
 
 
-#: by name
-SENSORS: Mapping[str, Sensor] = MappingProxyType({sensor.name: sensor for sensor in of(LAYOUT)})
-#: the places of effects on sensors, in the order in which the hooks number them
-PLACES = tuple(name for name, sensor in SENSORS.items() if sensor.place == name)
-
-
-def sensor(name: str, table: Mapping[str, Sensor] = SENSORS) -> Sensor:
-    """Return the sensor of that name. Raises CraneError with the nearest known one."""
+def sensor(name: str, table: Mapping[str, Sensor]) -> Sensor:
+    """Return the sensor of that name among those of a layout. Raises CraneError with the nearest known one."""
     if name not in table:
         raise CraneError(f"sensor {name!r} is not known.{nearest(name, list(table))}")
     return table[name]
+
+
+def __getattr__(name: str):  # of the one machine that was, until everything asks its crane
+    from .parameters import LAYOUT
+
+    if name == "SENSORS":
+        return LAYOUT.sensors
+    if name == "PLACES":
+        return LAYOUT.places("sensors")
+    raise AttributeError(name)

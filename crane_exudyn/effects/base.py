@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from ..parameters import LAYOUT
-from ..sensors import PLACES as SENSORS
+from ..layout import Layout
 
-CYLINDERS, CHAMBERS, JOINTS = LAYOUT.cylinders, LAYOUT.chambers, LAYOUT.joints
-#: an effect without a place acts on the whole machine
-EVERYWHERE = ("",)
+#: kinds of places; an effect without a place acts on the whole machine
+CYLINDERS, CHAMBERS, JOINTS, SENSORS, EVERYWHERE = "cylinders", "chambers", "joints", "sensors", ""
 
 
 @dataclass(frozen=True)
@@ -53,11 +51,13 @@ HOOKS: Mapping[str, Hook] = {
 }  # fmt: skip
 #: the form of `leakage` at a chamber
 CHAMBER_LEAKAGE = Hook("p", "q", _NOTHING)
-#: places at which a hook may act; one that is not here acts on the whole machine
+#: kinds of places at which a hook may act; one that is not here acts on the whole machine
 ACTS_AT: Mapping[str, tuple[str, ...]] = {
-    "command": CYLINDERS, "delay": CYLINDERS, "backlash": CYLINDERS, "creep": CYLINDERS, "opening": CYLINDERS,
-    "supply_drop": CYLINDERS, "return_gain": CYLINDERS, "leakage": (*CYLINDERS, *CHAMBERS), "cylinder_force": CYLINDERS,
-    "series_compliance": CYLINDERS, "joint_torque": JOINTS, "measurement": SENSORS, "lag": SENSORS,
+    "leakage": (CYLINDERS, CHAMBERS), "joint_torque": (JOINTS,), "measurement": (SENSORS,), "lag": (SENSORS,),
+    **dict.fromkeys(
+        ("command", "delay", "backlash", "creep", "opening", "supply_drop", "return_gain", "cylinder_force", "series_compliance"),
+        (CYLINDERS,),
+    ),
 }  # fmt: skip
 
 
@@ -86,10 +86,13 @@ class Parameter:
 
 
 class Effect:
-    """A physical effect. Subclasses fill in the class variables and define their hooks as static functions."""
+    """A physical effect. Subclasses fill in the class variables and define their hooks as static functions.
+
+    `places` is the kind of places at which it acts: CYLINDERS, CHAMBERS, JOINTS, SENSORS, or EVERYWHERE for the whole machine.
+    """
 
     name: ClassVar[str] = ""
-    places: ClassVar[tuple[str, ...]] = EVERYWHERE
+    places: ClassVar[str] = EVERYWHERE
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     #: parameter values at which a search starts; one line a start
     probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
@@ -100,9 +103,9 @@ class Effect:
         return {hook: getattr(cls, hook) for hook in HOOKS if hook in cls.__dict__}
 
     @classmethod
-    def keys(cls) -> list[str]:
-        """Return "name@place" for every place, or "name" for an effect of the whole machine."""
-        return [f"{cls.name}@{place}" if place else cls.name for place in cls.places]
+    def keys(cls, layout: Layout) -> list[str]:
+        """Return "name@place" for every place of a machine, or "name" for an effect of the whole machine."""
+        return [f"{cls.name}@{place}" if place else cls.name for place in layout.places(cls.places)]
 
 
 @dataclass(frozen=True)

@@ -15,21 +15,18 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from ..errors import CraneError, nearest
+from ..layout import MOST
 from .base import (
     ACTS_AT,
     CHAMBER_LEAKAGE,
     CHAMBERS,
-    CYLINDERS,
     EVERYWHERE,
     HOOKS,
-    JOINTS,
-    SENSORS,
     Effect,
     Hook,
     Parameter,
 )
 
-_PLACES = {*CYLINDERS, *CHAMBERS, *JOINTS, *SENSORS, *EVERYWHERE}
 _PRESSURES = (0.0, 1e5, 60e5, 200e5)
 #: what the hooks are tried with: values that a crane may give them, by the name of the argument
 _TRIED: Mapping[str, tuple[float, ...]] = {
@@ -50,8 +47,7 @@ def checked(effect: type[Effect], where: str) -> type[Effect]:
     where = f"{where}: effect {effect.name or effect.__name__!r}"
     _check_description(effect, where)
     for name, function in effect.hooks().items():
-        for hook in _forms(effect, name):
-            _check_hook(effect, f"{where}, line {_line(function)}", name, hook, function)
+        _check_hook(effect, f"{where}, line {_line(function)}", name, _form(effect, name), function)
     return effect
 
 
@@ -59,11 +55,8 @@ def _check_description(effect: type[Effect], where: str) -> None:
     """Refuse names, places, parameters and probes that are none."""
     if not (isinstance(effect.name, str) and effect.name.isidentifier()):
         raise CraneError(f"{where}: needs a name in letters, digits and underscores, found {effect.name!r}.")
-    if not isinstance(effect.places, tuple):
-        raise CraneError(f'{where}: places is {effect.places!r}. Give a tuple, such as CYLINDERS or ("lift",).')
-    for place in effect.places:
-        if place not in _PLACES:
-            raise CraneError(f"{where}: unknown place {place!r}. Known: {sorted(_PLACES - {''})}.")
+    if effect.places not in tuple(MOST):
+        raise CraneError(f"{where}: places is {effect.places!r}. Give CYLINDERS, CHAMBERS, JOINTS, SENSORS or EVERYWHERE.")
     for function in (n for n, v in vars(effect).items() if isinstance(v, staticmethod) and not n.startswith("_")):
         if function not in HOOKS:
             raise CraneError(f"{where}: no hook {function!r}.{nearest(function, list(HOOKS))}")
@@ -104,23 +97,17 @@ def _check_parameter(parameter: Any, where: str) -> None:
             )
 
 
-def _forms(effect: type[Effect], name: str) -> list[Hook]:
-    """Return the forms that a hook must have at the places of its effect: one, but for a leakage of cylinders and chambers."""
-    if name == "leakage":
-        return [
-            form
-            for places, form in ((CYLINDERS, HOOKS[name]), (CHAMBERS, CHAMBER_LEAKAGE))
-            if set(places) & set(effect.places)
-        ]
-    return [HOOKS[name]]
+def _form(effect: type[Effect], name: str) -> Hook:
+    """Return the form that a hook must have at the places of its effect."""
+    return CHAMBER_LEAKAGE if name == "leakage" and effect.places == CHAMBERS else HOOKS[name]
 
 
 def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, function: Callable[..., Any]) -> None:
     """Refuse a hook of another signature, one that does not compile, is not neutral when it should be, or returns no numbers."""
-    places = ACTS_AT.get(name)
-    wrong = [p for p in effect.places if places is not None and p and p not in places]
-    if wrong:
-        raise CraneError(f"{where}: hook {name} cannot act at {wrong[0]!r}. Its places: {', '.join(places or ())}.")
+    kinds = ACTS_AT.get(name, (EVERYWHERE,))
+    if effect.places not in (*kinds, EVERYWHERE):
+        known = " or ".join(kind or "the whole machine" for kind in kinds)
+        raise CraneError(f"{where}: hook {name} cannot act at {effect.places}. Its places: {known}.")
     expected = f"{name}({', '.join([*(p.name for p in effect.parameters), *hook.arguments])}) -> {hook.returns}"
     _check_signature(function, where, name, expected, len(effect.parameters) + len(hook.arguments))
     neutral = [p.typical if p.shape else p.neutral for p in effect.parameters]

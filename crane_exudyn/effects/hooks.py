@@ -11,8 +11,8 @@ import linecache
 from typing import Any
 
 from ..compiled import njit
-from .base import ACTS_AT, CHAMBERS, HOOKS, Effect
-from .registry import known, slot
+from .base import CHAMBERS, HOOKS, SENSORS, Effect
+from .registry import known, starts
 
 # hook: (arguments after E, what it starts from, how a term `call` enters, what is returned)
 _FORM = {
@@ -45,25 +45,19 @@ _FORM = {
 
 
 def _call(effect: type[Effect], place: str, hook: str, arguments: str) -> str:
-    start = slot(effect.name, place)
-    parameters = [f"E[{start + i}]" for i in range(len(effect.parameters))]
+    """Return the text of a call of an effect's hook at the place whose number the text `place` gives."""
+    start, count = starts()[effect.name], len(effect.parameters)
+    at = f" + {count} * ({place})" if place else ""
+    parameters = [f"E[{start + i}{at}]" for i in range(count)]
     return f"{effect.name}_{hook}({', '.join([*parameters, *filter(None, [arguments])])})"
 
 
-def _chamber_lines(effect: type[Effect], place: str) -> list[str]:
-    cylinder, side = divmod(CHAMBERS.index(place), 2)
-    pressure, flow = ("pa", "qa") if side == 0 else ("pb", "qb")
-    return [f"    if c == {cylinder}:", f"        {flow} += {_call(effect, place, 'leakage', pressure)}"]
-
-
-def _term_lines(effect: type[Effect], place: str, hook: str) -> list[str]:
-    if hook == "leakage" and place in CHAMBERS:
-        return _chamber_lines(effect, place)
+def _term_lines(effect: type[Effect], hook: str) -> list[str]:
+    if effect.places == CHAMBERS:  # a leakage of each chamber of a cylinder
+        return [f"    q{s} += {_call(effect, f'2 * c + {k}', hook, f'p{s}')}" for k, s in enumerate("ab")]
     _, _, enter, _ = _FORM[hook]
-    term = enter.format(call=_call(effect, place, hook, HOOKS[hook].given))
-    if not place or hook not in ACTS_AT:
-        return [f"    {term}"]
-    return [f"    if c == {ACTS_AT[hook].index(place)}:", f"        {term}"]
+    known = "if c >= 0: " if effect.places == SENSORS else ""  # not every sensor has a place
+    return [f"    {known}{enter.format(call=_call(effect, 'c' if effect.places else '', hook, HOOKS[hook].given))}"]
 
 
 def source(hook: str) -> str:
@@ -74,8 +68,7 @@ def source(hook: str) -> str:
         lines.append(f"    {start}")
     for effect in known():
         if hook in effect.hooks():
-            for place in effect.places:
-                lines += _term_lines(effect, place, hook)
+            lines += _term_lines(effect, hook)
     return "\n".join([*lines, f"    return {result}", ""])
 
 

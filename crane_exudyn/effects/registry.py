@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from ..errors import CraneError, nearest
+from ..layout import MOST, Layout
 from .base import Effect
 from .checks import checked
 
@@ -56,43 +57,46 @@ def find(name: str) -> type[Effect]:
     )
 
 
-def split_key(key: str) -> tuple[type[Effect], str]:
+def split_key(key: str, layout: Layout | None = None) -> tuple[type[Effect], str]:
     """Return effect and place of "name@place" (or "name" for an effect of the whole machine).
 
     Raises:
-        CraneError: unknown effect, a place it cannot act at, or no place where one is needed.
+        CraneError: unknown effect, no place where one is needed, or one that the machine of the layout (if given) does not have.
     """
     name, _, place = key.partition("@")
     effect = find(name)
-    if place not in effect.places:
-        places = ", ".join(p or "(none)" for p in effect.places)
-        raise CraneError(f"Effect {name!r} cannot act at {place or '(no place)'!r}. Places: {places}.")
+    if (not place) != (not effect.places) or (layout is not None and place not in layout.places(effect.places)):
+        known = ", ".join(layout.places(effect.places)) if layout else f"the machine's {effect.places}"
+        raise CraneError(
+            f"Effect {name!r} cannot act at {place or '(no place)'!r}. Places: {known if effect.places else '(none)'}."
+        )
     return effect, place
 
 
-def all_keys() -> list[str]:
-    """Return "name@place" of every effect at every place."""
-    return [key for effect in known() for key in effect.keys()]  # noqa: SIM118
+def all_keys(layout: Layout) -> list[str]:
+    """Return "name@place" of every effect at every place of a machine."""
+    return [key for effect in known() for key in effect.keys(layout)]
 
 
 @cache
-def _slots() -> dict[tuple[str, str], int]:
-    slots, start = {}, 0
+def starts() -> dict[str, int]:
+    """Return where in E the parameters of each effect begin: those of one place after those of another."""
+    found, start = {}, 0
     for effect in known():
-        for place in effect.places:
-            slots[effect.name, place] = start
-            start += len(effect.parameters)
-    return slots
+        found[effect.name] = start
+        start += len(effect.parameters) * MOST[effect.places]
+    return found
 
 
-def slot(name: str, place: str) -> int:
-    """Return where in E the first parameter of an effect at a place stands."""
-    return _slots()[name, place]
+def slot(name: str, place: str, layout: Layout) -> int:
+    """Return where in E the first parameter of an effect at a place of a machine stands."""
+    effect = find(name)
+    return starts()[name] + len(effect.parameters) * layout.place_number(effect.places, place)
 
 
 @cache
 def _neutral() -> tuple[float, ...]:
-    return tuple(p.neutral for effect in known() for _ in effect.places for p in effect.parameters)
+    return tuple(p.neutral for effect in known() for _ in range(MOST[effect.places]) for p in effect.parameters)
 
 
 def neutral_vector() -> list[float]:
@@ -113,7 +117,7 @@ def register(effect: type[Effect]) -> type[Effect]:
             f"Effect {effect.name!r} comes too late: engines are compiled. Register it before importing one."
         )
     _user_effects.append(effect)
-    _slots.cache_clear()
+    starts.cache_clear()
     _neutral.cache_clear()
     return effect
 

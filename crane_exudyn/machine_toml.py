@@ -1,0 +1,285 @@
+"""The part of a crane file that says how its bodies, joints and cylinders hang together; what is impossible is refused here."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from .errors import CraneError, nearest
+from .layout import MOST_COORDINATES
+from .machine import GROUND, PRISMATIC, REVOLUTE, Cylinder, Joint, Machine
+
+#: keys that describe a machine, by section; the other keys there are numbers
+OF_CYLINDER = ("bodies", "chambers", "loaded", "length", "command", "voltage")
+OF_PAYLOAD = ("body", "at")
+OF_JOINT = ("name", "kind", "bodies", "at", "on", "coordinate", "bend")
+_BENDS = {"left": 1, "right": -1}
+#: the machine of files that describe none, as those of earlier versions
+_EARLIER = "patu655"
+
+
+def machine_of(document: Mapping[str, Any], where: str) -> Machine:
+    """Return the machine that a parsed crane file describes.
+
+    Raises:
+        CraneError: field, what was found, what is possible, and how to mend it.
+    """
+    if "joint" not in document:
+        return _earlier()
+    tables = document["joint"]
+    if not isinstance(tables, list) or not all(isinstance(t, Mapping) for t in tables):
+        raise CraneError(f"{where}: joint = {str(tables)[:60]} should be tables, each headed by [[joint]].")
+    bodies = tuple(_section(document, "bodies", where))
+    joints = [_joint(table, bodies, where) for table in tables]
+    _refuse_repeated(where, "joint", [j.name for j in joints])
+    _refuse_repeated(where, "coordinate", [j.coordinate for j in joints if not j.closes])
+    carriers = _carriers(bodies, joints, where)
+    independent = _independent(document, joints, where)
+    joints = [_turned(j, carriers, independent, where) if j.closes else j for j in joints]
+    ordered = _ordered(bodies, carriers, [j for j in joints if j.closes], where)
+    cylinders, points = _cylinders(document, bodies, joints, where)
+    payload = _payload(document, bodies, points, where)
+    machine = Machine(
+        bodies=ordered,
+        joints=(*(carriers[b] for b in ordered), *(j for j in joints if j.closes)),
+        independent=independent,
+        cylinders=cylinders,
+        payload=payload,
+        points=points,
+    )
+    _check_drives(machine, where)
+    return machine
+
+
+@cache
+def _earlier() -> Machine:
+    text = resources.files("crane_exudyn.data").joinpath(f"{_EARLIER}.toml").read_text(encoding="utf-8")
+    return machine_of(tomllib.loads(text), _EARLIER)
+
+
+def _section(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    table = document.get(key, {})
+    if not isinstance(table, Mapping) or not all(isinstance(t, Mapping) for t in table.values()):
+        raise CraneError(f"{where}: {key} should be tables, each headed by [{key}.NAME].")
+    return table
+
+
+def _known(where: str, value: object, known: Sequence[str], *, several: int = 1) -> Any:
+    """Return a name, or a list of several, that must be known."""
+    names = value if several > 1 else [value]
+    if not isinstance(names, list) or len(names) != several:
+        raise CraneError(f"{where} = {value!r} should be {several} names in brackets. Known: {', '.join(known)}.")
+    for name in names:
+        if name not in known:
+            raise CraneError(f"{where} = {name!r} is not known.{nearest(str(name), list(known))}")
+    return names if several > 1 else value
+
+
+def _refuse_repeated(where: str, what: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise CraneError(f"{where}: two things are named {what} {name!r}. Give one of them another name.")
+
+
+# -- joints ------------------------------------------------------------------------------------------------------------
+
+
+def _joint(table: Mapping[str, Any], bodies: Sequence[str], where: str) -> Joint:
+    name = table.get("name")
+    if not isinstance(name, str) or not name.isidentifier():
+        raise CraneError(f"{where}: a [[joint]] needs a name in letters, digits and underscores, found {name!r}.")
+    place = f"{where}: joint {name!r}"
+    for key in table:
+        if key not in OF_JOINT:
+            raise CraneError(f"{place}: unknown key {key!r}.{nearest(key, list(OF_JOINT))}")
+    carrier, body = _known(f"{place}: bodies", table.get("bodies"), (GROUND, *bodies), several=2)
+    kind = _known(f"{place}: kind", table.get("kind", REVOLUTE), (REVOLUTE, PRISMATIC))
+    side = _BENDS[_known(f"{place}: bend", table.get("bend", "left"), tuple(_BENDS))]
+    own = f"joints.{table['on']}" if "on" in table else ""
+    joint = Joint(
+        name, kind, carrier, body, f"joints.{table.get('at', name)}", own, str(table.get("coordinate", "")), side
+    )
+    if carrier == body or body == GROUND:
+        raise CraneError(
+            f"{place}: bodies = {[carrier, body]} should be the body that carries (or {GROUND!r}) and another one that is carried."
+        )
+    if joint.closes and (kind == PRISMATIC or not own):
+        raise CraneError(
+            f"{place} has no coordinate, so it closes a loop: it must be {REVOLUTE}, with its pin on both bodies (at and on)."
+        )
+    return joint
+
+
+def _carriers(bodies: Sequence[str], joints: Sequence[Joint], where: str) -> dict[str, Joint]:
+    """Return the joint that carries each body."""
+    found: dict[str, Joint] = {}
+    for joint in joints:
+        if joint.closes:
+            continue
+        if joint.body in found:
+            raise CraneError(
+                f"{where}: body {joint.body!r} is carried by two joints, {found[joint.body].name!r} and {joint.name!r}. "
+                "Leave the coordinate of one of them out: it closes a loop."
+            )
+        found[joint.body] = joint
+    for body in bodies:
+        if body not in found:
+            raise CraneError(f"{where}: body {body!r} hangs on nothing. Give the [[joint]] with a coordinate that carries it.")
+        seen, at = {body}, found[body].carrier
+        while at != GROUND:
+            if at in seen or at not in found:
+                raise CraneError(f"{where}: body {body!r} is carried by itself. Mend the bodies of its joints.")
+            seen.add(at)
+            at = found[at].carrier
+    if not bodies:
+        raise CraneError(f"{where}: there is no body. Give at least one [bodies.NAME].")
+    return found
+
+
+def _independent(document: Mapping[str, Any], joints: Sequence[Joint], where: str) -> tuple[str, ...]:
+    """Return the independent coordinates: those stated, else those with a place at the start, else all."""
+    names = [j.coordinate for j in joints if not j.closes]
+    stated = document.get("independent", [n for n in names if n in document.get("initial", {})] or names)
+    if not isinstance(stated, list):
+        raise CraneError(f"{where}: independent = {stated!r} should be a list of coordinates: {', '.join(names)}.")
+    for name in stated:
+        _known(f"{where}: independent", name, names)
+    loops = sum(j.closes for j in joints)
+    if len(stated) != len(names) - 2 * loops or len(set(stated)) != len(stated):
+        raise CraneError(
+            f"{where}: independent = {stated} should be {len(names) - 2 * loops} of the coordinates {', '.join(names)}: "
+            f"each of the {loops} loops makes two of them depend on the others."
+        )
+    if len(stated) > MOST_COORDINATES:
+        raise CraneError(f"{where}: there are {len(stated)} independent coordinates, at most {MOST_COORDINATES} are possible.")
+    return tuple(n for n in names if n in stated)
+
+
+def _turned(joint: Joint, carriers: Mapping[str, Joint], independent: Sequence[str], where: str) -> Joint:
+    """Return a joint that closes a loop from its second dependent body to the body that the loop ends on."""
+
+    def follows(body: str) -> bool:
+        return body != GROUND and carriers[body].coordinate not in independent and carriers[body].kind == REVOLUTE
+
+    def ends(body: str) -> bool:
+        return follows(body) and follows(carriers[body].carrier) and not follows(carriers[carriers[body].carrier].carrier)
+
+    if ends(joint.carrier):
+        return joint
+    if ends(joint.body):
+        return Joint(joint.name, joint.kind, joint.body, joint.carrier, joint.own_pin, joint.pin, "", -joint.side)
+    raise CraneError(
+        f"{where}: joint {joint.name!r} closes a loop whose dependent bodies are not two, one carried by the other on revolute joints. "
+        f"State other independent coordinates than {', '.join(independent)}, or put the loop together so."
+    )
+
+
+def _ordered(
+    bodies: Sequence[str], carriers: Mapping[str, Joint], loops: Sequence[Joint], where: str
+) -> tuple[str, ...]:
+    """Return the bodies in the order in which they can be placed."""
+    pairs = {carriers[j.carrier].carrier: j for j in loops}
+    dependent = {body for j in loops for body in (carriers[j.carrier].carrier, j.carrier)}
+    placed: list[str] = []
+
+    def ready(body: str) -> bool:
+        return body in (GROUND, *placed)
+
+    while len(placed) < len(bodies):
+        before = len(placed)
+        for body in bodies:
+            if ready(body) or not ready(carriers[body].carrier):
+                continue
+            if body not in dependent:
+                placed.append(body)
+            elif body in pairs and ready(pairs[body].body):
+                placed += [body, pairs[body].carrier]
+        if len(placed) == before:
+            left = [b for b in bodies if not ready(b)]
+            raise CraneError(
+                f"{where}: the bodies {', '.join(left)} cannot be placed: their loops end on one another. "
+                "State other independent coordinates."
+            )
+    return tuple(placed)
+
+
+# -- cylinders and payload -----------------------------------------------------------------------------------------
+
+
+def _joint_points(joints: Sequence[Joint]) -> Iterator[tuple[str, str]]:
+    for joint in joints:
+        yield joint.pin, joint.carrier
+        if joint.own_pin:
+            yield joint.own_pin, joint.body
+
+
+def _cylinders(
+    document: Mapping[str, Any], bodies: Sequence[str], joints: Sequence[Joint], where: str
+) -> tuple[tuple[Cylinder, ...], dict[str, str]]:
+    """Return the cylinders, and the body that carries each point of joints and cylinders."""
+    points = dict(_joint_points(joints))
+    found = []
+    for k, (name, table) in enumerate(_section(document, "cylinders", where).items()):
+        place = f"{where}: cylinders.{name}"
+        on = _known(f"{place}.bodies", table.get("bodies"), (GROUND, *bodies), several=2)
+        if on[0] == on[1]:
+            raise CraneError(f"{place}.bodies = {on}: a cylinder joins two bodies. Name the other one.")
+        ends = []
+        for key, body in zip(("base", "rod_end"), on, strict=True):
+            given = table.get(key)
+            point = f"joints.{given}" if isinstance(given, str) else f"cylinders.{name}.{key}"
+            if isinstance(given, str) and points.get(point) != body:
+                known = [p.removeprefix("joints.") for p, b in points.items() if b == body]
+                raise CraneError(f"{place}.{key} = {given!r} is no point of {body}.{nearest(given, known)}")
+            points.setdefault(point, body)
+            ends.append(point)
+        chambers = table.get("chambers", [f"p{2 * k + 1}", f"p{2 * k + 2}"])
+        if not (isinstance(chambers, list) and len(chambers) == 2 and all(isinstance(c, str) for c in chambers)):
+            raise CraneError(f'{place}.chambers = {chambers!r} should be two names, such as ["p1", "p2"].')
+        loaded = _known(f"{place}.loaded", table.get("loaded", chambers[0]), chambers)
+        channels = [str(table.get(key, f"{letter}{k + 1}")) for key, letter in (("length", "s"), ("command", "u"), ("voltage", "U"))]
+        found.append(Cylinder(name, (on[0], on[1]), (ends[0], ends[1]), (chambers[0], chambers[1]), loaded, *channels))
+    channels = [n for c in found for n in (*c.chambers, c.length, c.command, c.voltage)]
+    coordinates = [n for j in joints if not j.closes for n in (j.coordinate, f"d{j.coordinate}", f"{j.coordinate}_abs")]
+    _refuse_repeated(where, "channel", [*channels, *coordinates, "pp", "pt", "time"])
+    return tuple(found), points
+
+
+def _payload(
+    document: Mapping[str, Any], bodies: Sequence[str], points: dict[str, str], where: str
+) -> tuple[str, str]:
+    """Return body and point of the payload; the point becomes one of the points of the file."""
+    table = document.get("payload", {})
+    if "body" not in table and "at" not in table:
+        return "", ""
+    body = _known(f"{where}: payload.body", table.get("body"), bodies)
+    point = f"joints.{table.get('at')}"
+    if points.setdefault(point, body) != body:
+        raise CraneError(f"{where}: payload.at = {table.get('at')!r} is a point of {points[point]}, not of {body}.")
+    return body, point
+
+
+def _check_drives(machine: Machine, where: str) -> None:
+    """Refuse cylinders that drive nothing, two that drive one freedom, and coordinates that nothing drives."""
+    for cylinder in machine.cylinders:
+        if not machine.moved_by(cylinder):
+            raise CraneError(
+                f"{where}: cylinders.{cylinder.name} joins {' and '.join(cylinder.bodies)}, which do not move against each other. Mend its bodies."
+            )
+    driven = machine.driven
+    for cylinder, coordinate in zip(machine.cylinders, driven, strict=True):
+        if not coordinate:
+            others = [c.name for c in machine.cylinders if machine.moved_by(c) & machine.moved_by(cylinder) and c != cylinder]
+            moved = ", ".join(sorted(machine.moved_by(cylinder)))
+            raise CraneError(
+                f"{where}: cylinders.{cylinder.name} drives {moved}, which {' and '.join(others)} drives already: two drives for one freedom. "
+                "Remove one of them, or mend its bodies."
+            )
+    free = [name for name in machine.independent if name not in driven]
+    if free:
+        raise CraneError(
+            f"{where}: nothing drives the coordinate {free[0]!r}. Give a cylinder that moves it; a payload that swings is the effect payload_swing."
+        )
