@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from . import faulty_laws, geometry, hydraulics, mechanism, reduction, statics, trapezoidal
-from . import parameters as parameter_index
+from . import faulty_laws, geometry, mechanism, reduction, statics, trapezoidal
 from .crane import Crane
 from .effects import hooks, registry
 from .errors import CraneError, nearest
@@ -51,9 +50,9 @@ class ExudynEngine:
     def __repr__(self) -> str:
         return f"<ExudynEngine of {self.crane!r}, states {' '.join(self.state_names)}>"
 
-    def static_start(self, z1: float, z4: float, less_loaded: float | Any = 20e5) -> np.ndarray:
+    def static_start(self, *pose: Any, less_loaded: Any = 20e5) -> np.ndarray:
         """Return the state (nx,) at rest with valves closed; see `statics.static_start`."""
-        return statics.static_start(self.crane, z1, z4, less_loaded)
+        return statics.static_start(self.crane, *pose, less_loaded=less_loaded)
 
     def propagate(
         self,
@@ -67,7 +66,7 @@ class ExudynEngine:
 
         Args:
             states: (n, nx).
-            inputs: (2, 4) or (2, n, 4): w = [U1 U2 pp pt] at the start and the end of the step.
+            inputs: (2, m) or (2, n, m): the m inputs w = [spools, pp, pt] at the start and the end of the step.
             dt: step in s.
             time: start of the step in s; effects that begin at a time need it.
             parameters: {name: (n,)}, what differs from row to row (SI): nominal parameters such as "payload.mass",
@@ -91,18 +90,18 @@ class ExudynEngine:
                 f"propagate: inputs have shape {w.shape}, expected (2, {len(names)}) or (2, {len(x)}, {len(names)}): [{' '.join(names)}] at the "
                 "start and the end of the step."
             )
-        rows = np.zeros((2, len(x), hydraulics.N_W))
+        rows = np.zeros((2, len(x), len(self.crane.layout.all_inputs)))
         rows[:, :, self.crane.layout.driving] = w[:, None, :] if w.ndim == 2 else w
         P, E = self._rows(parameters, rows) if parameters else (None, None)
         return self._step(x, rows[0], rows[1], dt, time, P, E)
 
     def _rows(self, parameters: Mapping[str, np.ndarray], w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return P (n, .) and E (n, .) with what differs from row to row; disturbances go into w (2, n, 12)."""
-        n = w.shape[1]
+        """Return P (n, .) and E (n, .) with what differs from row to row; disturbances go into w (2, n, .)."""
+        n, index = w.shape[1], self.crane.machine.index
         P, E = np.tile(self._P, (n, 1)), np.tile(self._E, (n, 1))
         for name, values in parameters.items():
-            if name in parameter_index.INDEX:
-                P[:, parameter_index.INDEX[name]] = values
+            if name in index:
+                P[:, index[name]] = values
             elif name in self.crane.layout.disturbances:
                 w[:, :, self.crane.layout.all_inputs.index(name)] = values
             else:
@@ -115,7 +114,7 @@ class ExudynEngine:
         Args:
             x0: (nx,) state at time[0].
             time: (N,) increasing, in s; need not be even.
-            inputs: (N, 4) w = [U1 U2 pp pt] at `time`, linear between.
+            inputs: (N, m) w = [spools, pp, pt] at `time`, linear between.
             step: largest inner step in s; every interval is cut into equal steps no longer than it.
 
         Raises:
@@ -123,7 +122,8 @@ class ExudynEngine:
         """
         t, w = np.asarray(time, dtype=float), np.asarray(inputs, dtype=float)
         _check_grid(self.crane.layout.inputs, t, w, step)
-        x, rows = np.ascontiguousarray(x0, dtype=float)[None].copy(), np.zeros((2, 1, hydraulics.N_W))
+        driving = self.crane.layout.driving
+        x, rows = np.ascontiguousarray(x0, dtype=float)[None].copy(), np.zeros((2, 1, len(self.crane.layout.all_inputs)))
         if x.shape[1] != len(self.state_names):
             raise CraneError(f"simulate: x0 has {x.shape[1]} numbers, expected {len(self.state_names)}.")
         out = np.empty((t.size, x.shape[1]))
@@ -133,8 +133,8 @@ class ExudynEngine:
             parts = max(1, math.ceil(span / step - 1e-9))
             h = span / parts
             for i in range(parts):
-                rows[0, 0, :4] = w[k] if i == 0 else w[k] + (w[k + 1] - w[k]) * (i / parts)
-                rows[1, 0, :4] = w[k + 1] if i + 1 == parts else w[k] + (w[k + 1] - w[k]) * ((i + 1) / parts)
+                rows[0, 0, driving] = w[k] if i == 0 else w[k] + (w[k + 1] - w[k]) * (i / parts)
+                rows[1, 0, driving] = w[k + 1] if i + 1 == parts else w[k] + (w[k + 1] - w[k]) * ((i + 1) / parts)
                 x, level = self._in_parts(x, rows[0], rows[1], h, t[k] + i * h, level)
             out[k + 1] = x[0]
         return out
@@ -148,7 +148,7 @@ class ExudynEngine:
 
         Returns:
             "mass": (nq, nq), "force": (nq,) applied forces, "joint": rows of G v, "joint_jacobian": G (rows, nq),
-            "pressure_rates": (4,); and what it was given: "q", "v", "a" (nq,) redundant coordinates and their rates, "dp".
+            "pressure_rates": (chambers,); and what it was given: "q", "v", "a" (nq,) redundant coordinates and their rates, "dp".
         """
         return self._system(1).inspect(np.asarray(state, dtype=float), np.asarray(w, dtype=float), time)
 
@@ -178,7 +178,7 @@ class ExudynEngine:
         """Take one step; a crane that cannot take it, or whose error would be too large, goes on alone in parts of it.
 
         Args:
-            x: (n, nx);  w0, w1: (n, 12) inputs and disturbances at start and end;  P, E: (n, .), or None for the crane's own.
+            x: (n, nx);  w0, w1: (n, .) inputs and disturbances at start and end;  P, E: (n, .), or None for the crane's own.
         """
         system = self._system(len(x))
         out, beyond = system.step(x, w0, w1, h, time, P, E, self.accuracy)
@@ -240,11 +240,11 @@ class ExudynEngine:
         if law is not None:
             return law
         if status == trapezoidal.UNREACHABLE:
-            return geometry.unreachable(f"{self.crane.name}, t = {time:.6g} s", state[0], state[1])
+            return geometry.unreachable(self.crane, state, f", t = {time:.6g} s")
         what, mend = {
             trapezoidal.SINGULAR: (
                 "the equations of motion are singular",
-                "Look for brackets in one line, or a body without inertia.",
+                "Look for the two dependent bodies of a loop in one line, or a body without inertia.",
             ),
             trapezoidal.COARSE: (
                 "the step is not accurate",
@@ -287,13 +287,13 @@ def _effect_column(crane: Crane, name: str) -> int:
     """
     key, _, parameter = name.rpartition(".")
     if not key or key.split("@")[0] not in [e.name for e in registry.known()]:
-        known = [*parameter_index.NAMES, *crane.layout.disturbances]
+        known = [*crane.machine.names, *crane.layout.disturbances]
         raise CraneError(f"parameters: there is no {name!r}.{nearest(name, known)}")
-    effect, place = registry.split_key(key)
+    effect, place = registry.split_key(key, crane.layout)
     names = [p.name for p in effect.parameters]
     if parameter not in names:
         raise CraneError(f"parameters: effect {key!r} has no parameter {parameter!r}.{nearest(parameter, names)}")
-    return registry.slot(effect.name, place) + names.index(parameter)
+    return registry.slot(effect.name, place, crane.layout) + names.index(parameter)
 
 
 class _System:
@@ -311,16 +311,12 @@ class _System:
         self._scale = 0.25
         data = self.mbs.systemData
         data.SetAECoordinates(np.zeros(size * self.plant.joint_rows))  # the start left joint forces there
-        width = self.plant.coordinates
+        width, chambers = self.plant.coordinates, len(crane.layout.chambers)
         self._q, self._v, self._a = np.zeros((size, width)), np.zeros((size, width)), np.zeros((size, width))
-        self._p, self._dp, self._held = (
-            np.zeros((size, 4)),
-            np.zeros((size, 4)),
-            np.zeros((size, trapezoidal.N_BALANCES, 4)),
-        )
-        self._udd = np.zeros((size, width // 2 - 4))
+        self._p, self._dp = np.zeros((size, chambers)), np.zeros((size, chambers))
+        self._held, self._udd = np.zeros((size, trapezoidal.N_BALANCES, chambers)), np.zeros((size, self.plant.velocities))
         self._P, self._E = self.plant.P.copy(), self.plant.E.copy()
-        self._before, self._varied, self._payload = np.zeros((size, 5, 4)), False, crane["payload.mass"]
+        self._before, self._varied, self._payload = np.zeros_like(self.plant.inertia), False, crane["payload.mass"]
         self.status, self.errors, self._last = np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size)
 
     def step(
@@ -338,26 +334,26 @@ class _System:
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
         ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self.status, self._last)
-        if not trapezoidal.predict(plant.P, plant.E, time, h, before, plant.inertia, x, w0, self._udd, *ends):
+        if not trapezoidal.predict(plant.topology, plant.P, plant.E, time, h, before, plant.inertia, x, w0, self._udd, *ends):
             self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
             return out, -1
         plant.inputs[...] = w1
         self.mbs.systemData.SetTime(time + h)
         for _ in range(_MOST_ITERATIONS):
             residual = self._residual()
-            if not trapezoidal.correct(plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends):
+            if not trapezoidal.correct(plant.topology, plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends):
                 break
         found = (self._q, self._v, self._p, self._held, self._udd, self.status, self.errors, out)
-        return out, trapezoidal.finish(plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found)
+        return out, trapezoidal.finish(plant.topology, plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found)
 
     def _set_parameters(self, P: np.ndarray | None, E: np.ndarray | None, start: float, end: float) -> np.ndarray:
-        """Bring the cranes' numbers up to date for the end of a step; return the masses (n, 5, 4) at its start."""
+        """Bring the cranes' numbers up to date for the end of a step; return the masses (n, bodies + 1, 4) at its start."""
         plant = self.plant
         if P is None and E is None and not self._varied and self._payload_is(start) and self._payload_is(end):
             return plant.inertia
         self._varied = P is not None or E is not None
         P, E = (self._P if P is None else P), (self._E if E is None else E)
-        reduction.all_inertias(P, E, start, self._before)
+        reduction.all_inertias(plant.topology, P, E, start, self._before)
         if plant.set_parameters(self.mbs, P, E, end):
             self.solver.ComputeMassMatrix(self.mbs)
         return self._before
@@ -380,22 +376,17 @@ class _System:
     def inspect(self, x: np.ndarray, w: np.ndarray, time: float) -> dict[str, np.ndarray]:
         """Return what Exudyn assembles for one crane; see `ExudynEngine.residual`."""
         plant, width, rows = self.plant, self.plant.coordinates, self.plant.joint_rows
-        wide = np.concatenate([w, np.zeros(hydraulics.N_W - w.size)])
-        inertia = self._set_parameters(None, None, time, time)[0]
-        arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-        start = (self._q[0], self._v[0], self._a[0], self._p[0], self._dp[0], self._held[0], self._udd[0])
-        flag = trapezoidal.start(plant.P[0], plant.E[0], time, inertia, x, wide, arms, N, *start)
-        if flag != trapezoidal.ITERATING:
-            raise geometry.unreachable(plant.crane.name, x[0], x[1])
-        plant.inputs[...] = wide
+        self._set_parameters(None, None, time, time)
+        self._q[0], self._v[0], self._a[0], self._p[0], self._dp[0] = mechanism.consistent(plant, x, w, time)
+        plant.inputs[...] = 0.0
+        plant.inputs[:, : w.size] = w
         self.mbs.systemData.SetTime(time)
         out = {"q": self._q[0].copy(), "v": self._v[0].copy(), "a": self._a[0].copy(), "dp": self._dp[0].copy()}
         self._a[:], self._dp[:] = 0.0, 0.0
         residual = np.array(self._residual())
-        out |= {"force": -residual[:width] / self._scale, "pressure_rates": residual[width : width + 4]}
-        out |= {"joint": residual[width + 4 :], "mass": np.array(self.solver.GetSystemMassMatrix())[:width, :width]}
+        behind = width + self._p.shape[1]
+        out |= {"force": -residual[:width] / self._scale, "pressure_rates": residual[width:behind]}
+        out |= {"joint": residual[behind:], "mass": np.array(self.solver.GetSystemMassMatrix())[:width, :width]}
         self.solver.ComputeNewtonJacobian(self.mbs, self._settings)
         jacobian = np.array(self.solver.GetSystemJacobian())
-        return out | {
-            "joint_jacobian": jacobian[:width, width + 4 : width + 4 + rows].T
-        }  # beside G^T: the joint forces
+        return out | {"joint_jacobian": jacobian[:width, behind : behind + rows].T}  # beside G^T: the joint forces

@@ -1,8 +1,9 @@
-"""Hydraulics of one crane: port flows, chambers, pressure rates (34) and cylinder forces (18), with the effects' hooks.
+"""Hydraulics of one machine: port flows, chambers, pressure rates (34) and cylinder forces (18), with the effects' hooks.
 
-Compiled functions of numbers; cylinder c is 0 (lift) or 1 (tilt), its piston side is chamber 2c, its rod side 2c + 1.
-P and E are the flat vectors of nominal and of effect parameters; w is [U1 U2 pp pt] and behind it the eight disturbances of
-`DISTURBANCES`. `mechanism.py` puts these functions into Exudyn as user functions.
+Compiled functions of numbers; the piston side of cylinder c is chamber 2c, its rod side 2c + 1. `topology` says which chamber carries
+the load; P and E are the flat vectors of nominal and of effect parameters; w is [spools, pp, pt] and behind it the disturbances in the
+order of `Layout.disturbances`; `lines` is the table of the cylinders' lengths and rates of `geometry`. `mechanism.py` puts these functions
+into Exudyn as user functions.
 """
 
 from __future__ import annotations
@@ -13,25 +14,23 @@ import numpy as np
 
 from .compiled import njit
 from .effects import hooks
+from .geometry import LENGTH, RATE
 from .laws.friction import cylinder_friction
 from .laws.oil import filling, pressure_of
 from .laws.orifice import edge_flow
 from .laws.volume import chamber_lengths, chamber_volume
+from .machine import BODIES, LOADED, LOOPS
 from .parameters import CYLINDER, FLUID, N_CYLINDER, N_VALVE, SUPPLY, VALVE
 
-# places inside a cylinder's block and inside the fluid's block of P
+# places inside a cylinder's block, a valve's block and inside the fluid's block of P
 BORE, ROD, EMPTY, RANGE, HOSE_A, HOSE_B, FC, FS, VS, VISCOUS = range(10)
+COEFFICIENT, LAG, PUMP_A, PUMP_B, A_TANK, B_TANK = range(6)
 OIL, WALL, HOSE, VAPOUR, LAMINAR = range(5)
 AIR, REFERENCE = SUPPLY + 2, SUPPLY + 3
 
-#: what may act without a law that explains it: moments on z1 and z4 in N m, forces on E in N, flows into chambers in m^3/s
-DISTURBANCES = ("torque.O", "torque.A", "force.x", "force.y", "flow.p1", "flow.p2", "flow.p3", "flow.p4")
-#: length of w, and where moments, forces and flows begin in it
-N_W, TORQUE, FORCE, FLOW = 12, 4, 6, 8
-
-#: rows of a table (N_BALANCES, 4) of the chambers: dN/dt in m^3/s, the amounts of oil N in m^3, by the cylinder's length dN/ds in
-#: m^2 and by pressure dN/dy in m^3/Pa; and behind them the flows in (m^3/s) and the pressures (Pa)
-GAIN, AMOUNT, DRAW, SLOPE, INTO, REAL, N_BALANCES = range(7)
+#: rows of a table (N_BALANCES, chambers): dN/dt in m^3/s, the amounts of oil N in m^3, by the cylinder's length dN/ds in
+#: m^2 and by pressure dN/dy in m^3/Pa; and behind them the flows in (m^3/s), the pressures (Pa) and the pistons' speeds (m/s)
+GAIN, AMOUNT, DRAW, SLOPE, INTO, REAL, SPEED, N_BALANCES = range(8)
 
 #: the loop between supply pressure and flow is solved to this fraction of the pressure
 _LOOP_TOLERANCE = 1e-13
@@ -53,59 +52,66 @@ def pressure_force(P, c, pa, pb):
 
 
 @njit
-def supplies(P, w):
-    """Return (pp, pt) in Pa: those of w, or the crane's own where w has NaN."""
-    pp = P[SUPPLY] if math.isnan(w[2]) else w[2]
-    pt = P[SUPPLY + 1] if math.isnan(w[3]) else w[3]
+def supplies(P, w, n):
+    """Return (pp, pt) in Pa for n cylinders: those of w, or the machine's own where w has NaN."""
+    pp = P[SUPPLY] if math.isnan(w[n]) else w[n]
+    pt = P[SUPPLY + 1] if math.isnan(w[n + 1]) else w[n + 1]
     return pp, pt
 
 
 @njit
-def port_flows(P, E, c, spool, pp, pt, pa, pb):
+def flow_disturbances(n):
+    """Return where unknown flows into the chambers begin in w, for n cylinders: behind n moments and two forces."""
+    return 2 * n + 4
+
+
+@njit
+def port_flows(topology, P, E, c, spool, pp, pt, pa, pb):
     """Return (Q_a, Q_b, drawn, returned) of one valve in m^3/s, (15) at its two open edges.
 
     Q_a counts into the piston side, Q_b out of the rod side, as in (34); drawn comes from the pump, returned goes to tank.
     """
     opening = hooks.opening(E, c, spool)
-    cv, laminar = P[VALVE + N_VALVE * c], P[FLUID + LAMINAR]
-    load_a = 1.0 if c == 0 else 0.0  # p1 carries the load of the lift cylinder, p4 that of the tilt cylinder
+    v, laminar = VALVE + N_VALVE * c, P[FLUID + LAMINAR]
+    cv = P[v + COEFFICIENT]
+    load_b = float(topology[1 + topology[0, BODIES] + topology[0, LOOPS] + c, LOADED])
     if opening >= 0.0:
-        drawn = edge_flow(cv, opening, hooks.supply_drop(E, c, pp - pa), laminar)
-        returned = edge_flow(cv, opening, pb - pt, laminar) * hooks.return_gain(E, c, pb, pa, 1.0 - load_a)
+        drawn = edge_flow(cv * P[v + PUMP_A], opening, hooks.supply_drop(E, c, pp - pa), laminar)
+        returned = edge_flow(cv * P[v + B_TANK], opening, pb - pt, laminar) * hooks.return_gain(E, c, pb, pa, load_b)
         return drawn, returned, drawn, returned
-    drawn = edge_flow(cv, -opening, hooks.supply_drop(E, c, pp - pb), laminar)
-    returned = edge_flow(cv, -opening, pa - pt, laminar) * hooks.return_gain(E, c, pa, pb, load_a)
+    drawn = edge_flow(cv * P[v + PUMP_B], -opening, hooks.supply_drop(E, c, pp - pb), laminar)
+    returned = edge_flow(cv * P[v + A_TANK], -opening, pa - pt, laminar) * hooks.return_gain(E, c, pa, pb, 1.0 - load_b)
     return -returned, -drawn, drawn, returned
 
 
 @njit
-def _mismatch(P, E, w, p, of_tank, start, other, trial):
+def _mismatch(topology, P, E, w, p, of_tank, start, other, trial):
     """Return how far a trial pump (or tank) pressure is below what the supply has at the flow that it causes."""
     pp, pt = (other, trial) if of_tank else (trial, other)
-    _, _, drawn_1, returned_1 = port_flows(P, E, 0, w[0], pp, pt, p[0], p[1])
-    _, _, drawn_2, returned_2 = port_flows(P, E, 1, w[1], pp, pt, p[2], p[3])
-    if of_tank:
-        return hooks.tank_pressure(E, start, returned_1 + returned_2) - trial
-    return hooks.supply_pressure(E, start, drawn_1 + drawn_2) - trial
+    drawn, returned = 0.0, 0.0
+    for c in range(p.size // 2):
+        _, _, more, back = port_flows(topology, P, E, c, w[c], pp, pt, p[2 * c], p[2 * c + 1])
+        drawn, returned = drawn + more, returned + back
+    return (hooks.tank_pressure(E, start, returned) if of_tank else hooks.supply_pressure(E, start, drawn)) - trial
 
 
 @njit
-def _solve_supply(P, E, w, p, of_tank, start, other):
+def _solve_supply(topology, P, E, w, p, of_tank, start, other):
     """Return the pressure without mismatch, by the Illinois method; `start` itself where no effect acts on it.
 
     More pump pressure means more flow drawn (more tank pressure less flow returned), so the mismatch falls with the trial
     pressure and its root lies between the first two trials.
     """
-    a, fa = start, _mismatch(P, E, w, p, of_tank, start, other, start)
+    a, fa = start, _mismatch(topology, P, E, w, p, of_tank, start, other, start)
     if fa == 0.0:
         return start
     b = start + fa
-    fb = _mismatch(P, E, w, p, of_tank, start, other, b)
+    fb = _mismatch(topology, P, E, w, p, of_tank, start, other, b)
     for _ in range(200):
         if abs(fb) <= _LOOP_TOLERANCE * abs(start) or fa == fb:
             break
         x = b - fb * (b - a) / (fb - fa)
-        fx = _mismatch(P, E, w, p, of_tank, start, other, x)
+        fx = _mismatch(topology, P, E, w, p, of_tank, start, other, x)
         if (fx > 0.0) != (fb > 0.0):
             a, fa = b, fb
         else:
@@ -115,10 +121,10 @@ def _solve_supply(P, E, w, p, of_tank, start, other):
 
 
 @njit
-def supply_loop(P, E, w, p):
+def supply_loop(topology, P, E, w, p):
     """Return (pp, pt) in Pa that agree with the flows that they cause; the set pressures where no effect acts on them."""
-    pp, pt = supplies(P, w)
-    return _solve_supply(P, E, w, p, False, pp, pt), _solve_supply(P, E, w, p, True, pt, pp)
+    pp, pt = supplies(P, w, p.size // 2)
+    return _solve_supply(topology, P, E, w, p, False, pp, pt), _solve_supply(topology, P, E, w, p, True, pt, pp)
 
 
 @njit
@@ -137,8 +143,8 @@ def vapour_pressure(P):
 
 @njit
 def real_pressures(P, y, p):
-    """Fill p (4,) with the pressures in the chambers: those of the state, y, or vapour pressure where there is a void."""
-    for j in range(4):
+    """Fill p (chambers,) with the pressures in the chambers: those of the state, y, or vapour pressure where there is a void."""
+    for j in range(y.size):
         p[j] = max(y[j], vapour_pressure(P))
 
 
@@ -225,28 +231,36 @@ def settled_pressures(P, E, c, s, amount_a, amount_b, ya, yb):
 
 
 @njit
-def flows_in(P, E, w, p, into):
-    """Fill into (4,) with all flows into the chambers in m^3/s: ports, leakage and disturbances.
+def flows_in(topology, P, E, w, p, into):
+    """Fill into (chambers,) with all flows into the chambers in m^3/s: ports, leakage and disturbances.
 
     Returns:
-        whether an effect ties both cylinders to the supply.
+        whether an effect ties the cylinders to the supply.
     """
-    pp, pt = supplies(P, w)
-    qa1, qb1, drawn_1, returned_1 = port_flows(P, E, 0, w[0], pp, pt, p[0], p[1])
-    qa2, qb2, drawn_2, returned_2 = port_flows(P, E, 1, w[1], pp, pt, p[2], p[3])
-    tied = (
-        hooks.supply_pressure(E, pp, drawn_1 + drawn_2) != pp
-        or hooks.tank_pressure(E, pt, returned_1 + returned_2) != pt
-    )
+    n = p.size // 2
+    pp, pt = supplies(P, w, n)
+    drawn, returned = _ports(topology, P, E, w, p, pp, pt, into)
+    tied = hooks.supply_pressure(E, pp, drawn) != pp or hooks.tank_pressure(E, pt, returned) != pt
     if tied:
-        pp, pt = supply_loop(P, E, w, p)
-        qa1, qb1, _, _ = port_flows(P, E, 0, w[0], pp, pt, p[0], p[1])
-        qa2, qb2, _, _ = port_flows(P, E, 1, w[1], pp, pt, p[2], p[3])
-    leak_1, leak_2 = hooks.leakage(E, 0, p[0], p[1])
-    leak_3, leak_4 = hooks.leakage(E, 1, p[2], p[3])
-    into[0], into[1] = qa1 + leak_1 + w[FLOW], leak_2 - qb1 + w[FLOW + 1]
-    into[2], into[3] = qa2 + leak_3 + w[FLOW + 2], leak_4 - qb2 + w[FLOW + 3]
+        pp, pt = supply_loop(topology, P, E, w, p)
+        _ports(topology, P, E, w, p, pp, pt, into)
+    first = flow_disturbances(n)
+    for c in range(n):
+        leak_a, leak_b = hooks.leakage(E, c, p[2 * c], p[2 * c + 1])
+        into[2 * c] += leak_a + w[first + 2 * c]
+        into[2 * c + 1] += leak_b + w[first + 2 * c + 1]
     return tied
+
+
+@njit
+def _ports(topology, P, E, w, p, pp, pt, into):
+    """Fill into (chambers,) with the flows of the valves; return what they draw from the pump and return to tank, m^3/s."""
+    drawn, returned = 0.0, 0.0
+    for c in range(p.size // 2):
+        qa, qb, more, back = port_flows(topology, P, E, c, w[c], pp, pt, p[2 * c], p[2 * c + 1])
+        into[2 * c], into[2 * c + 1] = qa, -qb
+        drawn, returned = drawn + more, returned + back
+    return drawn, returned
 
 
 @njit
@@ -267,19 +281,19 @@ def _piston_speed(P, E, c, ds, ya, yb, fill_a, fill_b, into_a, into_b):
 
 
 @njit
-def chamber_balances(P, E, w, s1, s2, ds1, ds2, y, balances):
-    """Fill the table (N_BALANCES, 4) of all chambers at a state's pressures y (4,).
+def chamber_balances(topology, P, E, w, lines, y, balances):
+    """Fill the table (N_BALANCES, chambers) of all chambers at a state's pressures y (chambers,).
 
     (34) is dN/dy dy/dt = dN/dt - dN/ds v, with dN/dt = density (flow in) and the piston's speed v.
 
     Returns:
-        (v1, v2, tied): the pistons' speeds, and whether an effect ties both cylinders to the supply.
+        whether an effect ties the cylinders to the supply.
     """
     real_pressures(P, y, balances[REAL])
-    tied = flows_in(P, E, w, balances[REAL], balances[INTO])
-    v1 = _cylinder_balances(P, E, 0, s1, ds1, y, balances)
-    v2 = _cylinder_balances(P, E, 1, s2, ds2, y, balances)
-    return v1, v2, tied
+    tied = flows_in(topology, P, E, w, balances[REAL], balances[INTO])
+    for c in range(lines.shape[0]):
+        _cylinder_balances(P, E, c, lines[c, LENGTH], lines[c, RATE], y, balances)
+    return tied
 
 
 @njit
@@ -293,31 +307,30 @@ def _cylinder_balances(P, E, c, s, ds, y, balances):
     balances[AMOUNT, b], balances[SLOPE, b], volume_b, density_b = fill_b
     balances[GAIN, a], balances[GAIN, b] = density_a * into_a, density_b * into_b
     balances[DRAW, a], balances[DRAW, b] = volume_a * area_a, -volume_b * area_b
-    return v
+    balances[SPEED, a] = balances[SPEED, b] = v
 
 
 @njit
-def pressure_rates(balances, v1, v2, out):
-    """Fill out (4,) with the rates of the state's pressures in Pa/s, (34), from the table of balances and the pistons' speeds."""
-    for j in range(4):
-        out[j] = (balances[GAIN, j] - balances[DRAW, j] * (v1 if j < 2 else v2)) / balances[SLOPE, j]
+def pressure_rates(balances, out):
+    """Fill out (chambers,) with the rates of the state's pressures in Pa/s, (34), from the table of balances."""
+    for j in range(out.size):
+        out[j] = (balances[GAIN, j] - balances[DRAW, j] * balances[SPEED, j]) / balances[SLOPE, j]
 
 
 @njit
-def all_pressure_rates(P, E, w, s1, s2, ds1, ds2, y, out):
-    """Fill out (4,) with the rates of the state's pressures in Pa/s, (34)."""
-    balances = np.empty((N_BALANCES, 4))
-    v1, v2, _ = chamber_balances(P, E, w, s1, s2, ds1, ds2, y, balances)
-    pressure_rates(balances, v1, v2, out)
+def all_pressure_rates(topology, P, E, w, lines, y, out):
+    """Fill out (chambers,) with the rates of the state's pressures in Pa/s, (34)."""
+    balances = np.empty((N_BALANCES, y.size))
+    chamber_balances(topology, P, E, w, lines, y, balances)
+    pressure_rates(balances, out)
 
 
 @njit
-def piston_speeds(P, E, w, s1, s2, ds1, ds2, y):
-    """Return (v1, v2) in m/s: the cylinders' rates, less what springs in series take up."""
-    if hooks.series_compliance(E, 0) == 0.0 and hooks.series_compliance(E, 1) == 0.0:
-        return ds1, ds2
-    v1, v2, _ = chamber_balances(P, E, w, s1, s2, ds1, ds2, y, np.empty((N_BALANCES, 4)))
-    return v1, v2
+def settle(P, E, lines, amounts, guess, y):
+    """Fill y (chambers,) with the state's pressures at which the chambers hold given amounts (m^3); guess (chambers,) in Pa."""
+    for c in range(lines.shape[0]):
+        a, b = 2 * c, 2 * c + 1
+        y[a], y[b] = settled_pressures(P, E, c, lines[c, LENGTH], amounts[a], amounts[b], guess[a], guess[b])
 
 
 @njit
@@ -348,14 +361,22 @@ def extra_force(P, E, c, s, v, ya, yb):
 
 
 @njit
-def extra_forces(P, E, w, s1, s2, ds1, ds2, y):
-    """Return the `extra_force` of both cylinders in N."""
-    v1, v2 = piston_speeds(P, E, w, s1, s2, ds1, ds2, y)
-    return extra_force(P, E, 0, s1, v1, y[0], y[1]), extra_force(P, E, 1, s2, v2, y[2], y[3])
+def extra_forces(topology, P, E, w, lines, y, out):
+    """Fill out (cylinders,) with the `extra_force` of each cylinder in N."""
+    sprung = False
+    for c in range(out.size):
+        sprung = sprung or hooks.series_compliance(E, c) != 0.0
+    balances = np.empty((N_BALANCES if sprung else 0, y.size))
+    if sprung:
+        chamber_balances(topology, P, E, w, lines, y, balances)
+    for c in range(out.size):
+        v = balances[SPEED, 2 * c] if sprung else lines[c, RATE]
+        out[c] = extra_force(P, E, c, lines[c, LENGTH], v, y[2 * c], y[2 * c + 1])
 
 
 @njit
-def cylinder_forces(P, E, w, s1, s2, ds1, ds2, y):
-    """Return the forces (18) of both cylinders in N with all that effects add, pushing the pins apart."""
-    F1, F2 = extra_forces(P, E, w, s1, s2, ds1, ds2, y)
-    return F1 + pressure_force(P, 0, y[0], y[1]), F2 + pressure_force(P, 1, y[2], y[3])
+def cylinder_forces(topology, P, E, w, lines, y, out):
+    """Fill out (cylinders,) with the forces (18) in N with all that effects add, pushing the pins apart."""
+    extra_forces(topology, P, E, w, lines, y, out)
+    for c in range(out.size):
+        out[c] += pressure_force(P, c, y[2 * c], y[2 * c + 1])

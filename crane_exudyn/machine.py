@@ -178,6 +178,11 @@ class Machine:
         return tuple(found.get(c.name, "") for c in self.cylinders)
 
     @cached_property
+    def point_names(self) -> tuple[str, ...]:
+        """Short names of the points in the order of P: E for "joints.E", lift_base for "cylinders.lift.base"."""
+        return tuple(p.partition(".")[2].replace(".", "_") for p in self.points)
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all nominal parameters, in the order of the vector P."""
         return (

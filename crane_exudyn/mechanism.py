@@ -1,16 +1,16 @@
-"""The crane as an Exudyn system: planar rigid bodies in redundant coordinates, joints, hydraulic cylinders, user functions.
+"""The machine as an Exudyn system: planar rigid bodies in redundant coordinates, joints, hydraulic cylinders, user functions.
 
-`build` adds one or more cranes to a main system, also to one of your own: add your own objects to it, assemble and call
-`mbs.SolveDynamic` as with any Exudyn model. Per crane it adds
+`build` adds one or more machines to a main system, also to one of your own: add your own objects to it, assemble and call
+`mbs.SolveDynamic` as with any Exudyn model. Per machine it adds
 
-- four rigid bodies with nodes at their centres of mass (12 coordinates); a payload that is fixed to E is part of the outer
-  boom's inertia; one on a pendulum is a mass point at a constant distance from E;
-- revolute joints at O, B, C, A, D, which close the loop A-B-C-D (10 equations);
+- rigid bodies with nodes at their centres of mass (3 coordinates each), with the machine's outline for Exudyn's own viewer; a payload that
+  is fixed is part of its body's inertia; one on a pendulum is a mass point at a constant distance from its point;
+- revolute and prismatic joints, two equations each, those that close loops among them;
 - weights as mass-proportional loads;
-- two hydraulic actuators on nodes with two pressures each, which give the force of the pressures. Their own valve and
+- hydraulic actuators on nodes with two pressures each, which give the force of the pressures. Their own valve and
   compression equations are switched off, since those know neither laminar flow nor four edges nor effects;
-- one generic ODE1 object for the pressures of all cranes, whose user function is (34) in `hydraulics.py`;
-- one generic ODE2 object for all other forces of all cranes: friction (19), effects at cylinders and joints.
+- one generic ODE1 object for the pressures of all machines, whose user function is (34) in `hydraulics.py`;
+- one generic ODE2 object for all other forces of all machines: friction (19), effects at cylinders and joints.
 
 Coordinates are absolute: the reference coordinates of the nodes are zero.
 """
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -35,42 +36,51 @@ with contextlib.redirect_stdout(io.StringIO()):  # it announces itself, which wo
 from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
+from . import trapezoidal
 from .compiled import njit
 from .crane import Crane
 from .effects import hooks
-from .errors import CraneError
-from .parameters import BODIES, CYLINDER, CYLINDERS, GRAVITY, N_CYLINDER, PAYLOAD
+from .errors import CraneError, nearest
+from .machine import (
+    CARRIER,
+    CUT_PIN,
+    DIRECTION,
+    GROUND,
+    KIND,
+    LAST,
+    LAST_PIN,
+    OWN_PIN,
+    PIN,
+    SLIDES,
+    TIP_BODY,
+    TIP_POINT,
+    Machine,
+)
+from .parameters import CYLINDER, GRAVITY, N_CYLINDER, PAYLOAD
 
 #: bulk modulus in Pa that removes the actuators' own compression flow; it cannot be zero
 _NO_STIFFNESS = 1e-200
-#: joints in the order of reduction.JOINT_*: body (or ground, -1) and point (or origin, -1) on either side
-_JOINTS = (
-    ("O", -1, geo.O, 0, -1),
-    ("B", 0, geo.B, 1, -1),
-    ("C", 1, geo.C, 2, -1),
-    ("A", 0, geo.A, 3, -1),
-    ("D", 2, geo.D_BRACKET, 3, geo.D),
-)
+#: the name of a payload on a pendulum among the bodies, and of its connector among the joints
+SWINGING, PENDULUM = "payload", "pendulum"
 
 
 @dataclass
 class Plant:
-    """Cranes in an Exudyn system, with the item numbers to reach them.
+    """Machines in an Exudyn system, with the item numbers to reach them.
 
     Attributes:
         crane: the description that all of them share.
-        size: how many cranes there are; per crane the lists below have one entry.
-        P, E: (size, .) nominal and effect parameters, one row a crane; see `set_parameters`.
-        inertia: (size, 5, 4) masses, centres and inertias that the bodies have now.
+        size: how many machines there are; per machine the lists below have one entry.
+        P, E: (size, .) nominal and effect parameters, one row a machine; see `set_parameters`.
+        inertia: (size, bodies + 1, 4) masses, centres and inertias that the bodies have now.
         payload_mass: (size,) in kg, the part of `inertia` that may change with time.
-        inputs: (size, 12) rows [U1 U2 pp pt] and the disturbances of hydraulics.DISTURBANCES, which the user functions read;
-            NaN in pp or pt means the crane's own supply.
-        input_function: if given, called with the time in s, returns what the first four columns of `inputs` are to hold.
-        bodies: object numbers by name of parameters.BODIES (and "payload" on a pendulum).
+        inputs: (size, .) rows of `Layout.all_inputs`, which the user functions read; NaN in pp or pt means the machine's own supply.
+        input_function: if given, called with the time in s, returns what the columns of `inputs` without disturbances are to hold.
+        bodies: object numbers by name of the body (and "payload" on a pendulum).
         nodes: node numbers likewise.
         joints: object numbers by joint name.
-        actuators: object numbers of the lift and the tilt cylinder.
-        pressure_nodes: node numbers of the lift's and the tilt's pressures.
+        actuators: object numbers of the cylinders.
+        pressure_nodes: node numbers of the cylinders' pressures.
         markers: (marker number, body or -1 for the ground, point in P or -1 for the body's origin).
         loads: load numbers by name of the body.
     """
@@ -82,33 +92,63 @@ class Plant:
     inertia: np.ndarray
     payload_mass: np.ndarray
     inputs: np.ndarray
+    mbs: Any = None
+    ground: int = 0
     input_function: Callable[[float], np.ndarray] | None = None
     bodies: list[dict[str, int]] = field(default_factory=list)
     nodes: list[dict[str, int]] = field(default_factory=list)
     joints: list[dict[str, int]] = field(default_factory=list)
-    actuators: list[tuple[int, int]] = field(default_factory=list)
-    pressure_nodes: list[tuple[int, int]] = field(default_factory=list)
+    actuators: list[list[int]] = field(default_factory=list)
+    pressure_nodes: list[list[int]] = field(default_factory=list)
     markers: list[list[tuple[int, int, int]]] = field(default_factory=list)
     loads: list[dict[str, int]] = field(default_factory=list)
 
     @property
+    def topology(self) -> np.ndarray:
+        """The machine's table of integers, see `machine.py`."""
+        return self.crane.machine.topology
+
+    @property
+    def swings(self) -> bool:
+        """Whether the payload hangs on a pendulum."""
+        return bool(self.inertia[0, -1, red.MASS] > 0.0)
+
+    @property
     def coordinates(self) -> int:
-        """Number of redundant coordinates per crane: 12, or 14 with a payload on a pendulum."""
-        return 14 if self.inertia[0, 4, red.MASS] > 0.0 else 12
+        """Number of redundant coordinates per machine: three a body, two more with a payload on a pendulum."""
+        return 3 * len(self.crane.machine.bodies) + 2 * self.swings
+
+    @property
+    def velocities(self) -> int:
+        """Number of independent velocities per machine."""
+        return len(self.crane.layout.coordinates) + self.swings
 
     @property
     def joint_rows(self) -> int:
-        """Number of joint equations per crane."""
-        return 10 if self.coordinates == 12 else 11
+        """Number of joint equations per machine."""
+        return int(red.joint_equations(self.topology, self.swings))
 
     def inputs_at(self, time: float) -> np.ndarray:
-        """Return the inputs (size, 12) at a time in s."""
+        """Return the inputs (size, .) at a time in s."""
         if self.input_function is not None:
-            self.inputs[:, :4] = self.input_function(time)
+            self.inputs[:, self.crane.layout.driving] = self.input_function(time)
         return self.inputs
 
+    def marker(self, point: str, number: int = 0) -> int:
+        """Return the number of a new marker at a named point, such as "E", of one of the machines; before `mbs.Assemble()`.
+
+        Raises:
+            CraneError: the machine has no such point.
+        """
+        machine = self.crane.machine
+        if point not in machine.point_names:
+            raise CraneError(f"{self.crane.name} has no point {point!r}.{nearest(point, list(machine.point_names))}")
+        name = list(machine.points)[machine.point_names.index(point)]
+        body = _number_of(machine, machine.points[name])
+        return _point(self.mbs, self, number, body, machine.index[f"{name}.x"], rigid=True)
+
     def set_parameters(self, mbs: Any, P: np.ndarray, E: np.ndarray, time: float) -> bool:
-        """Give every crane parameters of its own, P (size, .) and E (size, .), and the payload that it has at a time (s).
+        """Give every machine parameters of its own, P (size, .) and E (size, .), and the payload that it has at a time (s).
 
         Only Exudyn items whose numbers change are touched.
 
@@ -117,24 +157,32 @@ class Plant:
         """
         before = self._item_values()
         self.P[...], self.E[...] = P, E
-        red.all_inertias(self.P, self.E, time, self.inertia)
+        red.all_inertias(self.topology, self.P, self.E, time, self.inertia)
         _payload_masses(self.P, self.E, time, self.payload_mass)
         now = self._item_values()
         changed = now != before
         for k in np.flatnonzero(changed.any(axis=1)):
             _update_items(mbs, self, int(k), now[k], changed[k])
-        return bool(changed[:, _MASSES].any())
+        return bool(changed[:, : 2 * len(self.crane.machine.bodies) + 1].any())
 
     def _item_values(self) -> np.ndarray:
         """Return all numbers (size, .) that Exudyn's items hold, in the order of `_fill_item_values`."""
         places = np.array([(body, point) for _, body, point in self.markers[0]])
-        out = np.empty((self.size, _PLACES + 2 * len(places)))
-        _fill_item_values(self.P, self.E, self.inertia, places, out)
+        joints = np.array([self.crane.machine.index[n] for n in _directions(self.crane)], dtype=np.int64)
+        machine = self.crane.machine
+        width = 2 * len(machine.bodies) + 4 + 2 * len(machine.cylinders) + joints.size + 2 * len(places)
+        out = np.empty((self.size, width))
+        _fill_item_values(self.P, self.E, self.inertia, len(machine.cylinders), joints, places, out)
         return out
 
 
-# columns of the table of numbers that Exudyn's items hold
-_MASSES, _GRAVITY, _LENGTH, _AREAS, _PLACES = slice(0, 9), slice(9, 11), 11, slice(12, 16), 16
+def _directions(crane: Crane) -> list[str]:
+    """Return the parameters that give the directions of the prismatic joints."""
+    return [name for name in crane.machine.names if name.endswith(".direction")]
+
+
+def _number_of(machine: Machine, body: str) -> int:
+    return -1 if body == GROUND else machine.bodies.index(body)
 
 
 @njit
@@ -144,45 +192,70 @@ def _payload_masses(P, E, time, out):
 
 
 @njit
-def _fill_item_values(P, E, inertia, places, out):
-    """Fill out (n, .): mass and inertia of four bodies, mass, gravity, length of the pendulum, four areas, markers' places.
+def _fill_item_values(P, E, inertia, n_cylinders, directions, places, out):
+    """Fill out (n, .): mass and inertia of the bodies, mass, gravity, length of the pendulum, areas, directions, markers' places.
 
     places (m, 2): body (-1: ground) and point in P (-1: origin) of every marker.
     """
+    bodies = inertia.shape[1] - 1
     for k in range(out.shape[0]):
-        for b in range(4):
+        for b in range(bodies):
             out[k, 2 * b], out[k, 2 * b + 1] = inertia[k, b, red.MASS], inertia[k, b, red.INERTIA]
-        out[k, 8] = inertia[k, 4, red.MASS]
-        out[k, 9], out[k, 10] = hooks.gravity(E[k], 0.0, -P[k, GRAVITY])
-        out[k, 11], _ = hooks.pendulum(E[k])
-        out[k, 12], out[k, 13] = hyd.areas(P[k], 0)
-        out[k, 14], out[k, 15] = hyd.areas(P[k], 1)
+        j = 2 * bodies
+        out[k, j] = inertia[k, bodies, red.MASS]
+        out[k, j + 1], out[k, j + 2] = hooks.gravity(E[k], 0.0, -P[k, GRAVITY])
+        out[k, j + 3], _ = hooks.pendulum(E[k])
+        j += 4
+        for c in range(n_cylinders):
+            out[k, j], out[k, j + 1] = hyd.areas(P[k], c)
+            j += 2
+        for place in directions:
+            out[k, j] = P[k, place]
+            j += 1
         for m in range(places.shape[0]):
             body, point = places[m]
             for axis in range(2):
                 local = 0.0 if point < 0 else P[k, point + axis]
-                out[k, 16 + 2 * m + axis] = local if body < 0 else local - inertia[k, body, red.COM_X + axis]
+                out[k, j] = local if body < 0 else local - inertia[k, body, red.COM_X + axis]
+                j += 1
 
 
 def _update_items(mbs: Any, plant: Plant, k: int, now: np.ndarray, changed: np.ndarray) -> None:
-    """Bring the Exudyn items of crane k up to date: `now` is its row of numbers, `changed` says which differ."""
-    for b, name in enumerate(BODIES):
+    """Bring the Exudyn items of machine k up to date: `now` is its row of numbers, `changed` says which differ."""
+    machine = plant.crane.machine
+    for b, name in enumerate(machine.bodies):
         if changed[2 * b : 2 * b + 2].any():
             mbs.SetObjectParameter(plant.bodies[k][name], "mass", now[2 * b])
             mbs.SetObjectParameter(plant.bodies[k][name], "inertia", now[2 * b + 1])
-    for m in np.unique(np.flatnonzero(changed[_PLACES:]) // 2):
-        place = now[_PLACES + 2 * m : _PLACES + 2 * m + 2]
-        mbs.SetMarkerParameter(plant.markers[k][m][0], "localPosition", [place[0], place[1], 0.0])
-    if changed[_GRAVITY].any() or changed[8]:
+    j = 2 * len(machine.bodies)
+    if changed[j : j + 3].any():
         for name, load in plant.loads[k].items():
             mbs.SetLoadParameter(load, "loadVector", _load_vector(plant, k, name))
-    if changed[_AREAS].any():
-        for c, actuator in enumerate(plant.actuators[k]):
-            mbs.SetObjectParameter(actuator, "chamberCrossSection0", now[12 + 2 * c])
-            mbs.SetObjectParameter(actuator, "chamberCrossSection1", now[13 + 2 * c])
-    if "pendulum" in plant.joints[k] and (changed[8] or changed[_LENGTH]):
-        mbs.SetObjectParameter(plant.bodies[k]["payload"], "mass", now[8])
-        mbs.SetObjectParameter(plant.joints[k]["pendulum"], "distance", now[_LENGTH])
+    if PENDULUM in plant.joints[k] and (changed[j] or changed[j + 3]):
+        mbs.SetObjectParameter(plant.bodies[k][SWINGING], "mass", now[j])
+        mbs.SetObjectParameter(plant.joints[k][PENDULUM], "distance", now[j + 3])
+    j += 4
+    for actuator in plant.actuators[k]:
+        if changed[j : j + 2].any():
+            mbs.SetObjectParameter(actuator, "chamberCrossSection0", now[j])
+            mbs.SetObjectParameter(actuator, "chamberCrossSection1", now[j + 1])
+        j += 2
+    for name in _directions(plant.crane):
+        if changed[j]:
+            axis, normal = _axes(now[j])
+            number = plant.joints[k][name.split(".")[1]]
+            mbs.SetObjectParameter(number, "axisMarker0", axis)
+            mbs.SetObjectParameter(number, "normalMarker1", normal)
+        j += 1
+    for m in np.unique(np.flatnonzero(changed[j:]) // 2):
+        place = now[j + 2 * m : j + 2 * m + 2]
+        mbs.SetMarkerParameter(plant.markers[k][m][0], "localPosition", [place[0], place[1], 0.0])
+
+
+def _axes(direction: float) -> tuple[list[float], list[float]]:
+    """Return the axis along which a prismatic joint slides, and its normal."""
+    c, s = math.cos(direction), math.sin(direction)
+    return [c, s, 0.0], [-s, c, 0.0]
 
 
 def _local_place(plant: Plant, k: int, body: int, point: int) -> np.ndarray:
@@ -194,7 +267,7 @@ def _local_place(plant: Plant, k: int, body: int, point: int) -> np.ndarray:
 def _load_vector(plant: Plant, k: int, name: str) -> list[float]:
     """Return a body's load: gravity for mass-proportional loads, the weight for the payload on its pendulum."""
     gx, gy = hooks.gravity(plant.E[k], 0.0, -plant.P[k, GRAVITY])
-    factor = plant.inertia[k, 4, red.MASS] if name == "payload" else 1.0
+    factor = plant.inertia[k, -1, red.MASS] if name == SWINGING else 1.0
     return [factor * gx, factor * gy, 0.0]
 
 
@@ -211,13 +284,13 @@ def build(
     inputs: np.ndarray | Callable[[float], np.ndarray] | None = None,
     time: float = 0.0,
 ) -> Plant:
-    """Add cranes to an Exudyn main system (before `mbs.Assemble()`) and return where they are.
+    """Add machines to an Exudyn main system (before `mbs.Assemble()`) and return where they are.
 
     Args:
         mbs: exudyn.MainSystem.
         crane: what to build.
-        states: (nx,) or (n, nx) initial states, one crane each; default: the crane's start angles at 20 bar everywhere.
-        inputs: w = [U1 U2 pp pt], (4,) or (n, 4), or a function of time that returns one; default: valves closed.
+        states: (nx,) or (n, nx) initial states, one machine each; default: the crane's start at 20 bar everywhere.
+        inputs: w = `Layout.inputs`, one row or n, or a function of time that returns one; default: valves closed.
         time: the payload has the mass of this time.
 
     Raises:
@@ -225,49 +298,52 @@ def build(
     """
     rows = np.atleast_2d(start_pose(crane) if states is None else np.asarray(states, dtype=float))
     plant = _plant(crane, len(rows), inputs, time)
-    ground = mbs.AddObject(items.ObjectGround())
-    for row in rows:
-        _add_crane(mbs, plant, ground, row)
+    plant.mbs, plant.ground = mbs, int(mbs.AddObject(items.ObjectGround()))
+    for k, row in enumerate(rows):
+        _add_machine(mbs, plant, k, row)
     _add_user_functions(mbs, plant)
     return plant
 
 
 def start_pose(crane: Crane) -> np.ndarray:
-    swing = [0.0, 0.0] if hooks.pendulum(crane.effect_vector())[0] > 0.0 else []
-    return np.array([crane.initial.z1, crane.initial.z4, 0.0, 0.0, *[20e5] * 4, *swing])
+    """Return a state (nx,) in the crane's pose at the start, all chambers at 20 bar."""
+    lay = crane.layout
+    swing = len(lay.added) if hooks.pendulum(crane.effect_vector())[0] > 0.0 else 0
+    return np.array([*crane.initial.pose, *[0.0] * len(lay.rates), *[20e5] * len(lay.chambers), *[0.0] * swing])
 
 
 def _plant(crane: Crane, size: int, inputs: Any, time: float) -> Plant:
     P, E = np.tile(crane.parameter_vector(), (size, 1)), np.tile(crane.effect_vector(), (size, 1))
-    inertia, mass = np.zeros((size, 5, 4)), payload_at(crane, time)
+    inertia, mass = np.zeros((size, len(crane.machine.bodies) + 1, 4)), payload_at(crane, time)
     if mass < 0.0 or (mass == 0.0 and hooks.pendulum(E[0])[0] > 0.0):
         raise CraneError(
             f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and one that "
             "swings cannot be zero: mend payload.mass or the effect payload_change, or remove payload_swing."
         )
-    red.all_inertias(P, E, time, inertia)
-    held = np.zeros((size, hyd.N_W))
-    held[:, 2:4] = np.nan
+    red.all_inertias(crane.machine.topology, P, E, time, inertia)
+    lay = crane.layout
+    held = np.zeros((size, len(lay.all_inputs)))
+    held[:, lay.supplies] = np.nan
     function = inputs if callable(inputs) else None
     if function is not None:
-        held[:, :4] = function(time)
+        held[:, lay.driving] = function(time)
     elif inputs is not None:
-        held[:, :4] = inputs
-    return Plant(crane, size, P, E, inertia, np.full(size, mass), held, function)
+        held[:, lay.driving] = inputs
+    return Plant(crane, size, P, E, inertia, np.full(size, mass), held, input_function=function)
 
 
-def _add_crane(mbs: Any, plant: Plant, ground: int, state: np.ndarray) -> None:
+def _add_machine(mbs: Any, plant: Plant, k: int, state: np.ndarray) -> None:
     q, v = redundant(plant, state)
     plant.nodes.append({})
     plant.bodies.append({})
     plant.markers.append([])
-    for b, name in enumerate(BODIES):
+    for b, name in enumerate(plant.crane.machine.bodies):
         _add_body(mbs, plant, b, name, q[3 * b : 3 * b + 3], v[3 * b : 3 * b + 3])
-    if plant.coordinates == 14:
+    if plant.swings:
         _add_swinging_payload(mbs, plant, q, v)
     _add_weights(mbs, plant)
-    _add_joints(mbs, plant, ground)
-    _add_cylinders(mbs, plant, ground, state)
+    _add_joints(mbs, plant, k)
+    _add_cylinders(mbs, plant, k, state)
 
 
 def _add_body(mbs: Any, plant: Plant, b: int, name: str, q: np.ndarray, v: np.ndarray) -> None:
@@ -279,31 +355,33 @@ def _add_body(mbs: Any, plant: Plant, b: int, name: str, q: np.ndarray, v: np.nd
     plant.nodes[-1][name], plant.bodies[-1][name] = int(node), int(body)
 
 
-def _point(mbs: Any, plant: Plant, body: int, ground: int, point: int) -> int:
-    """Add a marker at a point of P on a body of the last crane (-1: ground); -1 is the origin of the body's frame."""
-    place = _local_place(plant, len(plant.bodies) - 1, body, point)
-    number = ground if body < 0 else plant.bodies[-1][BODIES[body]]
-    marker = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=number, localPosition=[place[0], place[1], 0.0]))
-    plant.markers[-1].append((int(marker), body, point))
+def _point(mbs: Any, plant: Plant, k: int, body: int, point: int, *, rigid: bool = False) -> int:
+    """Add a marker at a point of P on a body of machine k (-1: ground); -1 is the origin of the body's frame.
+
+    Only a rigid one knows the body's angle; the others cost less.
+    """
+    place = _local_place(plant, k, body, point)
+    number = plant.ground if body < 0 else plant.bodies[k][plant.crane.machine.bodies[body]]
+    kind = items.MarkerBodyRigid if rigid else items.MarkerBodyPosition
+    marker = mbs.AddMarker(kind(bodyNumber=number, localPosition=[place[0], place[1], 0.0]))
+    plant.markers[k].append((int(marker), body, point))
     return int(marker)
 
 
 def _add_swinging_payload(mbs: Any, plant: Plant, q: np.ndarray, v: np.ndarray) -> None:
     node = mbs.AddNode(
-        items.NodePoint2D(
-            referenceCoordinates=[0, 0], initialCoordinates=list(q[12:14]), initialVelocities=list(v[12:14])
-        )
+        items.NodePoint2D(referenceCoordinates=[0, 0], initialCoordinates=list(q[-2:]), initialVelocities=list(v[-2:]))
     )
-    mass = plant.inertia[len(plant.bodies) - 1, 4, red.MASS]
+    mass = plant.inertia[len(plant.bodies) - 1, -1, red.MASS]
     body = mbs.AddObject(items.ObjectMassPoint2D(mass=mass, nodeNumber=node))
-    plant.nodes[-1]["payload"], plant.bodies[-1]["payload"] = int(node), int(body)
+    plant.nodes[-1][SWINGING], plant.bodies[-1][SWINGING] = int(node), int(body)
 
 
 def _add_weights(mbs: Any, plant: Plant) -> None:
     loads = {}
     for name, body in plant.bodies[-1].items():
         vector = _load_vector(plant, len(plant.bodies) - 1, name)
-        if name == "payload":
+        if name == SWINGING:
             marker = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=body))
             loads[name] = int(mbs.AddLoad(items.Force(markerNumber=marker, loadVector=vector)))
         else:
@@ -312,46 +390,60 @@ def _add_weights(mbs: Any, plant: Plant) -> None:
     plant.loads.append(loads)
 
 
-def _add_joints(mbs: Any, plant: Plant, ground: int) -> None:
-    joints = {}
-    for name, body0, point0, body1, point1 in _JOINTS:
-        markers = [_point(mbs, plant, body0, ground, point0), _point(mbs, plant, body1, ground, point1)]
-        joints[name] = int(mbs.AddObject(items.ObjectJointRevolute2D(markerNumbers=markers)))
-    if plant.coordinates == 14:
+def _add_joints(mbs: Any, plant: Plant, k: int) -> None:
+    """Add the joints in the order of the joint equations: one a body, one a loop, the pendulum's rod."""
+    machine, joints = plant.crane.machine, {}
+    for b, joint in enumerate(machine.joints):
+        row = plant.topology[1 + b]
+        if joint.closes:
+            second = machine.bodies.index(joint.carrier)
+            ends = ((second, row[CUT_PIN]), (row[LAST], row[LAST_PIN]))
+        else:
+            ends = ((row[CARRIER], row[PIN]), (b, row[OWN_PIN]))
+        slides = not joint.closes and row[KIND] == SLIDES
+        markers = [_point(mbs, plant, k, int(body), int(point), rigid=slides) for body, point in ends]
+        if slides:
+            axis, normal = _axes(plant.P[k, row[DIRECTION]])
+            item = items.ObjectJointPrismatic2D(markerNumbers=markers, axisMarker0=axis, normalMarker1=normal)
+        else:
+            item = items.ObjectJointRevolute2D(markerNumbers=markers)
+        joints[joint.name] = int(mbs.AddObject(item))
+    if plant.swings:
         markers = [
-            _point(mbs, plant, 3, ground, geo.E),
-            mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=plant.bodies[-1]["payload"])),
+            _point(mbs, plant, k, int(plant.topology[0, TIP_BODY]), int(plant.topology[0, TIP_POINT])),
+            mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=plant.bodies[k][SWINGING])),
         ]
-        length = hooks.pendulum(plant.E[len(plant.bodies) - 1])[0]
-        joints["pendulum"] = int(mbs.AddObject(items.ObjectConnectorDistance(markerNumbers=markers, distance=length)))
+        length = hooks.pendulum(plant.E[k])[0]
+        joints[PENDULUM] = int(mbs.AddObject(items.ObjectConnectorDistance(markerNumbers=markers, distance=length)))
     plant.joints.append(joints)
 
 
-def _add_cylinders(mbs: Any, plant: Plant, ground: int, state: np.ndarray) -> None:
-    ends = (((-1, geo.F), (0, geo.G)), ((0, geo.H), (1, geo.C)))
-    actuators, nodes, P = [], [], plant.P[len(plant.bodies) - 1]
-    for c in range(len(CYLINDERS)):
+def _add_cylinders(mbs: Any, plant: Plant, k: int, state: np.ndarray) -> None:
+    machine, lay = plant.crane.machine, plant.crane.layout
+    actuators, nodes, P = [], [], plant.P[k]
+    for c, cylinder in enumerate(machine.cylinders):
         node = mbs.AddNode(
             items.NodeGenericODE1(
                 referenceCoordinates=[0, 0],
-                initialCoordinates=list(state[4 + 2 * c : 6 + 2 * c]),
+                initialCoordinates=list(state[lay.pressures_of(c)]),
                 numberOfODE1Coordinates=2,
             )
         )
-        k = CYLINDER + N_CYLINDER * c
+        block = CYLINDER + N_CYLINDER * c
         area_a, area_b = hyd.areas(P, c)
+        ends = [(_number_of(machine, b), machine.index[f"{p}.x"]) for b, p in zip(cylinder.bodies, cylinder.points, strict=True)]
         actuators.append(
             int(
                 mbs.AddObject(
                     items.HydraulicActuatorSimple(
-                        markerNumbers=[_point(mbs, plant, body, ground, point) for body, point in ends[c]],
+                        markerNumbers=[_point(mbs, plant, k, body, point) for body, point in ends],
                         nodeNumbers=[node],
-                        offsetLength=P[k + hyd.EMPTY],
-                        strokeLength=P[k + hyd.RANGE],
+                        offsetLength=P[block + hyd.EMPTY],
+                        strokeLength=P[block + hyd.RANGE],
                         chamberCrossSection0=area_a,
                         chamberCrossSection1=area_b,
-                        hoseVolume0=P[k + hyd.HOSE_A],
-                        hoseVolume1=P[k + hyd.HOSE_B],
+                        hoseVolume0=P[block + hyd.HOSE_A],
+                        hoseVolume1=P[block + hyd.HOSE_B],
                         oilBulkModulus=_NO_STIFFNESS,
                         cylinderBulkModulus=_NO_STIFFNESS,
                         hoseBulkModulus=_NO_STIFFNESS,
@@ -362,8 +454,8 @@ def _add_cylinders(mbs: Any, plant: Plant, ground: int, state: np.ndarray) -> No
             )
         )
         nodes.append(int(node))
-    plant.actuators.append((actuators[0], actuators[1]))
-    plant.pressure_nodes.append((nodes[0], nodes[1]))
+    plant.actuators.append(actuators)
+    plant.pressure_nodes.append(nodes)
 
 
 def _add_user_functions(mbs: Any, plant: Plant) -> None:
@@ -375,9 +467,9 @@ def _add_user_functions(mbs: Any, plant: Plant) -> None:
 
 
 def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> tuple[Callable, Callable]:
-    """Return (forceUserFunction, rhsUserFunction) for the generic objects that hold all cranes of a plant."""
-    n, width = plant.size, plant.coordinates
-    force, rate = np.zeros((n, width)), np.zeros((n, 4))
+    """Return (forceUserFunction, rhsUserFunction) for the generic objects that hold all machines of a plant."""
+    n, width, chambers, topology = plant.size, plant.coordinates, len(plant.crane.layout.chambers), plant.topology
+    force, rate = np.zeros((n, width)), np.zeros((n, chambers))
     P, E, inertia, mass = plant.P, plant.E, plant.inertia, plant.payload_mass  # changed in place by set_parameters
 
     starts: list[int] = []
@@ -388,8 +480,8 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
 
     def force_function(mbs: Any, t: float, number: int, q: Any, v: Any) -> np.ndarray:
         start = (starts or first_coordinates(mbs))[1]
-        p = np.asarray(mbs.systemData.GetODE1Coordinates())[start : start + 4 * n]
-        if not _all_forces(P, E, t, mass, plant.inputs_at(t), inertia, np.asarray(q), np.asarray(v), p, force):
+        p = np.asarray(mbs.systemData.GetODE1Coordinates())[start : start + chambers * n]
+        if not _all_forces(topology, P, E, t, mass, plant.inputs_at(t), inertia, np.asarray(q), np.asarray(v), p, force):
             raise CraneError(
                 f"{plant.crane.name}: the payload's mass changes at t = {t:g} s, but an Exudyn system has fixed masses. "
                 "Use ExudynEngine.simulate, which changes them, or remove the effect payload_change."
@@ -400,38 +492,38 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
         start, data = (starts or first_coordinates(mbs))[0], mbs.systemData
         q = np.asarray(data.GetODE2Coordinates())[start : start + width * n]
         v = np.asarray(data.GetODE2Coordinates_t())[start : start + width * n]
-        _all_rates(P, E, plant.inputs_at(t), inertia, q, v, np.asarray(p), rate)
+        _all_rates(topology, P, E, plant.inputs_at(t), inertia, q, v, np.asarray(p), rate)
         return rate.ravel()
 
     return force_function, rate_function
 
 
 @njit
-def _all_forces(P, E, t, mass, w, inertia, q, v, p, out):
-    """Fill out (n, 12 or 14) with the extra forces of all cranes; return False if a payload's mass is another one now."""
+def _all_forces(topology, P, E, t, mass, w, inertia, q, v, p, out):
+    """Fill out (n, nq) with the extra forces of all machines; return False if a payload's mass is another one now."""
     n, width = out.shape
-    arms = np.empty((red.N_ARMS, 2))
-    same = True
+    chambers = p.size // n
+    arms, lines, same = red.new_arms(topology), np.empty((chambers // 2, geo.N_LINE)), True
     for k in range(n):
-        i, j = width * k, 4 * k
-        qk, vk, pk = q[i : i + width], v[i : i + width], p[j : j + 4]
-        red.extra_forces(P[k], E[k], t, w[k], inertia[k], qk, vk, pk, arms, out[k])
+        i, j = width * k, chambers * k
+        qk, vk, pk = q[i : i + width], v[i : i + width], p[j : j + chambers]
+        red.extra_forces(topology, P[k], E[k], t, w[k], inertia[k], qk, vk, pk, arms, lines, out[k])
         same = same and hooks.payload_mass(E[k], t, P[k, PAYLOAD]) == mass[k]
     return same
 
 
 @njit
-def _all_rates(P, E, w, inertia, q, v, p, out):
-    """Fill out (n, 4) with the pressure rates of all cranes."""
-    n = out.shape[0]
+def _all_rates(topology, P, E, w, inertia, q, v, p, out):
+    """Fill out (n, chambers) with the pressure rates of all machines."""
+    n, chambers = out.shape
     width = q.size // n
-    arms = np.empty((red.N_ARMS, 2))
+    arms, lines = red.new_arms(topology), np.empty((chambers // 2, geo.N_LINE))
     for k in range(n):
-        i, j = width * k, 4 * k
-        qk, vk, pk = q[i : i + width], v[i : i + width], p[j : j + 4]
-        red.arms_of(P[k], inertia[k], qk, arms)
-        s1, s2, ds1, ds2, _, _, _, _ = red.cylinder_kinematics(P[k], arms, qk, vk)
-        hyd.all_pressure_rates(P[k], E[k], w[k], s1, s2, ds1, ds2, pk, out[k])
+        i, j = width * k, chambers * k
+        qk, vk = q[i : i + width], v[i : i + width]
+        red.arms_of(topology, P[k], inertia[k], qk, arms)
+        geo.fill_lines(topology, arms, qk, vk, lines)
+        hyd.all_pressure_rates(topology, P[k], E[k], w[k], lines, p[j : j + chambers], out[k])
 
 
 def redundant(plant: Plant, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -440,12 +532,34 @@ def redundant(plant: Plant, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         CraneError: the pose cannot be reached.
     """
-    width = plant.coordinates
+    width, x = plant.coordinates, np.asarray(state, dtype=float)
     q, v = np.zeros(width), np.zeros(width)
-    arms, N = np.empty((red.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-    if not red.place(plant.P[0], plant.E[0], plant.inertia[0], np.asarray(state, dtype=float), arms, N, q, v):
-        raise geo.unreachable(plant.crane.name, state[0], state[1])
+    arms, N = red.new_arms(plant.topology), np.zeros((plant.velocities, width))
+    if not red.place(plant.topology, plant.P[0], plant.E[0], plant.inertia[0], x, arms, N, q, v):
+        raise geo.unreachable(plant.crane, x)
     return q, v
+
+
+def consistent(plant: Plant, state: np.ndarray, w: np.ndarray, time: float) -> tuple[np.ndarray, ...]:
+    """Return (q, v, a, p, dp) of one state of the first machine: joints closed, accelerations and pressure rates consistent.
+
+    Args:
+        w: inputs, with or without disturbances behind;  time: in s.
+
+    Raises:
+        CraneError: the pose cannot be reached.
+    """
+    width, topology, wide = plant.coordinates, plant.topology, np.zeros(plant.inputs.shape[1])
+    wide[: w.size] = w
+    q, v, a = np.zeros(width), np.zeros(width), np.zeros(width)
+    chambers, nu = len(plant.crane.layout.chambers), plant.velocities
+    p, dp, held = np.zeros(chambers), np.zeros(chambers), np.zeros((hyd.N_BALANCES, chambers))
+    arms, lines, N = red.new_arms(topology), trapezoidal.new_lines(topology), np.zeros((nu, width))
+    x, numbers = np.asarray(state, dtype=float), (plant.P[0], plant.E[0], time, plant.inertia[0])
+    ends = (q, v, a, p, dp, held, np.zeros(nu))
+    if trapezoidal.start(topology, *numbers, x, wide, arms, lines, N, *ends) != trapezoidal.ITERATING:
+        raise geo.unreachable(plant.crane, x)
+    return q, v, a, p, dp
 
 
 def main_system() -> tuple[Any, Any]:
@@ -461,15 +575,15 @@ def set_initial_rates(mbs: Any, plant: Plant, time: float = 0.0) -> None:
     trapezoidal rule where a valve is open or a cylinder moves at the start.
     """
     data, initial = mbs.systemData, exu.ConfigurationType.Initial
-    n, width = plant.size, plant.coordinates
+    n, width, chambers = plant.size, plant.coordinates, len(plant.crane.layout.chambers)
     first = mbs.GetNodeODE2Index(next(iter(plant.nodes[0].values())))
     start = mbs.GetNodeODE1Index(plant.pressure_nodes[0][0])
     q = np.array(data.GetODE2Coordinates(initial))[first : first + n * width]
     v = np.array(data.GetODE2Coordinates_t(initial))[first : first + n * width]
-    p = np.array(data.GetODE1Coordinates(initial))[start : start + 4 * n]
-    rates, all_rates = np.zeros((n, 4)), np.array(data.GetODE1Coordinates_t(initial))
-    _all_rates(plant.P, plant.E, plant.inputs_at(time), plant.inertia, q, v, p, rates)
-    all_rates[start : start + 4 * n] = rates.ravel()
+    p = np.array(data.GetODE1Coordinates(initial))[start : start + chambers * n]
+    rates, all_rates = np.zeros((n, chambers)), np.array(data.GetODE1Coordinates_t(initial))
+    _all_rates(plant.topology, plant.P, plant.E, plant.inputs_at(time), plant.inertia, q, v, p, rates)
+    all_rates[start : start + chambers * n] = rates.ravel()
     data.SetODE1Coordinates_t(all_rates, initial)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import geometry, mechanism, reduction, trapezoidal
+from . import mechanism, reduction
 from .crane import Crane
 from .errors import CraneError
 
@@ -47,22 +47,15 @@ class SolveDynamicEngine:
             raise CraneError(f"{self.crane.name}: Exudyn's solver fails at t = {time:g} s, state {x}.")
         q, v = (np.array(f()) for f in (data.GetODE2Coordinates, data.GetODE2Coordinates_t))
         out = np.empty(x.size)
-        trapezoidal.read_motion(plant.P[0], plant.inertia[0], x, q, v, np.zeros((reduction.N_ARMS, 2)), out)
+        arms = reduction.new_arms(plant.topology)
+        reduction.arms_of(plant.topology, plant.P[0], plant.inertia[0], q, arms)
+        reduction.read_motion(plant.topology, arms, x, q, v, out)
         out[self.crane.layout.pressures] = data.GetODE1Coordinates()
         return out
 
     def _set_start(self, x: np.ndarray, w: np.ndarray, time: float) -> None:
         """Write one state, with consistent accelerations and pressure rates, as Exudyn's initial configuration."""
-        plant, width = self.plant, self.plant.coordinates
-        q, v, a, p, dp = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(4), np.zeros(4)
-        arms, N = np.zeros((reduction.N_ARMS, 2)), np.zeros((width // 2 - 4, width))
-        held, udd = np.zeros((trapezoidal.N_BALANCES, 4)), np.zeros(width // 2 - 4)
-        wide = np.concatenate([w, np.zeros(len(self.crane.layout.disturbances))])
-        flag = trapezoidal.start(
-            plant.P[0], plant.E[0], time, plant.inertia[0], x, wide, arms, N, q, v, a, p, dp, held, udd
-        )
-        if flag != trapezoidal.ITERATING:
-            raise geometry.unreachable(self.crane.name, x[0], x[1])
+        q, v, a, p, dp = mechanism.consistent(self.plant, x, w, time)
         data, initial = self.mbs.systemData, mechanism.exu.ConfigurationType.Initial
         data.SetODE2Coordinates(q, initial)
         data.SetODE2Coordinates_t(v, initial)

@@ -1,11 +1,11 @@
 """From redundant to independent coordinates and back: the null space of the joint equations, and the balance reduced by it.
 
-Redundant coordinates q of one crane are x, y of the centre of mass and the angle of lift boom, bracket 1, bracket 2 and outer
-boom (with the payload that is fixed to it): 12 numbers; a payload on a pendulum adds x, y of its point mass. Independent
-velocities are u = [dz1 dz4] or [dz1 dz4 dtheta], theta the pendulum's angle against straight down.
+Redundant coordinates q of one machine are x, y of the centre of mass and the angle of each body (the payload that is fixed to a body
+belongs to it); a payload on a pendulum adds x, y of its point mass. Independent velocities are u = dz, or [dz dtheta] with theta the
+pendulum's angle against straight down.
 
-The joints are a tree O-A plus the loop B-C-D, so `chain` solves G x = g for the redundant x by recursion, where G is the
-Jacobian of Exudyn's joint equations: with unit independent velocities it gives a column of the null space N, with g = -residual
+The joints are a tree plus loops, so `geometry.chain` solves G x = g for the redundant x by recursion and one small solve a loop, where G
+is the Jacobian of Exudyn's joint equations: with unit independent velocities it gives a column of the null space N, with g = -residual
 the correction of violated joints, with the squares of the rates the centripetal part of the accelerations.
 """
 
@@ -19,157 +19,148 @@ from . import geometry as geo
 from . import hydraulics as hyd
 from .compiled import njit
 from .effects import hooks
-from .parameters import BODY, GRAVITY, N_BODY, PAYLOAD
-
-# rows of the array of arms: vectors from a body's centre of mass to its points, in the fixed frame
-O1, A1, B1, G1, H1, B2, C2, C3, D3, A4, D4, E4, ROD, N_ARMS = range(14)
-#: joint equations in the order in which mechanism.py adds them, two rows each; ROD is the pendulum's distance equation
-JOINT_O, JOINT_B, JOINT_C, JOINT_A, JOINT_D = 0, 2, 4, 6, 8
-N_JOINT_ROWS = 10
-#: columns of the inertia table of `inertias`
-MASS, COM_X, COM_Y, INERTIA = range(4)
+from .geometry import COM_X, COM_Y, E_X, E_Y, FIRST_END, INERTIA, MASS, SECOND_END
+from .machine import (
+    BASE_BODY,
+    BODIES,
+    CARRIER,
+    COORDINATE,
+    CYLINDERS,
+    KIND,
+    LOOPS,
+    NUMBERS,
+    ROD_BODY,
+    SLIDES,
+    TIP_BODY,
+    TIP_POINT,
+)
+from .parameters import GRAVITY, PAYLOAD
 
 
 @njit
-def inertias(P, E, t, out):
-    """Fill out (5, 4) with mass, centre of mass and inertia of the four bodies and the swinging payload at time t.
+def inertias(topology, P, E, t, out):
+    """Fill out (bodies + 1, 4) with mass, centre of mass and inertia of the bodies and, last, of the swinging payload at time t.
 
-    A fixed payload is part of the outer boom: common mass, centre and inertia about it. A swinging one is row 4.
+    A fixed payload is part of its body: common mass, centre and inertia about it.
     """
-    for b in range(4):
+    n = topology[0, BODIES]
+    for b in range(n):
         for i in range(4):
-            out[b, i] = P[BODY + N_BODY * b + i]
+            out[b, i] = P[topology[1 + b, NUMBERS] + i]
+    out[n, :] = 0.0
+    b, point = topology[0, TIP_BODY], topology[0, TIP_POINT]
+    if b < 0:
+        return
     mass = hooks.payload_mass(E, t, P[PAYLOAD])
     length, _ = hooks.pendulum(E)
-    out[4, :] = 0.0
     if length > 0.0:
-        out[4, MASS] = mass
+        out[n, MASS] = mass
         return
-    boom_mass, total = out[3, MASS], out[3, MASS] + mass
-    dx, dy = P[geo.E] - out[3, COM_X], P[geo.E + 1] - out[3, COM_Y]
+    body_mass, total = out[b, MASS], out[b, MASS] + mass
+    dx, dy = P[point] - out[b, COM_X], P[point + 1] - out[b, COM_Y]
     share = mass / total
     own = mass * (P[PAYLOAD + 1] ** 2 + P[PAYLOAD + 2] ** 2) / 12.0
-    out[3, MASS] = total
-    out[3, COM_X] += share * dx
-    out[3, COM_Y] += share * dy
-    out[3, INERTIA] += own + boom_mass * share * (dx * dx + dy * dy)
+    out[b, MASS] = total
+    out[b, COM_X] += share * dx
+    out[b, COM_Y] += share * dy
+    out[b, INERTIA] += own + body_mass * share * (dx * dx + dy * dy)
 
 
 @njit
-def all_inertias(P, E, t, out):
-    """Fill out (n, 5, 4) with the `inertias` of n cranes of parameters P (n, .), E (n, .)."""
+def all_inertias(topology, P, E, t, out):
+    """Fill out (m, bodies + 1, 4) with the `inertias` of m machines of parameters P (m, .), E (m, .)."""
     for k in range(out.shape[0]):
-        inertias(P[k], E[k], t, out[k])
+        inertias(topology, P[k], E[k], t, out[k])
 
 
 @njit
-def _arm(P, point, c, s, dx, dy, arms, k):
-    x, y = P[point] - dx, P[point + 1] - dy
-    arms[k, 0] = c * x - s * y
-    arms[k, 1] = s * x + c * y
+def swings(topology, q):
+    """Whether redundant coordinates q (or velocities) hold a payload on a pendulum, behind those of the bodies."""
+    return q.size > 3 * topology[0, BODIES]
 
 
 @njit
-def fill_arms(P, inertia, a1, a2, a3, a4, arms):
-    """Fill arms (N_ARMS, 2) for the four body angles."""
-    c, s, dx, dy = math.cos(a1), math.sin(a1), inertia[0, COM_X], inertia[0, COM_Y]
-    arms[O1, 0], arms[O1, 1] = -c * dx + s * dy, -s * dx - c * dy
-    _arm(P, geo.A, c, s, dx, dy, arms, A1)
-    _arm(P, geo.B, c, s, dx, dy, arms, B1)
-    _arm(P, geo.G, c, s, dx, dy, arms, G1)
-    _arm(P, geo.H, c, s, dx, dy, arms, H1)
-    c, s, dx, dy = math.cos(a2), math.sin(a2), inertia[1, COM_X], inertia[1, COM_Y]
-    arms[B2, 0], arms[B2, 1] = -c * dx + s * dy, -s * dx - c * dy
-    _arm(P, geo.C, c, s, dx, dy, arms, C2)
-    c, s, dx, dy = math.cos(a3), math.sin(a3), inertia[2, COM_X], inertia[2, COM_Y]
-    arms[C3, 0], arms[C3, 1] = -c * dx + s * dy, -s * dx - c * dy
-    _arm(P, geo.D_BRACKET, c, s, dx, dy, arms, D3)
-    c, s, dx, dy = math.cos(a4), math.sin(a4), inertia[3, COM_X], inertia[3, COM_Y]
-    arms[A4, 0], arms[A4, 1] = -c * dx + s * dy, -s * dx - c * dy
-    _arm(P, geo.D, c, s, dx, dy, arms, D4)
-    _arm(P, geo.E, c, s, dx, dy, arms, E4)
+def new_arms(topology):
+    """Return an empty table of arms: the last row holds the payload's arm, and the pendulum's rod."""
+    return np.zeros((geo.arm_rows(topology), geo.N_ARM))
 
 
 @njit
-def close_position(P, E, inertia, z1, z4, theta, arms, q):
-    """Fill arms and q (12 or 14,) for independent coordinates; return whether the loop can be closed."""
-    (a1, a2, a3, a4), reachable = geo.frame_angles(P, z1, z4)
-    if not reachable:
+def new_turns(topology):
+    """Return an empty table of cosines and sines."""
+    return np.empty((topology[0, BODIES] + 1, 2))
+
+
+@njit
+def _tip(topology):
+    """Return the row of arms that holds the payload's arm and the pendulum's rod."""
+    return topology[0, BODIES] + topology[0, LOOPS] + topology[0, CYLINDERS]
+
+
+@njit
+def close_position(topology, P, E, inertia, z, theta, arms, q):
+    """Fill arms and q for independent coordinates; return whether all loops can be closed."""
+    frames = np.empty((topology[0, BODIES], geo.N_FRAME))
+    if geo.close_position(topology, P, inertia, z, frames, new_turns(topology), arms, q) >= 0:
         return False
-    fill_arms(P, inertia, a1, a2, a3, a4, arms)
-    q[0], q[1], q[2] = P[geo.O] - arms[O1, 0], P[geo.O + 1] - arms[O1, 1], a1
-    q[3], q[4], q[5] = q[0] + arms[B1, 0] - arms[B2, 0], q[1] + arms[B1, 1] - arms[B2, 1], a2
-    q[6], q[7], q[8] = q[3] + arms[C2, 0] - arms[C3, 0], q[4] + arms[C2, 1] - arms[C3, 1], a3
-    q[9], q[10], q[11] = q[0] + arms[A1, 0] - arms[A4, 0], q[1] + arms[A1, 1] - arms[A4, 1], a4
-    if q.size > 12:
+    if swings(topology, q):
+        j, b, row = 3 * topology[0, BODIES], topology[0, TIP_BODY], _tip(topology)
         length, _ = hooks.pendulum(E)
-        arms[ROD, 0], arms[ROD, 1] = length * math.sin(theta), -length * math.cos(theta)
-        q[12], q[13] = q[9] + arms[E4, 0] + arms[ROD, 0], q[10] + arms[E4, 1] + arms[ROD, 1]
+        arms[row, SECOND_END], arms[row, SECOND_END + 1] = length * math.sin(theta), -length * math.cos(theta)
+        q[j] = q[3 * b] + arms[row, FIRST_END] + arms[row, SECOND_END]
+        q[j + 1] = q[3 * b + 1] + arms[row, FIRST_END + 1] + arms[row, SECOND_END + 1]
     return True
 
 
 @njit
-def arms_of(P, inertia, q, arms):
+def arms_of(topology, P, inertia, q, arms):
     """Fill arms for redundant coordinates that may violate the joints a little."""
-    fill_arms(P, inertia, q[2], q[5], q[8], q[11], arms)
-    if q.size > 12:
-        arms[ROD, 0], arms[ROD, 1] = q[12] - q[9] - arms[E4, 0], q[13] - q[10] - arms[E4, 1]
+    geo.fill_arms(topology, P, inertia, q, new_turns(topology), arms)
+    if swings(topology, q):
+        j, b, row = 3 * topology[0, BODIES], topology[0, TIP_BODY], _tip(topology)
+        arms[row, SECOND_END] = q[j] - q[3 * b] - arms[row, FIRST_END]
+        arms[row, SECOND_END + 1] = q[j + 1] - q[3 * b + 1] - arms[row, FIRST_END + 1]
 
 
 @njit
-def chain(arms, a1, a4, at, w1, w2, w3, w4, wt, g, x):
-    """Fill x (12 or 14,) with the solution of G x = g for given independent parts.
+def chain(topology, arms, rates, squares, bends, g, x):
+    """Fill x with the solution of G x = g, as `geometry.chain`, and behind the bodies the pendulum's mass.
 
     Args:
-        arms: (N_ARMS, 2) of `fill_arms`.
-        a1, a4, at: angular rates (or accelerations) of lift boom, outer boom (both absolute) and pendulum.
-        w1, w2, w3, w4, wt: squares of the angular rates for the centripetal part of accelerations; 0 for velocities.
-        g: (11,) right-hand side of the joint equations.
+        rates: (nu,) behind those of the independent coordinates that of the pendulum, absolute.
+        squares: (bodies + 1,) behind those of the bodies that of the pendulum.
+        g: (joint equations,) behind those of the joints the pendulum's.
     """
-    x[2], x[11] = a1, a4
-    x[0] = g[0] + a1 * arms[O1, 1] + w1 * arms[O1, 0]
-    x[1] = g[1] - a1 * arms[O1, 0] + w1 * arms[O1, 1]
-    x[9] = x[0] - a1 * arms[A1, 1] - w1 * arms[A1, 0] + g[6] + a4 * arms[A4, 1] + w4 * arms[A4, 0]
-    x[10] = x[1] + a1 * arms[A1, 0] - w1 * arms[A1, 1] + g[7] - a4 * arms[A4, 0] + w4 * arms[A4, 1]
-    # point B of bracket 1, arms B-C and C-D of the brackets
-    bx = x[0] - a1 * arms[B1, 1] - w1 * arms[B1, 0] + g[2]
-    by = x[1] + a1 * arms[B1, 0] - w1 * arms[B1, 1] + g[3]
-    c2x, c2y = arms[C2, 0] - arms[B2, 0], arms[C2, 1] - arms[B2, 1]
-    c3x, c3y = arms[D3, 0] - arms[C3, 0], arms[D3, 1] - arms[C3, 1]
-    # what the brackets' turning has to give: D of the outer boom as seen from B
-    rx = x[9] - a4 * arms[D4, 1] - w4 * arms[D4, 0] - g[8] - bx - g[4] + w2 * c2x + w3 * c3x
-    ry = x[10] + a4 * arms[D4, 0] - w4 * arms[D4, 1] - g[9] - by - g[5] + w2 * c2y + w3 * c3y
-    det = c2x * c3y - c2y * c3x
-    a2 = (rx * c3x + ry * c3y) / det
-    a3 = -(rx * c2x + ry * c2y) / det
-    x[5], x[8] = a2, a3
-    x[3] = bx + a2 * arms[B2, 1] + w2 * arms[B2, 0]
-    x[4] = by - a2 * arms[B2, 0] + w2 * arms[B2, 1]
-    cx = bx - a2 * c2y - w2 * c2x + g[4]
-    cy = by + a2 * c2x - w2 * c2y + g[5]
-    x[6] = cx + a3 * arms[C3, 1] + w3 * arms[C3, 0]
-    x[7] = cy - a3 * arms[C3, 0] + w3 * arms[C3, 1]
-    if x.size > 12:
-        length = math.hypot(arms[ROD, 0], arms[ROD, 1])
-        x[12] = x[9] - a4 * arms[E4, 1] - w4 * arms[E4, 0] - at * arms[ROD, 1] - wt * arms[ROD, 0]
-        x[13] = x[10] + a4 * arms[E4, 0] - w4 * arms[E4, 1] + at * arms[ROD, 0] - wt * arms[ROD, 1]
-        x[12] += g[10] * arms[ROD, 0] / length
-        x[13] += g[10] * arms[ROD, 1] / length
+    geo.chain(topology, arms, rates, squares, bends, g, x)
+    if not swings(topology, x):
+        return
+    j, b, row = 3 * topology[0, BODIES], topology[0, TIP_BODY], _tip(topology)
+    px, py = geo.carried(x, squares, b, arms, row, FIRST_END)
+    rx, ry = arms[row, SECOND_END], arms[row, SECOND_END + 1]
+    rate, square, stretch = rates[rates.size - 1], squares[squares.size - 1], g[g.size - 1] / math.hypot(rx, ry)
+    x[j], x[j + 1] = px - rate * ry - square * rx + stretch * rx, py + rate * rx - square * ry + stretch * ry
 
 
 @njit
-def null_space(arms, N):
-    """Fill N (2 or 3, 12 or 14), one row per independent velocity: dq = N^T u, G N^T = 0."""
-    g = np.zeros(N_JOINT_ROWS + 1)
-    chain(arms, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, g, N[0])
-    chain(arms, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, g, N[1])
-    if N.shape[0] > 2:
-        chain(arms, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, g, N[2])
+def joint_equations(topology, swinging):
+    """Return how many joint equations a machine has, with or without a payload on a pendulum."""
+    return geo.joint_rows(topology) + (1 if swinging else 0)
+
+
+@njit
+def null_space(topology, arms, N):
+    """Fill N (nu, nq), one row per independent velocity: dq = N^T u, G N^T = 0."""
+    n, nu = topology[0, BODIES], N.shape[0]
+    zeros, rates, g = np.zeros(n + 1), np.zeros(nu), np.zeros(joint_equations(topology, True))
+    for i in range(nu):
+        rates[:] = 0.0
+        rates[i] = 1.0
+        chain(topology, arms, rates, zeros, zeros, g, N[i])
 
 
 @njit
 def velocities(N, u, v):
-    """Fill v (12 or 14,) with N^T u."""
+    """Fill v (nq,) with N^T u."""
     for j in range(v.size):
         v[j] = 0.0
         for i in range(N.shape[0]):
@@ -177,111 +168,177 @@ def velocities(N, u, v):
 
 
 @njit
-def place(P, E, inertia, x, arms, N, q, v):
-    """Fill arms, null space N, q and v (12 or 14,) of a state x (8 or 10,), all joints closed; return whether the loop can be closed."""
-    theta, dtheta = (x[8], x[9]) if q.size > 12 else (0.0, 0.0)
-    if not close_position(P, E, inertia, x[0], x[1], theta, arms, q):
+def place(topology, P, E, inertia, x, arms, N, q, v):
+    """Fill arms, null space N, q and v (nq,) of a state x (nx,), all joints closed; return whether the loops can be closed."""
+    n, nu = topology[0, CYLINDERS], N.shape[0]
+    theta = x[4 * n] if nu > n else 0.0
+    if not close_position(topology, P, E, inertia, x, theta, arms, q):
         return False
-    null_space(arms, N)
-    velocities(N, np.array([x[2], x[3], dtheta]), v)
+    null_space(topology, arms, N)
+    u = np.empty(nu)
+    for i in range(nu):
+        u[i] = x[rate_place(n, i)]
+    velocities(N, u, v)
     return True
 
 
 @njit
-def centripetal(arms, v, out):
-    """Fill out (12 or 14,) with the part of the accelerations that comes from the velocities alone."""
-    g = np.zeros(N_JOINT_ROWS + 1)
-    wt = 0.0
-    if v.size > 12:
-        wt = pendulum_rate(arms, v) ** 2
-    chain(arms, 0.0, 0.0, 0.0, v[2] ** 2, v[5] ** 2, v[8] ** 2, v[11] ** 2, wt, g, out)
+def rate_place(n, i):
+    """Return where the rate of independent coordinate i of n stands in a state; the pendulum's for i = n."""
+    return n + i if i < n else 4 * n + 1
 
 
 @njit
-def pendulum_rate(arms, v):
+def position_place(n, i):
+    """Return where independent coordinate i of n stands in a state; the pendulum's for i = n."""
+    return i if i < n else 4 * n
+
+
+@njit
+def centripetal(topology, arms, v, out):
+    """Fill out (nq,) with the part of the accelerations that comes from the velocities alone."""
+    n, pendulum = topology[0, BODIES], swings(topology, v)
+    squares, bends, g = np.zeros(n + 1), np.zeros(n), np.zeros(joint_equations(topology, pendulum))
+    for b in range(n):
+        squares[b] = v[3 * b + 2] ** 2
+        if topology[1 + b, KIND] == SLIDES:
+            bends[b] = 2.0 * v[3 * b + 2] * sliding_rate(topology, arms, v, b)
+    if pendulum:
+        squares[n] = pendulum_rate(topology, arms, v) ** 2
+    chain(topology, arms, np.zeros(topology[0, CYLINDERS] + 1), squares, bends, g, out)
+
+
+@njit
+def sliding_rate(topology, arms, v, b):
+    """Return the rate in m/s at which body b slides along its carrier."""
+    px, py = geo.point_velocity(v, b, arms, b, geo.OWN)
+    kx, ky = geo.point_velocity(v, topology[1 + b, CARRIER], arms, b, geo.CARRIED)
+    return arms[b, geo.ALONG] * (px - kx) + arms[b, geo.ALONG + 1] * (py - ky)
+
+
+@njit
+def pendulum_rate(topology, arms, v):
     """Return dtheta: the rate at which the pendulum's rod turns, absolute, in rad/s."""
-    vx = v[12] - v[9] + v[11] * arms[E4, 1]
-    vy = v[13] - v[10] - v[11] * arms[E4, 0]
-    rx, ry = arms[ROD, 0], arms[ROD, 1]
-    return (rx * vy - ry * vx) / (rx * rx + ry * ry)
+    j, row = 3 * topology[0, BODIES], _tip(topology)
+    px, py = geo.point_velocity(v, topology[0, TIP_BODY], arms, row, FIRST_END)
+    rx, ry = arms[row, SECOND_END], arms[row, SECOND_END + 1]
+    return (rx * (v[j + 1] - py) - ry * (v[j] - px)) / (rx * rx + ry * ry)
 
 
 @njit
-def cylinder_kinematics(P, arms, q, v):
-    """Return (s1, s2, ds1, ds2, e1x, e1y, e2x, e2y): lengths, rates and unit vectors of the cylinders, base to rod end."""
-    x1, y1 = q[0] + arms[G1, 0] - P[geo.F], q[1] + arms[G1, 1] - P[geo.F + 1]
-    x2, y2 = q[3] + arms[C2, 0] - q[0] - arms[H1, 0], q[4] + arms[C2, 1] - q[1] - arms[H1, 1]
-    s1, s2 = math.hypot(x1, y1), math.hypot(x2, y2)
-    x1, y1, x2, y2 = x1 / s1, y1 / s1, x2 / s2, y2 / s2
-    ds1, ds2 = cylinder_rates(arms, v, x1, y1, x2, y2)
-    return s1, s2, ds1, ds2, x1, y1, x2, y2
+def read_motion(topology, arms, x, q, v, out):
+    """Write the independent coordinates and rates of redundant ones to out (nx,); a pendulum's angle stays near that in x."""
+    n = topology[0, CYLINDERS]
+    for b in range(topology[0, BODIES]):
+        i, k = topology[1 + b, COORDINATE], topology[1 + b, CARRIER]
+        if i < 0:
+            continue
+        if topology[1 + b, KIND] == SLIDES:
+            out[i], out[n + i] = arms[b, geo.WAY], sliding_rate(topology, arms, v, b)
+        else:
+            out[i], out[n + i] = q[3 * b + 2], v[3 * b + 2]
+            if k >= 0:
+                out[i], out[n + i] = out[i] - q[3 * k + 2], out[n + i] - v[3 * k + 2]
+    if swings(topology, q):
+        row = _tip(topology)
+        theta = math.atan2(arms[row, SECOND_END], -arms[row, SECOND_END + 1])
+        out[4 * n] = theta + 2.0 * math.pi * round((x[4 * n] - theta) / (2.0 * math.pi))
+        out[4 * n + 1] = pendulum_rate(topology, arms, v)
 
 
 @njit
-def cylinder_rates(arms, v, e1x, e1y, e2x, e2y):
-    """Return (ds1, ds2) of body velocities v for cylinders along the unit vectors e1, e2."""
-    gx, gy = v[0] - v[2] * arms[G1, 1], v[1] + v[2] * arms[G1, 0]
-    cx, cy = v[3] - v[5] * arms[C2, 1], v[4] + v[5] * arms[C2, 0]
-    hx, hy = v[0] - v[2] * arms[H1, 1], v[1] + v[2] * arms[H1, 0]
-    return e1x * gx + e1y * gy, e2x * (cx - hx) + e2y * (cy - hy)
-
-
-@njit
-def add_point_force(arms, k, body, fx, fy, f):
-    """Add a force at the end of arm k of a body to f."""
+def add_point_force(arms, row, column, body, fx, fy, f):
+    """Add a force at the end of an arm of a body (-1: the ground, which takes any) to f."""
+    if body < 0:
+        return
     f[3 * body] += fx
     f[3 * body + 1] += fy
-    f[3 * body + 2] += arms[k, 0] * fy - arms[k, 1] * fx
+    f[3 * body + 2] += arms[row, column] * fy - arms[row, column + 1] * fx
 
 
 @njit
-def add_cylinder_forces(arms, F1, F2, e1x, e1y, e2x, e2y, f):
-    """Add the forces of both cylinders, pushing their pins apart, to f."""
-    add_point_force(arms, G1, 0, F1 * e1x, F1 * e1y, f)
-    add_point_force(arms, C2, 1, F2 * e2x, F2 * e2y, f)
-    add_point_force(arms, H1, 0, -F2 * e2x, -F2 * e2y, f)
+def add_cylinder_forces(topology, arms, lines, F, f):
+    """Add the forces F (cylinders,), pushing their pins apart, to f."""
+    first = topology[0, BODIES] + topology[0, LOOPS]
+    for c in range(F.size):
+        fx, fy, cylinder = F[c] * lines[c, E_X], F[c] * lines[c, E_Y], topology[1 + first + c]
+        add_point_force(arms, first + c, SECOND_END, cylinder[ROD_BODY], fx, fy, f)
+        add_point_force(arms, first + c, FIRST_END, cylinder[BASE_BODY], -fx, -fy, f)
 
 
 @njit
-def add_gravity(P, E, inertia, f):
+def add_gravity(topology, P, E, inertia, f):
     """Add the weights to f."""
     gx, gy = hooks.gravity(E, 0.0, -P[GRAVITY])
-    for b in range(4):
+    n = topology[0, BODIES]
+    for b in range(n):
         f[3 * b] += inertia[b, MASS] * gx
         f[3 * b + 1] += inertia[b, MASS] * gy
-    if f.size > 12:
-        f[12] += inertia[4, MASS] * gx
-        f[13] += inertia[4, MASS] * gy
+    if swings(topology, f):
+        f[3 * n] += inertia[n, MASS] * gx
+        f[3 * n + 1] += inertia[n, MASS] * gy
 
 
 @njit
-def add_joint_forces(E, t, w, arms, v, f):
-    """Add joint torques on the relative coordinates, the forces on E, the pendulum's damping and disturbances to f."""
-    at_o = hooks.joint_torque(E, 0, v[2]) + w[hyd.TORQUE]
-    at_a = hooks.joint_torque(E, 1, v[11] - v[2]) + w[hyd.TORQUE + 1]
-    f[2] += at_o - at_a
-    f[11] += at_a
-    add_point_force(arms, E4, 3, w[hyd.FORCE], hooks.tip_force(E, t) + w[hyd.FORCE + 1], f)
-    if f.size > 12:
+def add_on_coordinate(topology, arms, b, amount, f):
+    """Add a moment (a force, where it slides) that turns body b against its carrier to f."""
+    k = topology[1 + b, CARRIER]
+    if topology[1 + b, KIND] != SLIDES:
+        f[3 * b + 2] += amount
+        if k >= 0:
+            f[3 * k + 2] -= amount
+        return
+    ux, uy = arms[b, geo.ALONG], arms[b, geo.ALONG + 1]
+    add_point_force(arms, b, geo.OWN, b, amount * ux, amount * uy, f)
+    add_point_force(arms, b, geo.CARRIED, k, -amount * ux, -amount * uy, f)  # in the same line
+
+
+@njit
+def coordinate_rate(topology, arms, v, b):
+    """Return the rate of the coordinate of body b."""
+    if topology[1 + b, KIND] == SLIDES:
+        return sliding_rate(topology, arms, v, b)
+    k = topology[1 + b, CARRIER]
+    return v[3 * b + 2] - (v[3 * k + 2] if k >= 0 else 0.0)
+
+
+@njit
+def add_joint_forces(topology, E, t, w, arms, v, f):
+    """Add moments on the coordinates, the forces on the payload's point, the pendulum's damping and disturbances to f."""
+    n = topology[0, CYLINDERS]
+    for b in range(topology[0, BODIES]):
+        i = topology[1 + b, COORDINATE]
+        if i >= 0:
+            moment = hooks.joint_torque(E, i, coordinate_rate(topology, arms, v, b)) + w[n + 2 + i]
+            add_on_coordinate(topology, arms, b, moment, f)
+    if topology[0, TIP_BODY] < 0:
+        return
+    row, first = _tip(topology), 2 * n + 2
+    add_point_force(
+        arms, row, FIRST_END, topology[0, TIP_BODY], w[first], hooks.tip_force(E, t) + w[first + 1], f
+    )
+    if swings(topology, f):
+        j = 3 * topology[0, BODIES]
         length, damping = hooks.pendulum(E)
-        # a torque -d*dtheta on a massless rod is a force at its end, across it; the boom feels only the rod's pull
-        across = -damping * pendulum_rate(arms, v) / (length * length)
-        f[12] -= across * arms[ROD, 1]
-        f[13] += across * arms[ROD, 0]
+        # a torque -d*dtheta on a massless rod is a force at its end, across it; the body feels only the rod's pull
+        across = -damping * pendulum_rate(topology, arms, v) / (length * length)
+        f[j] -= across * arms[row, SECOND_END + 1]
+        f[j + 1] += across * arms[row, SECOND_END]
 
 
 @njit
-def extra_forces(P, E, t, w, inertia, q, v, p, arms, f):
-    """Fill f (12 or 14,) with all applied forces except weights and the cylinders' pressure forces; arms is overwritten.
+def extra_forces(topology, P, E, t, w, inertia, q, v, p, arms, lines, f):
+    """Fill f (nq,) with all applied forces except weights and the cylinders' pressure forces; arms and lines are overwritten.
 
-    Friction (19) and the effects' forces of the cylinders, joint torques, forces on E, pendulum damping, disturbances.
+    Friction (19) and the effects' forces of the cylinders, joint moments, forces on the payload's point, pendulum damping, disturbances.
     """
-    arms_of(P, inertia, q, arms)
+    arms_of(topology, P, inertia, q, arms)
+    geo.fill_lines(topology, arms, q, v, lines)
     f[:] = 0.0
-    s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = cylinder_kinematics(P, arms, q, v)
-    F1, F2 = hyd.extra_forces(P, E, w, s1, s2, ds1, ds2, p)
-    add_cylinder_forces(arms, F1, F2, e1x, e1y, e2x, e2y, f)
-    add_joint_forces(E, t, w, arms, v, f)
+    F = np.empty(lines.shape[0])
+    hyd.extra_forces(topology, P, E, w, lines, p, F)
+    add_cylinder_forces(topology, arms, lines, F, f)
+    add_joint_forces(topology, E, t, w, arms, v, f)
 
 
 @njit
@@ -296,17 +353,18 @@ def dot(a, b):
 @njit
 def mass_times(inertia, a, out):
     """Fill out with M a for the diagonal mass matrix of centre-of-mass coordinates."""
-    for b in range(4):
+    n = inertia.shape[0] - 1
+    for b in range(n):
         out[3 * b] = inertia[b, MASS] * a[3 * b]
         out[3 * b + 1] = inertia[b, MASS] * a[3 * b + 1]
         out[3 * b + 2] = inertia[b, INERTIA] * a[3 * b + 2]
-    for j in range(12, a.size):
-        out[j] = inertia[4, MASS] * a[j]
+    for j in range(3 * n, a.size):
+        out[j] = inertia[n, MASS] * a[j]
 
 
 @njit
 def reduced_mass(inertia, N, work, M):
-    """Fill M (2 or 3 square) with N M N^T."""
+    """Fill M (nu, nu) with N M N^T."""
     n = N.shape[0]
     for i in range(n):
         mass_times(inertia, N[i], work)
@@ -343,18 +401,19 @@ def solve(A, b):
 
 
 @njit
-def accelerations(P, E, t, w, inertia, N, arms, q, v, p, work, f, M, udd, a):
+def accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, work, f, M, udd, a):
     """Fill udd and a with the accelerations that are consistent with the joints: M udd = N (f - M a_centripetal).
 
-    f gets all applied forces, a the accelerations of the redundant coordinates. `arms` must belong to q.
+    f gets all applied forces, a the accelerations of the redundant coordinates; `lines` is filled. `arms` must belong to q.
     """
     f[:] = 0.0
-    s1, s2, ds1, ds2, e1x, e1y, e2x, e2y = cylinder_kinematics(P, arms, q, v)
-    F1, F2 = hyd.cylinder_forces(P, E, w, s1, s2, ds1, ds2, p)
-    add_cylinder_forces(arms, F1, F2, e1x, e1y, e2x, e2y, f)
-    add_joint_forces(E, t, w, arms, v, f)
-    add_gravity(P, E, inertia, f)
-    centripetal(arms, v, a)
+    geo.fill_lines(topology, arms, q, v, lines)
+    F = np.empty(lines.shape[0])
+    hyd.cylinder_forces(topology, P, E, w, lines, p, F)
+    add_cylinder_forces(topology, arms, lines, F, f)
+    add_joint_forces(topology, E, t, w, arms, v, f)
+    add_gravity(topology, P, E, inertia, f)
+    centripetal(topology, arms, v, a)
     reduced_mass(inertia, N, work, M)
     mass_times(inertia, a, work)
     for i in range(N.shape[0]):
