@@ -363,14 +363,13 @@ def extra_force(P, E, c, s, v, ya, yb):
 @njit
 def extra_forces(topology, P, E, w, lines, y, out):
     """Fill out (cylinders,) with the `extra_force` of each cylinder in N."""
-    sprung = False
     for c in range(out.size):
-        sprung = sprung or hooks.series_compliance(E, c) != 0.0
-    balances = np.empty((N_BALANCES if sprung else 0, y.size))
-    if sprung:
-        chamber_balances(topology, P, E, w, lines, y, balances)
-    for c in range(out.size):
-        v = balances[SPEED, 2 * c] if sprung else lines[c, RATE]
+        if hooks.series_compliance(E, c) != 0.0:
+            balances = np.empty((N_BALANCES, y.size))
+            chamber_balances(topology, P, E, w, lines, y, balances)
+            v = balances[SPEED, 2 * c]
+        else:
+            v = lines[c, RATE]
         out[c] = extra_force(P, E, c, lines[c, LENGTH], v, y[2 * c], y[2 * c + 1])
 
 

@@ -7,7 +7,7 @@ to know of it stands in one table of integers, `Machine.topology`; its numbers s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ from .layout import Layout
 GROUND = "ground"
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
 
-# The table `topology`. Row 0 holds counts; then a row a body, a row a loop, a row a cylinder.
+# The table `topology`. Row 0 holds counts; then a row a body, a row a loop, a row a cylinder, a row a pin.
 # row 0: numbers of bodies, loops and cylinders (as many as coordinates), the payload's body (-1: none) and point
 BODIES, LOOPS, CYLINDERS, TIP_BODY, TIP_POINT = range(5)
 # a body: the body that carries it (-1: the ground), its kind, the pin on the carrier and on itself (places in P; -1: its origin), where its
@@ -31,6 +31,9 @@ TURNS, SLIDES, FIRST_OF_LOOP, SECOND_OF_LOOP = range(4)
 DEPENDENT, LAST, CUT_PIN, LAST_PIN, SIDE = range(5)
 # a cylinder: body and point of its base, body and point of its rod end, and which chamber carries the load (0: piston side)
 BASE_BODY, BASE, ROD_BODY, ROD_END, LOADED = range(5)
+# a pin: the body that it is on (-1: the ground), its place in P, and the body, loop or cylinder (by its row, the tip behind them) that it
+# is the first or second pin of
+PIN_BODY, PIN_POINT, PIN_OF, PIN_END = range(4)
 N_COLUMNS = 7
 
 
@@ -200,7 +203,7 @@ class Machine:
 
     @cached_property
     def topology(self) -> np.ndarray:
-        """The table of integers (1 + bodies + loops + cylinders, N_COLUMNS) that compiled code reads; see the top of this file."""
+        """The table of integers (rows, N_COLUMNS) that compiled code reads; see the top of this file."""
         number = {GROUND: -1} | {name: i for i, name in enumerate(self.bodies)}
         body, point = self.payload
         rows = [[len(self.bodies), len(self.loops), len(self.cylinders), number.get(body, -1), self._point(point)]]
@@ -211,6 +214,7 @@ class Machine:
         for c in self.cylinders:
             ends = [place for b, p in zip(c.bodies, c.points, strict=True) for place in (number[b], self._point(p))]
             rows.append([*ends, c.chambers.index(c.loaded)])
+        rows += [*self._pin_rows(rows)]
         table = np.zeros((len(rows), N_COLUMNS), dtype=np.int64)
         for k, row in enumerate(rows):
             table[k, : len(row)] = row
@@ -226,6 +230,19 @@ class Machine:
         direction = self.index.get(f"joints.{joint.name}.direction", -1)
         numbers = self.index[f"bodies.{name}.{parameters.OF_BODY[0]}"]
         return [number[joint.carrier], kind, self._point(joint.pin), self._point(joint.own_pin), numbers, coordinate, direction]
+
+    def _pin_rows(self, rows: list[list[int]]) -> Iterator[list[int]]:
+        """Yield a row for each pin of bodies, loops and cylinders, and for the payload's point."""
+        loops, cylinders = len(self.bodies) + 1, len(self.bodies) + len(self.loops) + 1
+        for k, row in enumerate(rows[1:], 1):
+            if k < loops:
+                pins = ((k - 1, row[OWN_PIN]), (row[CARRIER], row[PIN]))
+            elif k < cylinders:
+                pins = ((row[DEPENDENT] + 1, row[CUT_PIN]), (row[LAST], row[LAST_PIN]))
+            else:
+                pins = ((row[BASE_BODY], row[BASE]), (row[ROD_BODY], row[ROD_END]))
+            yield from ([body, point, k - 1, end] for end, (body, point) in enumerate(pins))
+        yield [rows[0][TIP_BODY], rows[0][TIP_POINT], len(rows) - 1, 0]
 
     def _point(self, name: str) -> int:
         """Return where a point begins in P, -1 for "" (the origin of a frame)."""

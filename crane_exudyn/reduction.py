@@ -73,7 +73,7 @@ def all_inertias(topology, P, E, t, out):
         inertias(topology, P[k], E[k], t, out[k])
 
 
-@njit
+@njit(inline="always")
 def swings(topology, q):
     """Whether redundant coordinates q (or velocities) hold a payload on a pendulum, behind those of the bodies."""
     return q.size > 3 * topology[0, BODIES]
@@ -85,13 +85,7 @@ def new_arms(topology):
     return np.zeros((geo.arm_rows(topology), geo.N_ARM))
 
 
-@njit
-def new_turns(topology):
-    """Return an empty table of cosines and sines."""
-    return np.empty((topology[0, BODIES] + 1, 2))
-
-
-@njit
+@njit(inline="always")
 def _tip(topology):
     """Return the row of arms that holds the payload's arm and the pendulum's rod."""
     return topology[0, BODIES] + topology[0, LOOPS] + topology[0, CYLINDERS]
@@ -100,8 +94,7 @@ def _tip(topology):
 @njit
 def close_position(topology, P, E, inertia, z, theta, arms, q):
     """Fill arms and q for independent coordinates; return whether all loops can be closed."""
-    frames = np.empty((topology[0, BODIES], geo.N_FRAME))
-    if geo.close_position(topology, P, inertia, z, frames, new_turns(topology), arms, q) >= 0:
+    if geo.close_position(topology, P, inertia, z, arms, q) >= 0:
         return False
     if swings(topology, q):
         j, b, row = 3 * topology[0, BODIES], topology[0, TIP_BODY], _tip(topology)
@@ -115,7 +108,8 @@ def close_position(topology, P, E, inertia, z, theta, arms, q):
 @njit
 def arms_of(topology, P, inertia, q, arms):
     """Fill arms for redundant coordinates that may violate the joints a little."""
-    geo.fill_arms(topology, P, inertia, q, new_turns(topology), arms)
+    geo.turn_frames(topology, q, arms)
+    geo.fill_arms(topology, P, inertia, q, arms)
     if swings(topology, q):
         j, b, row = 3 * topology[0, BODIES], topology[0, TIP_BODY], _tip(topology)
         arms[row, SECOND_END] = q[j] - q[3 * b] - arms[row, FIRST_END]
@@ -123,22 +117,21 @@ def arms_of(topology, P, inertia, q, arms):
 
 
 @njit
-def chain(topology, arms, rates, squares, bends, g, x):
+def chain(topology, arms, unit, v, g, x):
     """Fill x with the solution of G x = g, as `geometry.chain`, and behind the bodies the pendulum's mass.
 
-    Args:
-        rates: (nu,) behind those of the independent coordinates that of the pendulum, absolute.
-        squares: (bodies + 1,) behind those of the bodies that of the pendulum.
-        g: (joint equations,) behind those of the joints the pendulum's.
+    The pendulum's (absolute) rate is the last independent one, its equation the last of g.
     """
-    geo.chain(topology, arms, rates, squares, bends, g, x)
+    geo.chain(topology, arms, unit, v, g, x)
     if not swings(topology, x):
         return
-    j, b, row = 3 * topology[0, BODIES], topology[0, TIP_BODY], _tip(topology)
-    px, py = geo.carried(x, squares, b, arms, row, FIRST_END)
+    j, row = 3 * topology[0, BODIES], _tip(topology)
+    px, py = geo.carried(x, v, topology[0, TIP_BODY], arms, row, FIRST_END)
     rx, ry = arms[row, SECOND_END], arms[row, SECOND_END + 1]
-    rate, square, stretch = rates[rates.size - 1], squares[squares.size - 1], g[g.size - 1] / math.hypot(rx, ry)
-    x[j], x[j + 1] = px - rate * ry - square * rx + stretch * rx, py + rate * rx - square * ry + stretch * ry
+    stretch = g[g.size - 1] / math.hypot(rx, ry) if g.size else 0.0
+    rate = 1.0 if unit == topology[0, CYLINDERS] else 0.0
+    squared = pendulum_rate(topology, arms, v) ** 2 if v.size else 0.0
+    x[j], x[j + 1] = px - rate * ry - squared * rx + stretch * rx, py + rate * rx - squared * ry + stretch * ry
 
 
 @njit
@@ -150,21 +143,9 @@ def joint_equations(topology, swinging):
 @njit
 def null_space(topology, arms, N):
     """Fill N (nu, nq), one row per independent velocity: dq = N^T u, G N^T = 0."""
-    n, nu = topology[0, BODIES], N.shape[0]
-    zeros, rates, g = np.zeros(n + 1), np.zeros(nu), np.zeros(joint_equations(topology, True))
-    for i in range(nu):
-        rates[:] = 0.0
-        rates[i] = 1.0
-        chain(topology, arms, rates, zeros, zeros, g, N[i])
-
-
-@njit
-def velocities(N, u, v):
-    """Fill v (nq,) with N^T u."""
-    for j in range(v.size):
-        v[j] = 0.0
-        for i in range(N.shape[0]):
-            v[j] += N[i, j] * u[i]
+    none = N[0, :0]
+    for i in range(N.shape[0]):
+        chain(topology, arms, i, none, none, N[i])
 
 
 @njit
@@ -175,20 +156,21 @@ def place(topology, P, E, inertia, x, arms, N, q, v):
     if not close_position(topology, P, E, inertia, x, theta, arms, q):
         return False
     null_space(topology, arms, N)
-    u = np.empty(nu)
+    v[:] = 0.0
     for i in range(nu):
-        u[i] = x[rate_place(n, i)]
-    velocities(N, u, v)
+        rate = x[rate_place(n, i)]
+        for j in range(v.size):
+            v[j] += N[i, j] * rate
     return True
 
 
-@njit
+@njit(inline="always")
 def rate_place(n, i):
     """Return where the rate of independent coordinate i of n stands in a state; the pendulum's for i = n."""
     return n + i if i < n else 4 * n + 1
 
 
-@njit
+@njit(inline="always")
 def position_place(n, i):
     """Return where independent coordinate i of n stands in a state; the pendulum's for i = n."""
     return i if i < n else 4 * n
@@ -197,23 +179,7 @@ def position_place(n, i):
 @njit
 def centripetal(topology, arms, v, out):
     """Fill out (nq,) with the part of the accelerations that comes from the velocities alone."""
-    n, pendulum = topology[0, BODIES], swings(topology, v)
-    squares, bends, g = np.zeros(n + 1), np.zeros(n), np.zeros(joint_equations(topology, pendulum))
-    for b in range(n):
-        squares[b] = v[3 * b + 2] ** 2
-        if topology[1 + b, KIND] == SLIDES:
-            bends[b] = 2.0 * v[3 * b + 2] * sliding_rate(topology, arms, v, b)
-    if pendulum:
-        squares[n] = pendulum_rate(topology, arms, v) ** 2
-    chain(topology, arms, np.zeros(topology[0, CYLINDERS] + 1), squares, bends, g, out)
-
-
-@njit
-def sliding_rate(topology, arms, v, b):
-    """Return the rate in m/s at which body b slides along its carrier."""
-    px, py = geo.point_velocity(v, b, arms, b, geo.OWN)
-    kx, ky = geo.point_velocity(v, topology[1 + b, CARRIER], arms, b, geo.CARRIED)
-    return arms[b, geo.ALONG] * (px - kx) + arms[b, geo.ALONG + 1] * (py - ky)
+    chain(topology, arms, -1, v, v[:0], out)
 
 
 @njit
@@ -234,7 +200,7 @@ def read_motion(topology, arms, x, q, v, out):
         if i < 0:
             continue
         if topology[1 + b, KIND] == SLIDES:
-            out[i], out[n + i] = arms[b, geo.WAY], sliding_rate(topology, arms, v, b)
+            out[i], out[n + i] = arms[b, geo.WAY], geo.sliding_rate(topology, arms, v, b)
         else:
             out[i], out[n + i] = q[3 * b + 2], v[3 * b + 2]
             if k >= 0:
@@ -246,7 +212,7 @@ def read_motion(topology, arms, x, q, v, out):
         out[4 * n + 1] = pendulum_rate(topology, arms, v)
 
 
-@njit
+@njit(inline="always")
 def add_point_force(arms, row, column, body, fx, fy, f):
     """Add a force at the end of an arm of a body (-1: the ground, which takes any) to f."""
     if body < 0:
@@ -261,9 +227,9 @@ def add_cylinder_forces(topology, arms, lines, F, f):
     """Add the forces F (cylinders,), pushing their pins apart, to f."""
     first = topology[0, BODIES] + topology[0, LOOPS]
     for c in range(F.size):
-        fx, fy, cylinder = F[c] * lines[c, E_X], F[c] * lines[c, E_Y], topology[1 + first + c]
-        add_point_force(arms, first + c, SECOND_END, cylinder[ROD_BODY], fx, fy, f)
-        add_point_force(arms, first + c, FIRST_END, cylinder[BASE_BODY], -fx, -fy, f)
+        fx, fy, row = F[c] * lines[c, E_X], F[c] * lines[c, E_Y], first + c
+        add_point_force(arms, row, SECOND_END, topology[1 + row, ROD_BODY], fx, fy, f)
+        add_point_force(arms, row, FIRST_END, topology[1 + row, BASE_BODY], -fx, -fy, f)
 
 
 @njit
@@ -293,11 +259,11 @@ def add_on_coordinate(topology, arms, b, amount, f):
     add_point_force(arms, b, geo.CARRIED, k, -amount * ux, -amount * uy, f)  # in the same line
 
 
-@njit
+@njit(inline="always")
 def coordinate_rate(topology, arms, v, b):
     """Return the rate of the coordinate of body b."""
     if topology[1 + b, KIND] == SLIDES:
-        return sliding_rate(topology, arms, v, b)
+        return geo.sliding_rate(topology, arms, v, b)
     k = topology[1 + b, CARRIER]
     return v[3 * b + 2] - (v[3 * k + 2] if k >= 0 else 0.0)
 

@@ -217,7 +217,7 @@ def correct(topology, P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held
     arms, N, lines, D = red.new_arms(topology), np.zeros((nu, width)), new_lines(topology), np.zeros((cylinders, nu))
     d, work, g = np.zeros(width), np.zeros(width), np.zeros(rows)
     A, b, Fv, Rv, balances = np.zeros((size, size)), np.zeros(size), np.zeros(cylinders), np.zeros(chambers), np.empty((N_BALANCES, chambers))
-    zeros, rates, ds = np.zeros(topology[0, BODIES] + 1), np.zeros(nu), np.zeros(cylinders)
+    ds, none = np.zeros(cylinders), np.empty(0)
     active = 0
     for k in range(n):
         if status[k] != ITERATING:
@@ -228,7 +228,7 @@ def correct(topology, P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held
         start_g = n * (width + chambers) + rows * k
         for i in range(rows):
             g[i] = -residual[start_g + i]
-        red.chain(topology, arms, rates, zeros, zeros, g, d)  # the change of velocity that closes the joints
+        red.chain(topology, arms, -1, none, g, d)  # the change of velocity that closes the joints
         red.mass_times(mk, d, work)
         for j in range(width):
             work[j] = residual[width * k + j] / scale + 2.0 / h * work[j]
