@@ -83,7 +83,7 @@ def _values(document: Mapping[str, Any], machine: Machine, where: str) -> dict[s
     directions = {t["name"]: t.get("direction", 0.0) for t in document.get("joint", ())}
     for joint in machine.joints:
         if joint.kind == PRISMATIC:
-            name = f"joints.{joint.name}.direction"
+            name = f"slides.{joint.name}.direction"
             values[name] = to_si(directions[joint.name], parameters.unit_of(name), f"{where}: {name}")
     return values
 
@@ -268,7 +268,7 @@ def _joint_lines(crane: Crane) -> list[str]:
         if joint.own_pin:
             lines.append(f"on = {_text(joint.own_pin.removeprefix('joints.'))}")
         if joint.kind == PRISMATIC:
-            lines += [f"kind = {_text(PRISMATIC)}", f"direction = {_number(crane[f'joints.{joint.name}.direction'])}"]
+            lines += [f"kind = {_text(PRISMATIC)}", f"direction = {_number(crane[f'slides.{joint.name}.direction'])}"]
         lines.append(f'bend = "{"left" if joint.side > 0 else "right"}"' if joint.closes else f"coordinate = {_text(joint.coordinate)}")
         lines.append("")
     return lines

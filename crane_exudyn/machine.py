@@ -193,7 +193,7 @@ class Machine:
             *(name for c in self.cylinders for name in parameters.of_cylinder(c.name)),
             *(f"bodies.{b}.{p}" for b in self.bodies for p in parameters.OF_BODY),
             *(f"{p}.{axis}" for p in self.points for axis in "xy"),
-            *(f"joints.{j.name}.direction" for j in self.joints if j.kind == PRISMATIC),
+            *(f"slides.{j.name}.direction" for j in self.joints if j.kind == PRISMATIC),
         )
 
     @cached_property
@@ -227,7 +227,7 @@ class Machine:
         if name in self.dependent:
             kind = SECOND_OF_LOOP if joint.carrier in self.dependent else FIRST_OF_LOOP
         coordinate = self.independent.index(joint.coordinate) if joint.coordinate in self.independent else -1
-        direction = self.index.get(f"joints.{joint.name}.direction", -1)
+        direction = self.index.get(f"slides.{joint.name}.direction", -1)
         numbers = self.index[f"bodies.{name}.{parameters.OF_BODY[0]}"]
         return [number[joint.carrier], kind, self._point(joint.pin), self._point(joint.own_pin), numbers, coordinate, direction]
 
