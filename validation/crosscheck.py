@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from crane_exudyn.channels import CHANNELS
 from crane_exudyn.crane import Crane
-from crane_exudyn.errors import listed
+from crane_exudyn.geometry import told
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import paper_cycle
-from crane_exudyn.parameters import LAYOUT, POINT_NAMES
+from crane_exudyn.layout import Layout
 from crane_exudyn.simulation import initial_state
 from crane_exudyn.statics import visible
 
@@ -40,7 +39,7 @@ class Engine(Protocol):
     @property
     def state_names(self) -> tuple[str, ...]: ...
 
-    def static_start(self, z1: float, z4: float, less_loaded: Any = 20e5) -> np.ndarray: ...
+    def static_start(self, *pose: Any, less_loaded: Any = 20e5) -> np.ndarray: ...
 
     def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float = 1e-3) -> np.ndarray: ...
 
@@ -82,43 +81,51 @@ class Group:
 ROUNDING = "rounding of closed forms"
 
 
-def _numbered(prefix: str, numbers: Sequence[int]) -> tuple[str, ...]:
-    return tuple(f"{prefix}{i}" for i in numbers)
+def groups_of(crane: Crane) -> tuple[Group, ...]:
+    """Return what is compared of a machine, in the order in which one quantity follows from another."""
+    lay, machine = crane.layout, crane.machine
+    z, dependent = lay.coordinates, [machine.carriers[body].coordinate for body in machine.dependent]
+
+    def chamber(prefix: str) -> tuple[str, ...]:
+        return tuple(f"{prefix}{i + 1}" for i in range(len(lay.chambers)))
+
+    def cylinder(prefix: str) -> tuple[str, ...]:
+        return tuple(f"{prefix}{i + 1}" for i in range(len(lay.cylinders)))
+
+    def each(prefix: str) -> tuple[str, ...]:
+        return tuple(f"{prefix}_{name}" for name in z)
+
+    mass = tuple(f"M_{z[i]}_{z[j]}" for i in range(len(z)) for j in range(i, len(z)))
+    angles = (*(f"phi_{body}" for body in machine.bodies), *dependent)
+    loop = tuple(f"d{a}_d{b}" for a in dependent for b in z)
+    return (
+        Group("joints", "m", tuple(f"{a}_{p}" for p in machine.point_names for a in "xy"), 1e-9, ROUNDING, 1.0),
+        Group("angles of bodies", "rad", angles, 1e-9, ROUNDING, 1.0, angle=True),
+        Group("loop Jacobian", "-", loop, 1e-9, ROUNDING, 1.0),
+        Group("cylinder lengths", "m", lay.lengths, 1e-9, ROUNDING),
+        Group("cylinder rates", "m/s", tuple(f"d{s}" for s in lay.lengths), 1e-9, ROUNDING, 1e-2),
+        Group("chamber volumes", "m^3", chamber("V"), 1e-9, ROUNDING),
+        Group("amounts of oil", "m^3", chamber("N"), 1e-9, ROUNDING),
+        Group("bulk moduli", "Pa", chamber("Be"), 1e-9, ROUNDING),
+        Group("supply pressures", "Pa", lay.supply, 1e-9, "iterated to rounding", 1e5),
+        Group("port flows", "m^3/s", chamber("Q"), 1e-9, "root of an iterated drop", 1e-5),
+        Group("leakages", "m^3/s", chamber("leak"), 1e-9, ROUNDING, 1e-7),
+        Group("friction forces", "N", cylinder("Fmu"), 1e-9, ROUNDING, 10.0),
+        Group("cylinder forces", "N", cylinder("F"), 1e-9, ROUNDING, 1e3),
+        Group("pressure rates", "Pa/s", tuple(f"d{p}" for p in lay.chambers), 1e-9, ROUNDING, 1e6),
+        Group("mass matrix", "kg m^2", mass, 1e-9, ROUNDING, 1.0),
+        Group("gravity forces", "N m", each("Qg"), 1e-9, ROUNDING, 10.0),
+        Group("velocity forces", "N m", each("Qv"), 1e-9, ROUNDING, 10.0),
+        Group("hydraulic forces", "N m", each("Qh"), 1e-9, ROUNDING, 100.0),
+        Group("joint and tip forces", "N m", each("Qj"), 1e-9, ROUNDING, 10.0),
+        Group("accelerations", "rad/s^2", tuple(f"dd{n}" for n in z), 1e-8, "rounding times a condition", 0.1),
+    )
 
 
-_CHAMBERS, _PAIR, _JOINTS = (1, 2, 3, 4), (1, 2), (1, 4)
-#: in the order in which one quantity follows from another
-GROUPS: tuple[Group, ...] = (
-    Group("joints", "m", tuple(f"{a}_{p}" for p in POINT_NAMES for a in "xy"), 1e-9, ROUNDING, 1.0),
-    Group("bracket angles", "rad", ("phi_bracket_1", "phi_bracket_2", "z2", "z3"), 1e-9, ROUNDING, 1.0, angle=True),
-    Group("loop Jacobian", "-", ("dz2_dz4", "dz3_dz4"), 1e-9, ROUNDING, 1.0),
-    Group("cylinder lengths", "m", _numbered("s", _PAIR), 1e-9, ROUNDING),
-    Group("cylinder rates", "m/s", _numbered("ds", _PAIR), 1e-9, ROUNDING, 1e-2),
-    Group("chamber volumes", "m^3", _numbered("V", _CHAMBERS), 1e-9, ROUNDING),
-    Group("amounts of oil", "m^3", _numbered("N", _CHAMBERS), 1e-9, ROUNDING),
-    Group("bulk moduli", "Pa", _numbered("Be", _CHAMBERS), 1e-9, ROUNDING),
-    Group("supply pressures", "Pa", ("pp", "pt"), 1e-9, "iterated to rounding", 1e5),
-    Group("port flows", "m^3/s", _numbered("Q", _CHAMBERS), 1e-9, "root of an iterated drop", 1e-5),
-    Group("leakages", "m^3/s", _numbered("leak", _CHAMBERS), 1e-9, ROUNDING, 1e-7),
-    Group("friction forces", "N", _numbered("Fmu", _PAIR), 1e-9, ROUNDING, 10.0),
-    Group("cylinder forces", "N", _numbered("F", _PAIR), 1e-9, ROUNDING, 1e3),
-    Group("pressure rates", "Pa/s", _numbered("dp", _CHAMBERS), 1e-9, ROUNDING, 1e6),
-    Group("mass matrix", "kg m^2", ("M11", "M12", "M22"), 1e-9, ROUNDING),
-    Group("gravity forces", "N m", _numbered("Qg", _JOINTS), 1e-9, ROUNDING, 10.0),
-    Group("velocity forces", "N m", _numbered("Qv", _JOINTS), 1e-9, ROUNDING, 10.0),
-    Group("hydraulic forces", "N m", _numbered("Qh", _JOINTS), 1e-9, ROUNDING, 100.0),
-    Group("joint and tip forces", "N m", _numbered("Qj", _JOINTS), 1e-9, ROUNDING, 10.0),
-    Group(
-        "accelerations",
-        "rad/s^2",
-        _numbered("ddz", _JOINTS),
-        1e-8,
-        "rounding times a condition",
-        0.1,
-    ),
-)
-#: terms of a payload on a pendulum that each engine may split differently between M and Q; their sum, ddz, is compared
-SPLIT_BY_PENDULUM = ("M11", "M12", "M22", "Qg1", "Qg4", "Qv1", "Qv4", "Qj1", "Qj4")
+def split_by_pendulum(crane: Crane) -> tuple[str, ...]:
+    """Return terms of a payload on a pendulum that each engine may split differently between M and Q; their sum, ddz, is compared."""
+    names = ("mass matrix", "gravity forces", "velocity forces", "joint and tip forces")
+    return tuple(n for group in groups_of(crane) if group.text in names for n in group.names)
 
 
 @dataclass(frozen=True)
@@ -170,6 +177,7 @@ class CrossCheck:
     """The whole result; `quantities` in the order of comparison."""
 
     crane: str
+    layout: Layout
     quantities: list[Quantity] = field(default_factory=list)
     runs: list[Run] = field(default_factory=list)
 
@@ -204,53 +212,27 @@ class CrossCheck:
 
 
 def compare_terms(first: Engine, second: Engine, states: cases.States, *, skip: Sequence[str] = ()) -> list[Quantity]:
-    """Return one Quantity a term, over all states, in the order of `GROUPS`."""
+    """Return one Quantity a term, over all states, in the order of `groups_of`."""
     rows = [
-        (_terms(first, x, w, t), _terms(second, x, w, t))
-        for x, w, t in zip(states.x, states.w, states.time, strict=True)
+        (first.terms(x, w, t), second.terms(x, w, t)) for x, w, t in zip(states.x, states.w, states.time, strict=True)
     ]
     out = []
-    for group in GROUPS:
+    for group in groups_of(first.crane):
         for name in group.names:
             if name not in skip:
                 values = np.array([(a.get(name, math.nan), b.get(name, math.nan)) for a, b in rows])
-                out.append(_judge(group, name, values, states))
+                out.append(_judge(first.crane.layout, group, name, values, states))
     return out
 
 
-def _terms(engine: Engine, x: np.ndarray, w: np.ndarray, time: float) -> dict[str, float]:
-    """Return the terms with the loop Jacobian; where an engine does not give that itself, by differences of its angles."""
-    t = dict(engine.terms(x, w, time))
-    for angle in ("z2", "z3"):
-        if f"d{angle}_dz4" not in t:
-            t |= _loop_jacobian(engine, x, w, time)
-    return t
-
-
-def _loop_jacobian(engine: Engine, x: np.ndarray, w: np.ndarray, time: float) -> dict[str, float]:
-    """Return dz2/dz4 and dz3/dz4 by differences of fourth order of the engine's own angles; rounding 1e-13, rule h^4."""
-    h, sides = 2e-3, {}
-    for k in (-2, -1, 1, 2):
-        y = x.copy()
-        y[1] += k * h
-        sides[k] = engine.terms(y, w, time)
-
-    def derivative(name: str) -> float:
-        near = math.remainder(sides[1][name] - sides[-1][name], math.tau)
-        far = math.remainder(sides[2][name] - sides[-2][name], math.tau)
-        return (8.0 * near - far) / (12.0 * h)
-
-    return {f"d{a}_dz4": derivative(a) for a in ("z2", "z3")}
-
-
-def _judge(group: Group, name: str, values: np.ndarray, states: cases.States) -> Quantity:
+def _judge(layout: Layout, group: Group, name: str, values: np.ndarray, states: cases.States) -> Quantity:
     difference = values[:, 0] - values[:, 1]
     if group.angle:
         difference = np.remainder(difference + math.pi, math.tau) - math.pi
     size = np.abs(difference)
     worst = int(np.argmax(np.where(np.isnan(size), np.inf, size)))
     scale = max(float(np.nanmax(np.abs(values), initial=0.0)), group.floor, 1e-300)
-    place = listed(LAYOUT.coordinates, np.degrees(states.x[worst, LAYOUT.positions]), "{:.1f}°")
+    place = told(layout, states.x[worst])
     worst_size = float(size[worst])
     return Quantity(name, group.unit, worst_size, worst_size / scale, group.tolerance, group.reason, place)
 
@@ -273,7 +255,7 @@ def compare_static_starts(first: Engine, second: Engine, states: cases.States) -
     group = Group("static start", "Pa", (), 1e-9, reason, 1e5)
     out = []
     for i, name in enumerate(lay.chambers):
-        q = _judge(group, f"static start: {name}", values[:, :, i], states)
+        q = _judge(lay, group, f"static start: {name}", values[:, :, i], states)
         out.append(q)
     return out
 
@@ -285,7 +267,7 @@ def acts(engine: Engine, states: cases.States) -> bool:
     neutral = SemiRecursiveEngine(engine.crane.nominal())
     for x, w, t in zip(states.x, states.w, states.time, strict=True):
         with_it, without = engine.terms(x, w, t), neutral.terms(x[engine.crane.layout.basic], w, t)
-        if any(with_it[n] != without[n] for g in GROUPS for n in g.names if n in with_it and n in without):
+        if any(with_it[n] != without[n] for n in with_it.keys() & without.keys()):
             return True
     return False
 
@@ -317,8 +299,8 @@ def compare_runs(
     progress(0.15)
     fine = run(time, w, step)
     progress(1.0)
-    orders = _orders(runs)
-    return [*orders, *_final_differences(fine, second.state_names)], [*runs, fine]
+    orders = _orders(crane.layout, runs)
+    return [*orders, *_final_differences(fine, crane.layout)], [*runs, fine]
 
 
 def _as_asked(engine: Engine) -> Engine:
@@ -328,13 +310,13 @@ def _as_asked(engine: Engine) -> Engine:
     return taken
 
 
-def _orders(runs: Sequence[Run]) -> list[Quantity]:
-    """Return how far the order of the difference in the step is below 2, for angles and pressures: two forms of one rule.
+def _orders(layout: Layout, runs: Sequence[Run]) -> list[Quantity]:
+    """Return how far the order of the difference in the step is below 2, for positions and pressures: two forms of one rule.
 
     A difference that ends in the noise has no order; one that is nothing at all is not that of two engines.
     """
     out = []
-    for text, columns, noise in (("angles", LAYOUT.positions, NOISE[0]), ("pressures", LAYOUT.pressures, NOISE[1])):
+    for text, columns, noise in (("positions", layout.positions, NOISE[0]), ("pressures", layout.pressures, NOISE[1])):
         sizes = [float(np.sqrt(np.mean((r.first - r.second)[:, columns] ** 2))) for r in runs]
         order = math.log(sizes[0] / sizes[-1]) / math.log(runs[0].step / runs[-1].step) if sizes[-1] > 0.0 else math.nan
         reason = f"found {order:.2f}; kinks of the laws leave some room"
@@ -346,22 +328,22 @@ def _orders(runs: Sequence[Run]) -> list[Quantity]:
     return out
 
 
-def _final_differences(run: Run, names: Sequence[str]) -> list[Quantity]:
-    """Return the largest differences of angles (absolute) and pressures (relative to their range) along a run."""
+def _final_differences(run: Run, layout: Layout) -> list[Quantity]:
+    """Return the largest differences of positions (absolute) and pressures (relative to their range) along a run."""
     out = []
     difference = np.abs(run.first - run.second)
     reach = np.ptp(run.second, axis=0)
-    for i, name in enumerate(names):
-        angle = CHANNELS[name] == "rad"
-        if not angle and CHANNELS[name] != "Pa":
+    for i, name in enumerate(layout.all_states[: difference.shape[1]]):
+        unit = layout.unit_of(name)
+        if unit.endswith("/s"):
             continue
         worst = int(np.argmax(np.where(np.isnan(difference[:, i]), np.inf, difference[:, i])))
         size, range_ = float(difference[worst, i]), max(float(reach[i]), 1e-12)
         reason = f"two forms of one rule, steps of {1e3 * run.step:g} ms"
         place = f"t = {run.time[worst]:.2f} s"
         out.append(
-            Quantity(f"{run.name}: {name}", "rad", size, size / range_, 1e-6, reason, place, absolute=True)
-            if angle
+            Quantity(f"{run.name}: {name}", unit, size, size / range_, 1e-6, reason, place, absolute=True)
+            if unit != "Pa"
             else Quantity(f"{run.name}: {name}", "Pa", size, size / range_, 1e-4, reason + ", of the range", place)
         )
     return out
@@ -394,10 +376,10 @@ def crosscheck(
     """
     make_first, make_second = make_first or _exudyn, make_second or _semi_recursive
     rng = np.random.default_rng(seed)
-    result = CrossCheck(crane.name)
+    result = CrossCheck(crane.name, crane.layout)
     first, second = make_first(crane), make_second(crane)
     drawn = cases.random_states(crane, states, rng)
-    skip = SPLIT_BY_PENDULUM if len(second.state_names) > len(LAYOUT.states) else ()
+    skip = split_by_pendulum(crane) if len(second.state_names) > len(crane.layout.states) else ()
     result.quantities += compare_terms(first, second, drawn, skip=skip)
     result.quantities += compare_static_starts(first, second, drawn)
     progress(0.03)
@@ -463,10 +445,10 @@ def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.ra
     """
     nominal = second.crane.nominal()
     drawn = cases.random_states(nominal if "end_stop" not in key else cases.without_short_strokes(nominal), count, rng)
-    added = len(second.state_names) - len(LAYOUT.states)
+    added = len(second.state_names) - len(nominal.layout.states)
     if added:
         drawn = cases.States(np.column_stack([drawn.x, rng.normal(0.0, 0.4, (count, added))]), drawn.w, drawn.time)
-    quantities = compare_terms(first, second, drawn, skip=SPLIT_BY_PENDULUM if added else ())
+    quantities = compare_terms(first, second, drawn, skip=split_by_pendulum(nominal) if added else ())
     if "end_stop" not in key:  # whose poses are beyond the ends
         quantities += compare_static_starts(first, second, drawn)
     worst = worst_of(key, quantities)
@@ -489,7 +471,7 @@ def run_effect(key: str, first: Engine, second: Engine) -> Quantity:
     time, w = cases.exciting(crane, key.partition("@")[2] if "end_stop" in key else "")
     x0 = initial_state(crane, second)
     apart = visible(crane, first.simulate(x0, time, w)) - visible(crane, second.simulate(x0, time, w))
-    angles, pressures = (float(np.sqrt(np.mean(apart[:, c] ** 2))) for c in (LAYOUT.positions, LAYOUT.pressures))
+    angles, pressures = (float(np.sqrt(np.mean(apart[:, c] ** 2))) for c in (crane.layout.positions, crane.layout.pressures))
     share = max(angles / ALONG[0], pressures / ALONG[1])
     reason = f"{angles:.1e} rad and {pressures / 1e5:.1e} bar (RMS) of {ALONG[0]:g} rad and {ALONG[1] / 1e5:g} bar"
     return Quantity(f"{key}, along 5 s", "-", share, share, 1.0, reason)
@@ -501,24 +483,25 @@ def manoeuvres(
     """Return (name, time, commands) of the paper's cycle and of random joystick inputs."""
     time = np.arange(round(seconds / cases.SAMPLE) + 1) * cases.SAMPLE
     x0 = initial_state(crane, engine)
-    return [("paper's cycle", time, paper_cycle(time)), ("random joystick", *cases.joystick(crane, x0, seconds, rng))]
+    cycle = paper_cycle(time, len(crane.layout.cylinders))
+    return [("paper's cycle", time, cycle), ("random joystick", *cases.joystick(crane, x0, seconds, rng))]
 
 
 # -- pictures --------------------------------------------------------------------------------------------------------
 
 
-def figure_of(runs: Sequence[Run]) -> Figure:
+def figure_of(layout: Layout, runs: Sequence[Run]) -> Figure:
     """Return a figure of one manoeuvre: both engines on top of each other, and below each their difference at every step."""
     from . import plots
 
-    columns = {name: LAYOUT.index(name) for name in (*LAYOUT.coordinates, *LAYOUT.chambers)}
+    columns = {name: layout.index(name) for name in (*layout.coordinates, *layout.chambers)}
     last = runs[-1]
     made = plots.figure(2 * len(columns), height=1.0)
     for row, (name, i) in enumerate(columns.items()):
         above, below = made.axes[2 * row], made.axes[2 * row + 1]
         lines = {"Exudyn": last.first[:, i], "semi-recursive": last.second[:, i]}
-        plots.draw_lines(above, last.time, lines, channel=name)
-        what = plots.shown(name)
+        plots.draw_lines(above, last.time, lines, channel=name, layout=layout)
+        what = plots.shown(name, layout=layout)
         for k, run in enumerate(runs):
             t, y = plots.thin(run.time, np.abs(run.first - run.second)[:, i] * what.factor)
             below.semilogy(t, np.maximum(y, 1e-16), label=f"difference, {1e3 * run.step:g} ms", **plots.look("", k))
@@ -541,7 +524,7 @@ def save_figures(result: CrossCheck, directory: Path) -> list[Path]:
     paths = []
     for name, runs in by_name(result.runs).items():
         path = directory / f"crosscheck-{name.replace(' ', '-').replace(chr(39), '')}.png"
-        plots.save(figure_of(runs), path)
+        plots.save(figure_of(result.layout, runs), path)
         paths.append(path)
     return paths
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.base import CYLINDERS
 from crane_exudyn.errors import CraneError
+from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import SpoolPath
 
@@ -17,6 +17,8 @@ from .semi_recursive import SemiRecursiveEngine
 
 #: hooks that act before or after an engine (on commands, on sensors), in code that both engines are fed by
 OUTSIDE_ENGINES = {"command", "delay", "backlash", "creep", "measurement", "lag"}
+#: hooks that act on a payload
+OF_PAYLOAD = {"payload_mass", "pendulum", "tip_force"}
 #: smallest chamber length of a random state, m
 MARGIN = 0.03
 SAMPLE = 1e-3
@@ -24,15 +26,34 @@ SAMPLE = 1e-3
 _KEPT = ("gravity", "fluid.vapour_pressure", "supply.pressure_reference")
 #: when probes of effects begin that begin at a time, s: within the run that excites them, and between samples
 BEGIN = 2.5003
-#: changes (m) that bring both ends of both strokes into the range of random poses, for end stops
-_SHORT_STROKES = {
-    f"cylinders.{c}.{n}": by for c in CYLINDERS for n, by in (("empty_length", 0.3), ("chamber_range", -0.5))
-}
+#: where end stops begin, and how far they are apart, as shares of the stroke: both in the range of random poses
+_FIRST_STOP, _BETWEEN_STOPS = 0.35, 0.4
+#: how far from the start's coordinates random poses are looked for, rad or m
+_REACH = 1.6
+
+
+def _short_strokes(crane: Crane) -> Crane:
+    """Return the crane with strokes whose ends are in the range of random poses, for end stops."""
+    changes = {}
+    for c in crane.layout.cylinders:
+        empty, stroke = f"cylinders.{c}.empty_length", f"cylinders.{c}.chamber_range"
+        changes |= {empty: crane[empty] + _FIRST_STOP * crane[stroke], stroke: _BETWEEN_STOPS * crane[stroke]}
+    return crane.with_parameters(changes)
+
+
+def without_short_strokes(crane: Crane) -> Crane:
+    """Return a crane of `effect_probes` with the strokes that it had before they were shortened."""
+    changes = {}
+    for c in crane.layout.cylinders:
+        empty, stroke = f"cylinders.{c}.empty_length", f"cylinders.{c}.chamber_range"
+        whole = crane[stroke] / _BETWEEN_STOPS
+        changes |= {empty: crane[empty] - _FIRST_STOP * whole, stroke: whole}
+    return crane.with_parameters(changes)
 
 
 @dataclass(frozen=True)
 class States:
-    """Random states with inputs and times: x (n, nx), w (n, 4), time (n,)."""
+    """Random states with inputs and times: x (n, nx), w (n, inputs), time (n,)."""
 
     x: np.ndarray
     w: np.ndarray
@@ -43,9 +64,9 @@ class States:
 
 
 def random_states(crane: Crane, count: int, rng: np.random.Generator) -> States:
-    """Return `count` states at which the loop closes well and both cylinders are inside their strokes.
+    """Return `count` states at which the loops close well and the cylinders are inside their strokes.
 
-    Angles are uniform over what is feasible, rates normal with 0.3 rad/s, pressures uniform up to 1.5 times the pump's (in a third
+    Coordinates are uniform over what is feasible, rates normal with 0.3 rad/s, pressures uniform up to 1.5 times the pump's (in a third
     of the states up to a tenth of that, one in twenty at vapour pressure), spool positions uniform; half of the inputs carry measured supply pressures.
 
     Raises:
@@ -73,9 +94,10 @@ def random_states(crane: Crane, count: int, rng: np.random.Generator) -> States:
 
 
 def _drawn(crane: Crane, nx: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    x = np.zeros((count, nx))
-    x[:, 0], x[:, 1] = rng.uniform(-0.4, 1.3, count), rng.uniform(-2.8, 0.3, count)
-    lay = crane.layout
+    lay, x = crane.layout, np.zeros((count, nx))
+    z = x[:, lay.positions]
+    z[:] = np.array(crane.initial.pose) + _REACH * rng.uniform(-1.0, 1.0, z.shape)
+    # most draws lie beyond a stroke: those are left out before engines see them
     dz, p, added = x[:, lay.velocities], x[:, lay.pressures], x[:, lay.extra]
     dz[:] = rng.normal(0.0, 0.3, dz.shape)
     p[:] = rng.uniform(0.2e5, 1.5 * crane["supply.pump_pressure"], p.shape)
@@ -86,36 +108,57 @@ def _drawn(crane: Crane, nx: int, count: int, rng: np.random.Generator) -> np.nd
 
 
 def _feasible(engine: SemiRecursiveEngine, x: np.ndarray) -> np.ndarray:
-    t = engine.terms_along(x, np.zeros((len(x), len(engine.crane.layout.inputs))), np.zeros(len(x)))
-    chambers = np.min([t[f"l{i}"] for i in range(1, 5)], axis=0)
+    lay, machine = engine.crane.layout, engine.crane.machine
+    good = _within_strokes(engine.crane, x[:, lay.positions])
+    t = engine.terms_along(x[good], np.zeros((good.sum(), len(lay.inputs))), np.zeros(good.sum()))
+    dependent = [f"d{machine.carriers[b].coordinate}_d{z}" for b in machine.dependent for z in lay.coordinates]
     with np.errstate(invalid="ignore"):
-        return (chambers > MARGIN) & (np.abs(t["dz2_dz4"]) < 5.0) & (np.abs(t["dz3_dz4"]) < 5.0)
+        loops = [np.abs(t[name]) < 5.0 for name in dependent]
+        good[good] = np.all([_shortest_chamber(t) > MARGIN, *loops], axis=0)
+    return good
+
+
+def _within_strokes(crane: Crane, z: np.ndarray) -> np.ndarray:
+    """Return which poses (m, n) all cylinders can have."""
+    lengths = cylinder_lengths(crane, z)
+    empty, range_ = (np.array([crane[f"cylinders.{c}.{n}"] for c in crane.layout.cylinders]) for n in ("empty_length", "chamber_range"))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(((lengths > empty) & (lengths < empty + range_)).all(axis=1))
+
+
+def _shortest_chamber(terms: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the length of the shortest chamber (n,) of terms along states."""
+    return np.min([values for name, values in terms.items() if name[0] == "l" and name[1:].isdigit()], axis=0)
 
 
 def other_cranes(crane: Crane, rng: np.random.Generator) -> dict[str, Crane]:
     """Return cranes of other numbers: a longer boom with a heavier payload, and one drawn at random within feasibility."""
+    body, point = crane.machine.payload
+    kin = {"drawn at random": _drawn_crane(crane, rng)}
+    if not body:
+        return kin
     longer = crane.with_parameters(
         {
-            "joints.E.x": crane["joints.E.x"] + 1.2,
-            "bodies.outer_boom.mass": 1.5 * crane["bodies.outer_boom.mass"],
-            "bodies.outer_boom.com.x": crane["bodies.outer_boom.com.x"] + 0.5,
-            "bodies.outer_boom.inertia": 3.0 * crane["bodies.outer_boom.inertia"],
+            f"{point}.x": crane[f"{point}.x"] + 0.4 * abs(crane[f"{point}.x"]),
+            f"bodies.{body}.mass": 1.5 * crane[f"bodies.{body}.mass"],
+            f"bodies.{body}.com.x": 1.7 * crane[f"bodies.{body}.com.x"],
+            f"bodies.{body}.inertia": 3.0 * crane[f"bodies.{body}.inertia"],
             "payload.mass": 6.0 * crane["payload.mass"],
         }
     )
-    return {"longer boom, heavier payload": longer, "drawn at random": _drawn_crane(crane, rng)}
+    return {"longer boom, heavier payload": longer} | kin
 
 
 def _drawn_crane(crane: Crane, rng: np.random.Generator) -> Crane:
-    """Return a crane with points moved by up to 60 mm and every quantity but gravity changed by up to 40 %."""
+    """Return a crane with points moved by up to 40 mm and every quantity but gravity changed by up to 40 %."""
     for _ in range(100):
         changes = {}
         for name, value in crane.values.items():
             if name.endswith((".x", ".y")):
-                changes[name] = value + rng.uniform(-0.06, 0.06)
+                changes[name] = value + rng.uniform(-0.04, 0.04)
             elif name not in _KEPT and not name.endswith(("empty_length", "chamber_range")):
                 changes[name] = value * rng.uniform(0.6, 1.4)
-        for c in CYLINDERS:
+        for c in crane.layout.cylinders:
             changes[f"cylinders.{c}.rod"] = changes[f"cylinders.{c}.bore"] * rng.uniform(0.3, 0.7)
         drawn = crane.with_parameters(changes)
         try:
@@ -130,47 +173,45 @@ def _drawn_crane(crane: Crane, rng: np.random.Generator) -> Crane:
 def effect_probes(crane: Crane) -> dict[str, Crane]:
     """Return {"name@place": crane with that effect} for every effect that acts inside an engine, its parameters typical."""
     probes = {}
-    for key in registry.all_keys():
-        effect, _ = registry.split_key(key)
+    for key in registry.all_keys(crane.layout):
+        effect, place = registry.split_key(key)
         if set(effect.hooks()) <= OUTSIDE_ENGINES:
             continue
         base = crane
         if "pendulum" in effect.hooks() and crane["payload.mass"] <= 0.0:  # nothing would swing
             base = crane.with_parameters({"payload.mass": 100.0})
+        if OF_PAYLOAD & set(effect.hooks()) and not crane.machine.payload[0]:
+            continue
         if effect.name == "end_stop":  # bring both ends into the range of random states
-            base = crane.with_parameters({n: crane[n] + by for n, by in _SHORT_STROKES.items()})
+            base = _short_strokes(crane)
         begins = {p.name: BEGIN for p in effect.parameters if p.name == "T" and p.shape}
         probes[key] = base.with_effect(key, {p.name: p.typical for p in effect.parameters} | begins)
     return probes
 
 
-def without_short_strokes(crane: Crane) -> Crane:
-    """Return a crane of `effect_probes` with the strokes that it had before they were shortened."""
-    return crane.with_parameters({n: crane[n] - by for n, by in _SHORT_STROKES.items()})
-
-
 def exciting(crane: Crane, to_its_end: str = "") -> tuple[np.ndarray, np.ndarray]:
-    """Return time (n,) s and inputs w (n, 4) of 5 s in which both cylinders go both ways, or one goes against the end of its stroke."""
-    time = np.arange(round(5.0 / SAMPLE) + 1) * SAMPLE
-    commands = np.column_stack([0.4 * np.sin(2.5 * time), -0.35 * np.sin(1.7 * time) * (time > 0.5)])
+    """Return time (n,) s and inputs w (n, .) of 5 s in which all cylinders go both ways, or one goes against the end of its stroke."""
+    time, cylinders = np.arange(round(5.0 / SAMPLE) + 1) * SAMPLE, crane.layout.cylinders
+    ways = [(1.0 if c % 2 == 0 else -1.0) * np.sin((2.5 - 0.8 * c) * time) * (time > 0.5 * c) for c in range(len(cylinders))]
+    commands = np.column_stack([(0.4 - 0.05 * c) * way for c, way in enumerate(ways)])
     if to_its_end:
-        commands = np.column_stack([(time > 0.2) * float(c == to_its_end) for c in CYLINDERS])
+        commands = np.column_stack([(time > 0.2) * float(c == to_its_end) for c in cylinders])
     return time, spool_inputs(crane, time, commands)
 
 
 def joystick(crane: Crane, x0: np.ndarray, seconds: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return time (n,) s and commands (n, 2) of a random driver who keeps the cylinders off their ends.
+    """Return time (n,) s and commands (n, levers) of a random driver who keeps the cylinders off their ends.
 
     Each valve is ramped within 0.2 s to a new random position (one in four is rest), which is held up to 1.5 s. The driver
     only does what he can still stop in time.
     """
-    engine, n = SemiRecursiveEngine(crane), round(seconds / SAMPLE) + 1
+    engine, n, levers = SemiRecursiveEngine(crane), round(seconds / SAMPLE) + 1, len(crane.layout.cylinders)
     stop = round(0.6 / SAMPLE)
-    time, commands = np.arange(n + stop) * SAMPLE, np.zeros((n + stop, len(CYLINDERS)))
-    at, x, level = round(0.2 / SAMPLE), np.asarray(x0), np.zeros(len(CYLINDERS))
+    time, commands = np.arange(n + stop) * SAMPLE, np.zeros((n + stop, levers))
+    at, x, level = round(0.2 / SAMPLE), np.asarray(x0), np.zeros(levers)
     while at < n - 1:
         end = min(n - 1, at + int(rng.uniform(0.5, 1.7) / SAMPLE))
-        for wanted in _tries(rng):
+        for wanted in _tries(levers, rng):
             commands[at : end + 1] = _ramp(level, wanted, end + 1 - at)
             commands[end : end + stop] = _ramp(wanted, np.zeros_like(wanted), stop)
             spools = spool_inputs(crane, time[: end + stop], commands[: end + stop])[at:]
@@ -189,15 +230,15 @@ def _ramp(start: np.ndarray, end: np.ndarray, count: int) -> np.ndarray:
 
 
 def spool_inputs(crane: Crane, time: np.ndarray, commands: np.ndarray) -> np.ndarray:
-    """Return engine inputs w (n, 4) of commands (n, 2), with the crane's own supply pressures."""
+    """Return engine inputs w (n, .) of commands (n, levers), with the crane's own supply pressures."""
     return np.column_stack([SpoolPath(crane).run(time, commands), np.full((len(time), 2), np.nan)])
 
 
-def _tries(rng: np.random.Generator) -> list[np.ndarray]:
-    """Return positions of both levers in the order in which the driver thinks of them; stopping is the last."""
-    drawn = rng.uniform(-0.7, 0.7, (30, len(CYLINDERS)))
+def _tries(levers: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Return positions of the levers in the order in which the driver thinks of them; stopping is the last."""
+    drawn = rng.uniform(-0.7, 0.7, (30, levers))
     drawn[rng.random(drawn.shape) < 0.25] = 0.0
-    return [*drawn, np.zeros(len(CYLINDERS))]
+    return [*drawn, np.zeros(levers)]
 
 
 def _safe_state(
@@ -209,4 +250,4 @@ def _safe_state(
     except CraneError:
         return None
     t = engine.terms_along(X[::20], w[::20], time[::20])
-    return X[k] if min(t[f"l{i}"].min() for i in range(1, 5)) > MARGIN else None
+    return X[k] if _shortest_chamber(t).min() > MARGIN else None
