@@ -180,6 +180,10 @@ class Layout:
         own = () if self.slides and self.slides[k] else (coordinate,)
         return (*(self.absolute(self.parents[k]) if self.parents[k] else ()), *own)
 
+    def carriers(self, coordinate: str) -> tuple[str, ...]:
+        """Return the coordinates whose sum is the angle of what carries a body, from the ground on."""
+        return tuple(name for name in self.absolute(coordinate) if name != coordinate)
+
     # -- the inputs ------------------------------------------------------------------------------------------------
 
     @property

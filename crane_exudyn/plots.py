@@ -84,8 +84,7 @@ def _names(layout: Layout) -> dict[str, tuple[str, str]]:
     pendulum = (("payload's pendulum", "θ"), ("payload's pendulum rate", "θ\u0307"))
     found = dict(zip(layout.added, pendulum, strict=False))
     for name, body in bodies.items():
-        path = layout.absolute(name)
-        carriers = [n for n in path if n != name]
+        path, carriers = layout.absolute(name), layout.carriers(name)
         found[name] = (f"{body} against {bodies[carriers[-1]]}" if carriers else body, name)
         found[f"{name}_abs"] = (body, "+".join(path))
         found[f"d{name}"] = (f"{body} rate", dotted[name])

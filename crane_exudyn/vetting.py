@@ -201,7 +201,7 @@ def _other_coordinate(recording: Recording, crane: Crane, c: int, shown: np.ndar
     for words, values in others.items():
         if _beyond(crane, c, values) <= _SHARE:
             return f"It would fit {words}. Mend the column, or is it another crane? Then give its file with --crane."
-    carriers = crane.layout.absolute(name)[:-1]
+    carriers = crane.layout.carriers(name)
     if carriers and recording.has(*carriers):
         base = sum(float(np.median(recording[n].values)) for n in carriers)
         if _beyond(crane, c, shown - base) <= _SHARE:
