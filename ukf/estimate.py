@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crane_exudyn import channels
+from crane_exudyn.crane import Crane
 from crane_exudyn.layout import Layout
 from crane_exudyn.recording import usual_layout
-from crane_exudyn.crane import Crane
 
 from . import consistency
 from .monitor import ABSENT, FROZEN, OUTLIER, USED
