@@ -20,7 +20,7 @@ from .data import FitData
 
 @dataclass(frozen=True)
 class Model:
-    """Vectors of one crane for one recording: P, E, the inputs W (N, 4) on the recording's grid; and the commands' lateness, s."""
+    """Vectors of one crane for one recording: P, E, the inputs W (N, valves + 2) on the recording's grid; and the commands' lateness, s."""
 
     crane: Crane
     P: np.ndarray
@@ -36,7 +36,7 @@ class Model:
 
     def measurement(self, channels: Sequence[str]) -> Measurement:
         """Return what the crane's sensors of some channels show."""
-        return Measurement(channels, self.P, self.E)
+        return Measurement(channels, self.crane.machine, self.P, self.E)
 
 
 def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None = None) -> Model:
@@ -54,7 +54,7 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None 
 
 
 def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:
-    """Return spool positions (N, 2) on the grid of a recording."""
+    """Return spool positions (N, valves) on the grid of a recording."""
     return _paths(crane, crane.parameter_vector(), crane.effect_vector(), data, late)
 
 
@@ -71,7 +71,7 @@ _NEAR, _QUOTIENT = 1e-2, 1e-4
 def _extrapolated(
     near: Model, crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: float
 ) -> np.ndarray | None:
-    """Return spool positions (N, 2) from those of a model nearby, or None if more than the time constants differ."""
+    """Return spool positions (N, valves) from those of a model nearby, or None if more than the time constants differ."""
     if late != near.late or _commanded(crane) != _commanded(near.crane):
         return None
     spool = near.W[:, crane.layout.spools].copy()

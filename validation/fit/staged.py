@@ -103,7 +103,7 @@ def residuals(
         crane, data: the model and what it is held against.
         starts: first state (nx,), or (S, nx) of each stretch with known commands; where there are fewer, the others begin as measured.
         late: seconds by which the commands come after their stamps.
-        simulate: (x0, time (n,), inputs (n, 4)) -> states (n, nx); by default the semi-recursive engine.
+        simulate: (x0, time (n,), inputs (n, valves + 2)) -> states (n, nx); by default the semi-recursive engine.
     """
     model = model_of(crane, data, late)
     X = _states(
