@@ -298,7 +298,9 @@ class _Following(Estimator):
 def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[float], None] | None = None) -> Estimate:
     """Return the run of a filter that trusts the model, and believes every sample; it begins anew after unknown commands."""
     noise = {s.channel: s.noise for s in data.samples}
-    estimator = _Following(crane, engine, sensors=noise, noise=ProcessNoise.of(crane.layout, *_TRUSTING), max_step=data.step, gate=None)
+    estimator = _Following(
+        crane, engine, sensors=noise, noise=ProcessNoise.of(crane.layout, *_TRUSTING), max_step=data.step, gate=None
+    )
     runs = []
     for first, last in data.stretches:
         done = partial(_share, progress, first / len(data.time), (last - first) / len(data.time))

@@ -156,9 +156,7 @@ def balances_figure(comparison: Comparison) -> Figure:
             axes.fill_between(t, y - 1.96 * s, y + 1.96 * s, color="#0072B2", alpha=0.25, lw=0)
             axes.plot(t, y, color="#0072B2", lw=1.1)
             axes.axhline(0.0, color="#111111", lw=0.8)
-            axes.set_title(
-                f"{_label(equation)} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0
-            )
+            axes.set_title(f"{_label(equation)} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0)
             axes.set_ylabel(unit)
         made.axes[-1].set_xlim(balances.time[0], balances.time[-1])
         made.axes[-1].set_xlabel("time / s")

@@ -66,6 +66,7 @@ def _together(sides: tuple[int, ...], layout: Layout) -> str:
         return f"{both} {driven[0][1].removesuffix('s')}"
     return " and ".join(f"the {name} cylinder {way}" for name, way in driven)
 
+
 #: a spool position beyond this drives its cylinder
 DRIVEN = 0.02
 #: a valve that changes sides within this time reverses its cylinder, and the reversal is felt for as long, s

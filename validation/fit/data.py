@@ -100,7 +100,9 @@ class FitData:
         times, commands = recording.commands(crane)
         sensors = list(recording.sensors)
         if not sensors:
-            raise CraneError(f"{recording.name}: no sensor channel. At least one of {', '.join(crane.layout.sensors)} is needed.")
+            raise CraneError(
+                f"{recording.name}: no sensor channel. At least one of {', '.join(crane.layout.sensors)} is needed."
+            )
         start = min(recording.channels[c].time[0] for c in sensors)
         end = max(recording.channels[c].time[-1] for c in sensors)
         step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))

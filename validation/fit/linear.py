@@ -226,9 +226,7 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     )  # fmt: skip
 
 
-def forgotten(
-    columns: np.ndarray, sample: Samples, step: float, tau: float, rate: float
-) -> tuple[np.ndarray, float]:
+def forgotten(columns: np.ndarray, sample: Samples, step: float, tau: float, rate: float) -> tuple[np.ndarray, float]:
     """Return columns (n, m) of a sensor, in noise units, without what its unknown first value in a window may have done, and the cost of that.
 
     A sensor that lags (by tau, s) remembers what was before the window. Its first value is one more unknown, of which only a size is known, tau times `rate`,
