@@ -176,6 +176,11 @@ class Recording:
         from .drive import with_steps
 
         self.require(sensors=0)
+        if crane is not None and crane.layout.sensors != self.layout.sensors:
+            raise CraneError(
+                f"{self.source or self.name}: was read as a recording of another machine than {crane.name}. "
+                "Read it with the crane's names: Recording.load(path, layout=crane.layout)."
+            )
         names = self._command_names
         held = [self[name].held_until(self._gaps(name)[:, 1]) for name in names]
         time = _union([channel.time for channel in held])
