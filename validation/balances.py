@@ -257,6 +257,7 @@ def _transitions(
         E,
         spread,
         np.arange(1, 1 + m),
+        topology=model.topology,
         want_phi=True,
         allowed=ACCURACY,
     )

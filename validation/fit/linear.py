@@ -194,8 +194,8 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     moving = np.flatnonzero(columns.dynamic)
     swept = sensitivity.sweep(
         x0[None], np.zeros(1), columns.W[:, rows], data.step, float(data.time[0]), base.P, base.E,
-        columns.P[moving], columns.E[moving], columns.size[moving], columns.W_index[moving], own=columns.own[moving],
-        allowed=ACCURACY,
+        columns.P[moving], columns.E[moving], columns.size[moving], columns.W_index[moving], topology=base.topology,
+        own=columns.own[moving], allowed=ACCURACY,
     )  # fmt: skip
     X, S, status = swept.X, swept.S, swept.status
     nx, m = len(x0), len(columns.size)

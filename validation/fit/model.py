@@ -29,6 +29,11 @@ class Model:
     late: float = 0.0
 
     @property
+    def topology(self) -> np.ndarray:
+        """The machine's table of integers for compiled code."""
+        return self.crane.machine.topology
+
+    @property
     def nx(self) -> int:
         """Number of states: more with a pendulum."""
         lay = self.crane.layout

@@ -133,7 +133,7 @@ def _simulated(model: Model, step: float) -> Simulate:
     """Return the semi-recursive engine's run; where it leaves what the crane can do it stands still."""
 
     def simulate(x0: np.ndarray, time: np.ndarray, W: np.ndarray) -> np.ndarray:
-        X, status, last, _ = kernel.simulate(x0, W, time, step, model.P, model.E, ACCURACY)
+        X, status, last, _ = kernel.simulate(x0, W, time, step, model.P, model.E, model.topology, ACCURACY)
         if status != kernel.OK:
             X[last + 1 :] = X[last]
         return np.asarray(X)
