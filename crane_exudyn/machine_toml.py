@@ -15,7 +15,7 @@ from .machine import GROUND, PRISMATIC, REVOLUTE, Cylinder, Joint, Machine
 #: keys that describe a machine, by section; the other keys there are numbers
 OF_CYLINDER = ("bodies", "chambers", "loaded", "length", "command", "voltage")
 OF_PAYLOAD = ("body", "at")
-OF_JOINT = ("name", "kind", "bodies", "at", "on", "coordinate", "bend")
+OF_JOINT = ("name", "kind", "bodies", "at", "on", "coordinate", "direction", "bend")
 _BENDS = {"left": 1, "right": -1}
 #: the machine of files that describe none, as those of earlier versions
 _EARLIER = "patu655"

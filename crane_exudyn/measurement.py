@@ -8,7 +8,7 @@ shows a first-order follower of y, tau y_shown' + y_shown = y.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
@@ -23,7 +23,7 @@ from .geometry import cylinder_length
 from .hydraulics import vapour_pressure
 from .layout import MOST
 from .machine import Machine
-from .sensors import Sensor, sensor
+from .sensors import sensor
 
 _HOOKS = {"measurement", "lag"}
 #: step of the difference quotient of a law: shares of a usual sensor's noise and of the reading
@@ -39,17 +39,10 @@ class Measurement:
         has_laws: whether effects may make something else of a reading.
     """
 
-    def __init__(
-        self,
-        names: Sequence[str],
-        machine: Machine,
-        P: np.ndarray,
-        E: np.ndarray,
-        table: Mapping[str, Sensor] | None = None,
-    ) -> None:
-        """`table`: of sensors; by default those of the machine's layout. Raises CraneError for a sensor that is not in it."""
+    def __init__(self, names: Sequence[str], machine: Machine, P: np.ndarray, E: np.ndarray) -> None:
+        """Raises CraneError for a sensor that the machine does not have."""
         self._machine, lay = machine, machine.layout
-        self.names, chosen = tuple(names), [sensor(n, lay.sensors if table is None else table) for n in names]
+        self.names, chosen = tuple(names), [sensor(n, lay.sensors) for n in names]
         most = max(1, *(len(c.shows) for c in chosen))
         summed = [[lay.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
         self._summed = np.array(summed, np.int64).reshape(-1, most)
