@@ -267,12 +267,12 @@ def diagnosis(results: Results, crane: Crane) -> None:
 
 
 def leaking_recording(crane: Crane, rate: float = 200.0) -> Any:
-    """Return a recording of the paper's cycle on a crane whose lift cylinder leaks: z1, z4, all pressures, with noise."""
+    """Return a recording of the paper's cycle on a crane whose first cylinder leaks: coordinates and all pressures, with noise."""
     from crane_exudyn.recording import Recording
     from crane_exudyn.simulation import simulate
     from ukf.process import engine_of
 
-    leaking = crane.with_effect("internal_leakage@lift", {"k": 5e-12})
+    leaking = crane.with_effect(f"internal_leakage@{crane.layout.cylinders[0]}", {"k": 5e-12})
     run = simulate(leaking, engine=engine_of("semi-recursive", leaking))
     every = slice(None, None, round(1.0 / (rate * _STEP)))
     rng = np.random.default_rng(0)
@@ -280,7 +280,7 @@ def leaking_recording(crane: Crane, rate: float = 200.0) -> Any:
     noise = dict.fromkeys(lay.coordinates, math.radians(0.05)) | dict.fromkeys(lay.chambers, 0.3e5)
     measured = {n: run[n][every] + std * rng.normal(size=len(run.time[every])) for n, std in noise.items()}
     commands = {n: run[n][every] for n in lay.commands}
-    return Recording.from_arrays("leaking lift cylinder", run.time[every], commands | measured, layout=lay)
+    return Recording.from_arrays("leaking cylinder", run.time[every], commands | measured, layout=lay)
 
 
 def memory(results: Results, crane: Crane) -> None:

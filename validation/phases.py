@@ -11,7 +11,6 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.layout import Layout
-from crane_exudyn.recording import usual_layout
 
 REST = "rest"
 #: what a cylinder does by the way its valve is open
@@ -88,8 +87,8 @@ class Phase:
     last: int
     start: float
     end: float
-    sides: tuple[int, ...] = ()
-    layout: Layout = field(default_factory=usual_layout, repr=False)
+    sides: tuple[int, ...]
+    layout: Layout = field(repr=False)
 
     @property
     def words(self) -> str:
