@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -45,6 +46,7 @@ _AT_FLOOR = 0.5e5
 _FIRST, _GROWTH = 30.0, 1e-4
 
 
+@cache
 def spread_of(layout: Layout) -> np.ndarray:
     """Return the standard deviation of each unknown input of `layout.equations` before anything was measured, SI."""
     return np.array(layout.sized(layout.equations, _SPREAD))

@@ -12,6 +12,7 @@ import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -39,11 +40,13 @@ _LARGE = 40_000
 RATE: Mapping[str, float] = {"rad": 0.3, "m": 0.3, "rad/s": 0.3, "m/s": 0.3, "Pa": 5e7}
 
 
+@cache
 def jump_of(layout: Layout) -> np.ndarray:
     """Return the size of a jump between two windows that is taken as one standard deviation, for each state that there may be."""
     return np.array([*layout.sized(layout.states, _JUMP), *[_JUMP_OF_PENDULUM] * len(layout.added)])
 
 
+@cache
 def _guess_of(layout: Layout) -> np.ndarray:
     return np.array([*layout.sized(layout.states, _GUESS), *[_GUESS_OF_PENDULUM] * len(layout.added)])
 
