@@ -252,7 +252,7 @@ def _run(crane: Crane, engine: Any, manoeuvre: Manoeuvre) -> np.ndarray:
     """Return the states (N, nx) of a machine through a manoeuvre every ms, from its own static start."""
     from .hidden_plant import inputs
 
-    start = engine.static_start(manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded)
+    start = engine.static_start(manoeuvre.z1, manoeuvre.z4, less_loaded=manoeuvre.less_loaded)
     w = inputs(crane, _GRID, *manoeuvre.driven())
     states = np.asarray(engine.simulate(start, _GRID, w, step=_STEP))
     _check_reach(crane, states)
@@ -437,7 +437,9 @@ def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law
             return _draft(machine, manoeuvre)
         return readings(machine, _run(machine, ExudynEngine(machine), manoeuvre))
     w = inputs(plain, _GRID, *manoeuvre.driven(), dialects)
-    states = simulate(plain, static_start(plain, manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded), _GRID, w, acting)
+    states = simulate(
+        plain, static_start(plain, manoeuvre.z1, manoeuvre.z4, less_loaded=manoeuvre.less_loaded), _GRID, w, acting
+    )
     _check_reach(machine, states)
     return readings(machine, states)
 
