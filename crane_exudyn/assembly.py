@@ -8,24 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from .channels import CHANNELS, COMMANDS, UNSEEN, Channel
+from . import channels as channel_names
+from .channels import Channel
 from .errors import CraneError, nearest
+from .layout import Layout
 from .tables import RawColumn, RawTable, remarks, split_header
 from .units import factor_to_si
 
 #: units that people write, for messages
-EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "s": "s"}
+EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "m/s": "mm/s", "s": "s"}
 #: a command may read a little beyond fully open, as sensors do; more than this is another unit
 _COMMAND_LIMIT = 1.05
 #: share of repeated times up to which the repeated samples are left out with a remark
 _MOST_REPEATED = 0.1
 #: a pause of all channels beyond so many seconds, and so many times longer than usual, splits a recording; beyond a day the clock is wrong
 _SPLIT, _SPLIT_RATIO, _DAY = 10.0, 100.0, 86400.0
-_MEASURED = tuple(name for name in CHANNELS if name not in UNSEEN)
 
 
-def check_mapping(mapping: Mapping[str, str]) -> None:
-    known = ["time", *CHANNELS]
+def check_mapping(mapping: Mapping[str, str], layout: Layout) -> None:
+    known = ["time", *channel_names.of(layout)]
     for name in mapping:
         if name not in known:
             raise CraneError(f"--map {name}={mapping[name]}: there is no channel {name!r}.{nearest(name, known)}")
@@ -35,32 +36,39 @@ def check_mapping(mapping: Mapping[str, str]) -> None:
             raise CraneError(f"--map takes column {column!r} for two channels. Map each column once.")
 
 
-def wanted(mapping: Mapping[str, str]) -> set[str]:
+def example(layout: Layout) -> str:
+    """Return an example of what `--map` takes, such as "z1=BoomAngle[deg]"."""
+    name = layout.coordinates[0]
+    return f"{name}=BoomAngle[{EXAMPLE[layout.unit_of(name)]}]"
+
+
+def wanted(mapping: Mapping[str, str], layout: Layout) -> set[str]:
     mapped = {part for column in mapping.values() for part in (column, split_header(column)[0])}
-    return {"time", *CHANNELS, *mapped}
+    return {"time", *channel_names.of(layout), *mapped}
 
 
-def assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> dict[str, Any]:
-    """Return name, channels, source and notes of the recording that a file's columns make.
+def assemble(path: Path, table: RawTable, mapping: Mapping[str, str], layout: Layout) -> dict[str, Any]:
+    """Return name, channels, source, notes and layout of the recording that a file's columns make.
 
     Names, units and clocks are judged, missing samples dropped.
     """
-    named, notes = _name_columns(path, table, mapping)
+    units = channel_names.of(layout)
+    named, notes = _name_columns(path, table, mapping, layout)
     clock = named.pop("time", None)
     if not named:
         found = ", ".join(c.header for c in table.columns[:8])
         raise CraneError(
-            f"{path}: found no known channel among the columns {found}. Expected some of {', '.join(_MEASURED)}; "
-            "give other names with --map z1=BoomAngle[deg]."
+            f"{path}: found no known channel among the columns {found}. Expected some of "
+            f"{', '.join(n for n in units if n not in layout.added)}; give other names with --map {example(layout)}."
         )
     notes = [*table.notes, *notes]
     times: dict[int, np.ndarray] = {}
     channels = {}
-    for name in (n for n in CHANNELS if n in named):  # in the order of the contract, whatever the file's
+    for name in (n for n in units if n in named):  # in the order of the contract, whatever the file's
         own = _clock_of(path, named[name], clock, table)
         if id(own) not in times:
             times[id(own)] = _seconds(path, own, table)
-        channel = _channel(path, name, named[name], times[id(own)], table)
+        channel = _channel(path, name, named[name], times[id(own)], table, layout)
         if channel is None:
             notes.append(f"channel {name} has no sample")
             continue
@@ -72,16 +80,23 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> dict[st
         raise CraneError(f"{path}: found fewer than two samples, expected a recording over time. Record longer.")
     channels, split = _longest_stretch(channels)
     notes += split
-    return {"name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes)}
+    return {
+        "name": path.name.partition(".")[0],
+        "channels": channels,
+        "source": str(path),
+        "notes": tuple(notes),
+        "layout": layout,
+    }
 
 
 def _name_columns(
-    path: Path, table: RawTable, mapping: Mapping[str, str]
+    path: Path, table: RawTable, mapping: Mapping[str, str], layout: Layout
 ) -> tuple[dict[str, tuple[RawColumn, str | None]], list[str]]:
     """Return {channel: (column, unit)} and remarks on columns that were left alone.
 
     A column that merely has the name of something unseen, without a unit, is somebody's own.
     """
+    known = ("time", *channel_names.of(layout))
     by_column = {id(_find(path, table, column)): name for name, column in mapping.items()}
     named: dict[str, tuple[RawColumn, str | None]] = {}
     notes: list[str] = []
@@ -92,9 +107,10 @@ def _name_columns(
         if id(column) in by_column:
             name = by_column[id(column)]
             unit = _mapped_unit(path, column.header, unit, split_header(mapping[name])[1])
-        elif name in mapping or name not in ("time", *CHANNELS) or (name in UNSEEN and unit is None):
-            if name in mapping or _like(name):
-                notes.append(_remark(column.header, name, mapping))
+        elif name in mapping or name not in known or (name in layout.added and unit is None):
+            like = next((c for c in known[1:] if c.lower() == name.lower()), None)
+            if name in mapping or like:
+                notes.append(_remark(column.header, name, like, mapping))
             else:
                 ignored.append(column.header)
             continue
@@ -107,15 +123,10 @@ def _name_columns(
     return named, notes + remarks("column", ignored, "was ignored")
 
 
-def _remark(header: str, name: str, mapping: Mapping[str, str]) -> str:
+def _remark(header: str, name: str, like: str | None, mapping: Mapping[str, str]) -> str:
     if name in mapping:
         return f"column {header!r} was put aside for {mapping[name]!r}"
-    return f"column {header!r} was ignored, did you mean {_like(name)}?"
-
-
-def _like(name: str) -> str | None:
-    """Return the first channel that differs from a name at most by capitals."""
-    return next((c for c in CHANNELS if c.lower() == name.lower()), None)
+    return f"column {header!r} was ignored, did you mean {like}?"
 
 
 def _find(path: Path, table: RawTable, wanted: str) -> RawColumn:
@@ -230,36 +241,36 @@ def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) 
 
 
 def _channel(
-    path: Path, name: str, column: tuple[RawColumn, str | None], time: np.ndarray, table: RawTable
+    path: Path, name: str, column: tuple[RawColumn, str | None], time: np.ndarray, table: RawTable, layout: Layout
 ) -> Channel | None:
-    raw, unit = column
+    (raw, unit), si_unit = column, channel_names.of(layout)[name]
     if raw.values.shape != time.shape:
         raise CraneError(
             f"{path}, column {raw.header}: found {raw.values.size} samples, expected {time.size} as its time has. "
             f"Give it a time of its own, or export it again."
         )
     with np.errstate(over="ignore"):  # what is infinite in SI is refused below
-        values = raw.values * _factor(path, name, raw.header, unit, CHANNELS[name])
+        values = raw.values * _factor(path, name, raw.header, unit, si_unit)
     there = ~np.isnan(values)
     infinite = np.flatnonzero(np.isinf(values))
     if len(infinite):
         raise CraneError(
             f"{path}, {table.place(infinite[0])}, column {raw.header}: found an infinite value. Leave it empty if it is missing."
         )
-    if name in COMMANDS:
-        _check_command(path, raw, values, table)
+    if name in layout.commands:
+        voltage = layout.voltages[layout.commands.index(name)]
+        _check_command(path, raw, values, table, f"Write percent as {name}[%], and valve voltages as {voltage}[V].")
     if not there.any():
         return None
     rows = _first_of_stamp(path, raw.header, time, np.flatnonzero(there), table)
     if len(rows) == len(time):
-        return Channel(time, values, CHANNELS[name])
-    return Channel(time[rows], values[rows], CHANNELS[name])
+        return Channel(time, values, si_unit)
+    return Channel(time[rows], values[rows], si_unit)
 
 
-def _check_command(path: Path, raw: RawColumn, values: np.ndarray, table: RawTable) -> None:
+def _check_command(path: Path, raw: RawColumn, values: np.ndarray, table: RawTable, mend: str) -> None:
     beyond = np.flatnonzero(np.abs(np.nan_to_num(values)) > _COMMAND_LIMIT)
     if len(beyond):
         raise CraneError(
-            f"{path}, {table.place(beyond[0])}, column {raw.header}: found the command {values[beyond[0]]:g}, expected -1 to 1. "
-            "Write percent as u1[%], and valve voltages as U1[V]."
+            f"{path}, {table.place(beyond[0])}, column {raw.header}: found the command {values[beyond[0]]:g}, expected -1 to 1. {mend}"
         )

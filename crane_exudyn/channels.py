@@ -5,28 +5,35 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 
 import numpy as np
 
-from . import sensors
-from .parameters import LAYOUT
+from .layout import Layout
 
-COMMANDS, VOLTAGES, SUPPLY = LAYOUT.commands, LAYOUT.voltages, LAYOUT.supply
-#: measured channels and their SI units
-SENSORS: Mapping[str, str] = MappingProxyType({name: sensor.unit for name, sensor in sensors.SENSORS.items()})
-#: by unit, the size that no reading of a crane has: turns that no boom makes, rad/s, 1000 bar, m
-BEYOND: Mapping[str, float] = MappingProxyType({"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0})
-#: what no sensor measures, but simulations and estimates hold: angle and rate of a payload on a pendulum
-UNSEEN: Mapping[str, str] = MappingProxyType(dict(zip(LAYOUT.added, ("rad", "rad/s"), strict=True)))
-#: all channels that a recording may have, and their SI units ("" is a pure number)
-CHANNELS: Mapping[str, str] = MappingProxyType(
-    dict.fromkeys(COMMANDS, "")
-    | dict.fromkeys(VOLTAGES, "V")
-    | dict(SENSORS)
-    | dict.fromkeys(SUPPLY, "Pa")
-    | dict(UNSEEN)
+#: by unit, the size that no reading of a crane has: turns that no boom makes, rad/s, 1000 bar, m, m/s
+BEYOND: Mapping[str, float] = MappingProxyType(
+    {"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0, "m/s": 20.0}
 )
+
+
+@cache
+def of(layout: Layout) -> Mapping[str, str]:
+    """Return all channels that a recording of a machine may have, in their order, and their SI units ("" is a pure number)."""
+    return MappingProxyType(
+        dict.fromkeys(layout.commands, "")
+        | dict.fromkeys(layout.voltages, "V")
+        | {name: sensor.unit for name, sensor in layout.sensors.items()}
+        | dict.fromkeys(layout.supply, "Pa")
+        | unseen(layout)
+    )
+
+
+def unseen(layout: Layout) -> dict[str, str]:
+    """Return what no sensor measures, but simulations and estimates hold, and its SI units: angle and rate of a payload on a pendulum."""
+    return {name: layout.unit_of(name) for name in layout.added}
+
 
 #: a pause in a channel is a gap if it is so many times longer than usual, and this long in s
 _GAP_RATIO, _GAP = 3.0, 0.05

@@ -13,7 +13,7 @@ _STEP, _RATIO = 0.02, 4.0
 
 
 def with_steps(time: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands in which steps stay steps: time (n + k,), commands (n + k, 2), linear between the points.
+    """Return commands in which steps stay steps: time (n + k,), commands (n + k, valves), linear between the points.
 
     A ramp shows in many samples, a step in one: joining the two samples around a step by a line would begin it up to a sampling
     interval early. A command that jumps is held until the sample that shows the new value.
@@ -38,11 +38,11 @@ def spool_on(
     late: float = 0.0,
     valve: int | None = None,
 ) -> np.ndarray:
-    """Return spool positions (N, 2) on a grid (N,), exact for commands (n, 2) that are linear between their own samples.
+    """Return spool positions (N, valves) on a grid (N,), exact for commands (n, valves) that are linear between their own samples.
 
     Args:
         late: seconds by which the commands come after their stamps `time` (n,).
-        valve: the only one to be computed (the other stays at 0); both by default.
+        valve: the only one to be computed (the others stay at 0); all by default.
     """
     stamps = time + late
     inside = stamps[(stamps > grid[0]) & (stamps < grid[-1])]

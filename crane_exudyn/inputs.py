@@ -19,7 +19,7 @@ from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
 from .laws.spool import spool_step
-from .parameters import CYLINDERS, N_VALVE, VALVE
+from .parameters import N_VALVE, VALVE
 
 
 class Valve(NamedTuple):
@@ -34,14 +34,14 @@ class Valve(NamedTuple):
 
 @njit
 def _apply_command_hooks(E, commands, out):
-    """Fill out (n, 2) with the commands after the effects that act on them."""
+    """Fill out (n, valves) with the commands after the effects that act on them."""
     for k in range(commands.shape[0]):
         for c in range(commands.shape[1]):
             out[k, c] = hooks.command(E, c, commands[k, c])
 
 
 def _commands_after(E: np.ndarray, commands: np.ndarray) -> np.ndarray:
-    """Return the commands (n, 2) after the effects E that act on them."""
+    """Return the commands (n, valves) after the effects E that act on them."""
     changed = np.empty_like(commands)
     _apply_command_hooks(E, np.ascontiguousarray(commands), changed)
     return changed
@@ -108,22 +108,22 @@ class SpoolPath:
 
     def __init__(self, crane: Crane) -> None:
         P, self._E = crane.parameter_vector(), crane.effect_vector()
-        self._crane = crane
-        self._valves = [valve_of(P, self._E, c) for c in range(len(CYLINDERS))]
+        self._crane, self._names = crane, crane.layout.cylinders
+        self._valves = [valve_of(P, self._E, c) for c in range(len(self._names))]
         for c, valve in enumerate(self._valves):
             if not np.isfinite(valve).all():
                 finite = lambda tried, c=c: bool(np.isfinite(valve_of(P, tried.effect_vector(), c)).all())  # noqa: E731
-                faulty_laws.check_law(crane, finite, f"the {CYLINDERS[c]} valve")
+                faulty_laws.check_law(crane, finite, f"the {self._names[c]} valve")
         self._past: deque[tuple[float, np.ndarray]] = deque()
         self._states: list[tuple[float, float, float]] = []
 
     def run(self, time: np.ndarray, commands: np.ndarray, valve: int | None = None) -> np.ndarray:
-        """Return spool positions (n, 2) at `time` for a whole record; leaves the live state of `step` alone.
+        """Return spool positions (n, valves) at `time` for a whole record; leaves the live state of `step` alone.
 
         Args:
             time: (n,) increasing, in s.
-            commands: (n, 2) in [-1, 1], linear between samples.
-            valve: the only one to be computed (the other stays at 0); both by default.
+            commands: (n, valves) in [-1, 1], linear between samples.
+            valve: the only one to be computed (the others stay at 0); all by default.
 
         Raises:
             CraneError: wrong shapes, commands outside [-1, 1] or missing, or time that does not increase.
@@ -141,13 +141,13 @@ class SpoolPath:
         return out
 
     def step(self, time: float, command: np.ndarray) -> np.ndarray:
-        """Return the spool positions (2,) at `time` when the command there is `command`; for live use, sample by sample.
+        """Return the spool positions (valves,) at `time` when the command there is `command`; for live use, sample by sample.
 
         The first call sets the spools to rest at that command.
         """
         u = np.asarray(command, dtype=float).reshape(1, len(self._valves))
         times = np.array([*([self._past[-1][0]] if self._past else []), time], dtype=float)
-        self._check(times, np.broadcast_to(u, (times.size, 2)))
+        self._check(times, np.broadcast_to(u, (times.size, u.shape[1])))
         changed = self._changed(u)
         self._past.append((time, changed[0]))
         if not self._states:
@@ -162,13 +162,13 @@ class SpoolPath:
         return np.array([_position(s, v) for s, v in zip(self._states, self._valves, strict=True)])
 
     def _changed(self, commands: np.ndarray) -> np.ndarray:
-        """Return the commands (n, 2) after the effects that act on them."""
+        """Return the commands (n, valves) after the effects that act on them."""
         changed = _commands_after(self._E, commands)
         bad = np.argwhere(~np.isfinite(changed))
         if bad.size:
             k, c = bad[0]
             finite = lambda tried: bool(np.isfinite(_commands_after(tried.effect_vector(), commands[k, None])).all())  # noqa: E731
-            faulty_laws.check_law(self._crane, finite, f"the {CYLINDERS[c]} command {commands[k, c]:g}")
+            faulty_laws.check_law(self._crane, finite, f"the {self._names[c]} command {commands[k, c]:g}")
         return changed
 
     def _forget(self, time: float) -> None:
@@ -181,7 +181,7 @@ class SpoolPath:
         if bad.size:
             k, c = bad[0]
             raise CraneError(
-                f"{self._crane.name}: the {CYLINDERS[c]} command at t = {t[k]:g} s is {u[k, c]:g}, expected a number from -1 to "
+                f"{self._crane.name}: the {self._names[c]} command at t = {t[k]:g} s is {u[k, c]:g}, expected a number from -1 to "
                 "1. Scale the commands, or calibrate the valve voltages (valves.*.voltage in the crane file)."
             )
         back = np.flatnonzero(~(np.diff(t) > 0.0))
@@ -245,13 +245,20 @@ def _advance(time, command, begin, end, state, valve):
     return _play_step(state, u0, _delayed(time, command, t1), t1 - t0, valve)
 
 
-def paper_cycle(time: np.ndarray) -> np.ndarray:
-    """Return the commands (n, 2) of the paper's working cycle at `time` (s): 25 s, lift then tilt, up and down.
+#: (valve, begin, end, command) of the paper's cycle, and of valves beyond its two, which open while those rest; s
+_CYCLE = ((0, 2, 5, 0.5), (0, 18, 21, -0.5), (1, 7, 10, 0.35), (1, 12, 14, -0.35))
+_BEYOND = ((14.5, 15.5, 0.2), (16.0, 17.0, -0.2))
 
-    U1 = +0.5 for 2-5 s and -0.5 for 18-21 s; U2 = +0.35 for 7-10 s and -0.35 for 12-14 s; times are the paper's.
+
+def paper_cycle(time: np.ndarray, valves: int = 2) -> np.ndarray:
+    """Return the commands (n, valves) of the paper's working cycle at `time` (s): 25 s, lift then tilt, up and down.
+
+    U1 = +0.5 for 2-5 s and -0.5 for 18-21 s; U2 = +0.35 for 7-10 s and -0.35 for 12-14 s; times are the paper's. Further valves open a
+    little between, all at once.
     """
     t = np.asarray(time, dtype=float)
-    out = np.zeros((*t.shape, 2))
-    for valve, begin, end, value in ((0, 2, 5, 0.5), (0, 18, 21, -0.5), (1, 7, 10, 0.35), (1, 12, 14, -0.35)):
-        out[(t >= begin) & (t < end), valve] = value
+    out = np.zeros((*t.shape, valves))
+    for valve, begin, end, value in (*_CYCLE, *((v, *pulse) for v in range(2, valves) for pulse in _BEYOND)):
+        if valve < valves:
+            out[(t >= begin) & (t < end), valve] = value
     return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -110,12 +110,24 @@ class Layout:
         return slice(self.pressures.stop, self.pressures.stop + len(self.added))
 
     def unit_of(self, state: str) -> str:
-        """Return the SI unit of a state."""
+        """Return the SI unit of a state or of a disturbance."""
         if state in self.chambers:
             return "Pa"
+        if state in self.disturbances:
+            return self._unit_of_disturbance(state)
         name = state.removeprefix("d") if state in (*self.rates, *self.added[1:]) else state
         way = name in self.coordinates and any(self.slides) and self.slides[self.coordinates.index(name)]
         return ("m" if way else "rad") + ("" if name == state else "/s")
+
+    def _unit_of_disturbance(self, name: str) -> str:
+        if name in self.flows:
+            return "m^3/s"
+        turns = name in self.torques and not (self.slides and self.slides[self.torques.index(name)])
+        return "N*m" if turns else "N"
+
+    def sized(self, names: Iterable[str], sizes: Mapping[str, float]) -> tuple[float, ...]:
+        """Return a size for each of some states or disturbances, from a table of sizes by their SI unit."""
+        return tuple(sizes[self.unit_of(name)] for name in names)
 
     @cached_property
     def sensors(self) -> Mapping[str, sensors.Sensor]:
@@ -127,7 +139,13 @@ class Layout:
     def places(self, kind: str) -> tuple[str, ...]:
         """Return the places of a kind of `MOST`; of sensors, those of coordinates and chambers."""
         sensors = (*self.coordinates, *self.chambers)
-        return {"": ("",), "cylinders": self.cylinders, "chambers": self.chambers, "joints": self.joints, "sensors": sensors}[kind]
+        return {
+            "": ("",),
+            "cylinders": self.cylinders,
+            "chambers": self.chambers,
+            "joints": self.joints,
+            "sensors": sensors,
+        }[kind]
 
     def place_number(self, kind: str, place: str) -> int:
         """Return the number by which compiled code knows a place. Raises ValueError for one that the machine does not have."""
@@ -162,6 +180,10 @@ class Layout:
         own = () if self.slides and self.slides[k] else (coordinate,)
         return (*(self.absolute(self.parents[k]) if self.parents[k] else ()), *own)
 
+    def carriers(self, coordinate: str) -> tuple[str, ...]:
+        """Return the coordinates whose sum is the angle of what carries a body, from the ground on."""
+        return tuple(name for name in self.absolute(coordinate) if name != coordinate)
+
     # -- the inputs ------------------------------------------------------------------------------------------------
 
     @property
@@ -171,7 +193,7 @@ class Layout:
 
     @property
     def disturbances(self) -> tuple[str, ...]:
-        """Names of what may act without a law that explains it: moments in N m, forces on E in N, flows into chambers in m^3/s."""
+        """Names of what may act without a law that explains it: moments (forces on sliding joints), forces on E, flows into chambers."""
         return (*self.torques, "force.x", "force.y", *self.flows)
 
     @property
@@ -183,6 +205,11 @@ class Layout:
     def flows(self) -> tuple[str, ...]:
         """Names of unknown flows into the chambers."""
         return tuple(f"flow.{name}" for name in self.chambers)
+
+    @property
+    def equations(self) -> tuple[str, ...]:
+        """Names of the balances, by what is missing in them: moments on the joints, flows into the chambers."""
+        return (*self.torques, *self.flows)
 
     @property
     def all_inputs(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ shows a first-order follower of y, tau y_shown' + y_shown = y.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
@@ -16,12 +16,14 @@ import numpy as np
 from .compiled import njit
 from .crane import Crane
 from .effects import hooks
-from .effects.registry import known, neutral_vector, slot
+from .effects.base import SENSORS
+from .effects.registry import known, neutral_vector, starts
 from .faulty_laws import check_law
 from .geometry import cylinder_length
 from .hydraulics import vapour_pressure
-from .parameters import LAYOUT
-from .sensors import PLACES, SENSORS, Sensor, sensor
+from .layout import MOST
+from .machine import Machine
+from .sensors import sensor
 
 _HOOKS = {"measurement", "lag"}
 #: step of the difference quotient of a law: shares of a usual sensor's noise and of the reading
@@ -37,29 +39,24 @@ class Measurement:
         has_laws: whether effects may make something else of a reading.
     """
 
-    def __init__(
-        self,
-        names: Sequence[str],
-        P: np.ndarray,
-        E: np.ndarray,
-        table: Mapping[str, Sensor] = SENSORS,
-        states: Sequence[str] = LAYOUT.states,
-    ) -> None:
-        """Raises CraneError for a sensor that is not in the table."""
-        self.names, chosen = tuple(names), [sensor(n, table) for n in names]
+    def __init__(self, names: Sequence[str], machine: Machine, P: np.ndarray, E: np.ndarray) -> None:
+        """Raises CraneError for a sensor that the machine does not have."""
+        self._machine, lay = machine, machine.layout
+        self.names, chosen = tuple(names), [sensor(n, lay.sensors) for n in names]
         most = max(1, *(len(c.shows) for c in chosen))
-        summed = [[states.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
+        summed = [[lay.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
         self._summed = np.array(summed, np.int64).reshape(-1, most)
         self._cylinder = np.array([-1 if c.shows else c.cylinder for c in chosen], np.int64)
-        self._place = np.array([PLACES.index(c.place) if c.place else -1 for c in chosen], np.int64)
+        self._place = np.array([lay.place_number(SENSORS, c.place) if c.place else -1 for c in chosen], np.int64)
         self._is_pressure = np.array([c.unit == "Pa" for c in chosen], bool)
         self._step = np.array([_OF_NOISE * c.sizes.noise for c in chosen])
         self._set(P, E)
 
     @classmethod
-    def of(cls, crane: Crane, names: Sequence[str] = tuple(SENSORS)) -> Measurement:
-        """Return the measurement function of a crane's sensors."""
-        return cls(names, crane.parameter_vector(), crane.effect_vector())
+    def of(cls, crane: Crane, names: Sequence[str] | None = None) -> Measurement:
+        """Return the measurement function of a crane's sensors, of all that it may have by default."""
+        chosen = tuple(crane.layout.sensors) if names is None else names
+        return cls(chosen, crane.machine, crane.parameter_vector(), crane.effect_vector())
 
     def _set(self, P: np.ndarray, E: np.ndarray) -> None:
         self.P, self.E = P, E
@@ -86,13 +83,14 @@ class Measurement:
         """Return what the sensors would show (n, m) of states X (n, nx) without lag."""
         Y: np.ndarray = _sums(X, self._summed, self._floor)
         if not self._is_plain:
-            _read(X, self._cylinder, self._place, self.P, self.E, Y)
+            _read(self._machine.topology, X, self._cylinder, self._place, self.P, self.E, Y)
         return Y
 
     def rows(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what the sensors would show without lag (n, m), and its derivative (n, m, nx), at states X (n, nx)."""
         Y, C = _sums(X, self._summed, self._floor), np.zeros((len(X), len(self.names), X.shape[1]))
-        _rows(X, self._summed, self._floor, self._cylinder, self._place, self._step, self.P, self.E, Y, C)
+        reads = self._summed, self._floor, self._cylinder, self._place, self._step
+        _rows(self._machine.topology, X, *reads, self.P, self.E, Y, C)
         return Y, C
 
     def shown(self, X: np.ndarray, time: np.ndarray, *, settled: bool = False) -> np.ndarray:
@@ -126,11 +124,10 @@ def _is_number(place: int, true: float, crane: Crane) -> bool:
 def sensing_slots(*, only: bool = False) -> np.ndarray:
     """Return where the parameters stand in E that may change what sensors show; `only`: that change nothing else."""
     found = [
-        slot(effect.name, place) + i
+        starts()[effect.name] + i
         for effect in known()
         if (set(effect.hooks()) <= _HOOKS if only else set(effect.hooks()) & _HOOKS)
-        for place in effect.places
-        for i in range(len(effect.parameters))
+        for i in range(len(effect.parameters) * MOST[effect.places])
     ]
     return np.array(found, np.int64)
 
@@ -175,23 +172,23 @@ def _sums(X, summed, floor):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _read(X, cylinder, place, P, E, Y):  # type: ignore[no-untyped-def]
+def _read(topology, X, cylinder, place, P, E, Y):  # type: ignore[no-untyped-def]
     """Write lengths into Y (n, m), which holds the sums, and make of all that what the laws make of it."""
     row = np.empty(X.shape[1])
     for j in range(place.size):
         for k in range(X.shape[0]):
-            y = cylinder_length(P, X[k], cylinder[j], row) if cylinder[j] >= 0 else Y[k, j]
+            y = cylinder_length(topology, P, X[k], cylinder[j], row) if cylinder[j] >= 0 else Y[k, j]
             Y[k, j] = hooks.measurement(E, place[j], y)
 
 
 @njit
-def _rows(X, summed, floor, cylinder, place, step, P, E, Y, C):  # type: ignore[no-untyped-def]
+def _rows(topology, X, summed, floor, cylinder, place, step, P, E, Y, C):  # type: ignore[no-untyped-def]
     """Do as `_read`, and add the derivatives to C (n, m, nx)."""
     for j in range(place.size):
         for k in range(X.shape[0]):
             y = Y[k, j]
             if cylinder[j] >= 0:
-                y = cylinder_length(P, X[k], cylinder[j], C[k, j])
+                y = cylinder_length(topology, P, X[k], cylinder[j], C[k, j])
             for i in summed[j]:
                 if i >= 0 and X[k, i] >= floor[j]:
                     C[k, j, i] += 1.0

@@ -54,13 +54,3 @@ _UNITS = {
 def unit_of(name: str) -> str:
     """Return the SI unit of a nominal parameter as pint writes it, such as "Pa"."""
     return _UNITS[name.rsplit(".", 1)[-1]]
-
-
-def __getattr__(name: str):  # of the one machine that was, until everything asks its crane
-    from .machine_toml import machine_of
-
-    machine = machine_of({}, "")
-    known = {"LAYOUT": machine.layout, "NAMES": machine.names, "INDEX": machine.index, "CYLINDERS": machine.layout.cylinders}
-    if name not in known:
-        raise AttributeError(name)
-    return known[name]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,9 +17,9 @@ from unicodedata import normalize
 
 import numpy as np
 
-from .channels import CHANNELS
+from . import channels
 from .layout import Layout
-from .parameters import LAYOUT
+from .recording import usual_layout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,13 +76,15 @@ _STYLE: dict[str, Any] = {
 WIDTH = 5.4
 
 
+@cache
 def _names(layout: Layout) -> dict[str, tuple[str, str]]:
     """Return the words and the symbol of every channel of a machine."""
     bodies = {n: body.replace("_", " ") for n, body in zip(layout.coordinates, layout.bodies, strict=True)}
     dotted = {n: normalize("NFC", f"{n[0]}\u0307{n[1:]}") for n in layout.coordinates}
-    found = {"theta": ("payload's pendulum", "θ"), "dtheta": ("payload's pendulum rate", "θ\u0307")}
+    pendulum = (("payload's pendulum", "θ"), ("payload's pendulum rate", "θ\u0307"))
+    found = dict(zip(layout.added, pendulum, strict=False))
     for name, body in bodies.items():
-        *carriers, _ = path = layout.absolute(name)
+        path, carriers = layout.absolute(name), layout.carriers(name)
         found[name] = (f"{body} against {bodies[carriers[-1]]}" if carriers else body, name)
         found[f"{name}_abs"] = (body, "+".join(path))
         found[f"d{name}"] = (f"{body} rate", dotted[name])
@@ -92,9 +95,14 @@ def _names(layout: Layout) -> dict[str, tuple[str, str]]:
     return found | {n: (words, n) for n, words in zip(layout.supply, ("pump", "tank"), strict=True)}
 
 
-_NAMES: Mapping[str, tuple[str, str]] = _names(LAYOUT)
 #: what one SI unit is in the unit that people read
-_PEOPLE = {"rad": (math.degrees(1.0), "°"), "rad/s": (math.degrees(1.0), "°/s"), "Pa": (1e-5, "bar"), "m": (1e3, "mm")}
+_PEOPLE = {
+    "rad": (math.degrees(1.0), "°"),
+    "rad/s": (math.degrees(1.0), "°/s"),
+    "Pa": (1e-5, "bar"),
+    "m": (1e3, "mm"),
+    "m/s": (1e3, "mm/s"),
+}
 
 
 class Shown(NamedTuple):
@@ -116,16 +124,19 @@ class Shown(NamedTuple):
         return " / ".join(filter(None, (self.symbol, self.unit)))
 
 
-def shown(channel: str, unit: str | None = None) -> Shown:
+def shown(channel: str, unit: str | None = None, layout: Layout | None = None) -> Shown:
     """Return words, factor and unit in which a channel is drawn: degrees and bar instead of rad and Pa.
 
     Args:
         channel: a channel of recordings, or any other quantity, such as "payload.mass" or "internal_leakage@lift.k".
         unit: its SI unit, where the channel is none of recordings.
+        layout: of the machine; by default that of patu655.
     """
-    if channel in CHANNELS:
-        words, symbol = _NAMES[channel]
-        factor, people = _PEOPLE.get(CHANNELS[channel], (1.0, CHANNELS[channel]))
+    layout = layout or usual_layout()
+    units = channels.of(layout)
+    if channel in units:
+        words, symbol = _names(layout)[channel]
+        factor, people = _PEOPLE.get(units[channel], (1.0, units[channel]))
         return Shown(words, symbol, factor, people)
     words = channel.replace("_", " ").replace("@", " of ").replace(".", " ")
     unit = unit or ""
@@ -164,6 +175,7 @@ def draw_lines(
     lines: Mapping[str, np.ndarray | tuple[np.ndarray, np.ndarray]],
     *,
     channel: str = "",
+    layout: Layout | None = None,
     band: tuple[np.ndarray, np.ndarray] | None = None,
     band_label: str = "95 % interval",
 ) -> None:
@@ -174,9 +186,10 @@ def draw_lines(
         time: (n,) s, for all lines that are not a pair (own time, values).
         lines: SI values by label; "measured", "simulated", "estimated" have their own looks.
         channel: name such as "z1", for unit and axis label.
+        layout: as in `shown`.
         band: lower and upper (n,) in SI, shaded.
     """
-    unit = shown(channel)
+    unit = shown(channel, layout=layout)
     with style():
         if band is not None:
             lower, upper = thin(time, *(np.asarray(b) * unit.factor for b in band))[1:]

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from . import channels as channel_names
 from . import signals
-from .assembly import assemble, check_mapping, wanted
-from .channels import CHANNELS, COMMANDS, SENSORS, SUPPLY, VOLTAGES, Channel
+from .assembly import assemble, check_mapping, example, wanted
+from .channels import Channel
 from .errors import CraneError, nearest
+from .layout import Layout
+from .machine_toml import machine_of
 from .tables import RawColumn, RawTable
 
 if TYPE_CHECKING:
@@ -25,21 +28,28 @@ if TYPE_CHECKING:
 _RECORDED = 2
 
 
+def usual_layout() -> Layout:
+    """Return the layout of the machine of crane files that describe none: that of patu655."""
+    return machine_of({}, "").layout
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Measured (or simulated) channels of one run, immutable, in SI, each with its own clock.
 
     Attributes:
         name: of the file, without folder and ending.
-        channels: name -> Channel; names as in `CHANNELS`.
+        channels: name -> Channel; names as in `channels.of(layout)`.
         source: the file, for messages.
         notes: what was left out or changed while reading, in words.
+        layout: of the machine that was recorded.
     """
 
     name: str
     channels: Mapping[str, Channel]
     source: str = ""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    layout: Layout = field(default_factory=usual_layout, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
@@ -47,38 +57,47 @@ class Recording:
     # -- making one ----------------------------------------------------------------------------------------------
 
     @classmethod
-    def load(cls, path: str | Path, mapping: Mapping[str, str] | None = None) -> Recording:
+    def load(
+        cls, path: str | Path, mapping: Mapping[str, str] | None = None, *, layout: Layout | None = None
+    ) -> Recording:
         """Return the recording in a file: CSV (also .csv.gz), MATLAB v5 and v7.3, Parquet, MDF4.
 
         Args:
             path: the file; its content, not its ending, tells the format.
             mapping: channel -> column of the file, such as {"z1": "BoomAngle[deg]"}; the unit may be left out where the
                 file gives one.
+            layout: of the machine that was recorded, `crane.layout`; by default that of patu655.
 
         Raises:
             CraneError: names file, line or sample, column, what was found, what was expected and how to mend it.
         """
         from .formats import read
 
-        mapping = dict(mapping or {})
-        check_mapping(mapping)
-        return cls(**assemble(Path(path), read(Path(path), wanted=wanted(mapping)), mapping))._with_gaps_told()
+        mapping, layout = dict(mapping or {}), layout or usual_layout()
+        check_mapping(mapping, layout)
+        table = read(Path(path), wanted=wanted(mapping, layout))
+        return cls(**assemble(Path(path), table, mapping, layout))._with_gaps_told()
 
     @classmethod
-    def from_arrays(cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray]) -> Recording:
+    def from_arrays(
+        cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray], *, layout: Layout | None = None
+    ) -> Recording:
         """Return a recording of channels in SI that share one clock; NaN is a missing sample.
 
         Args:
             name: of the recording.
             time: (n,) s, increasing.
             values: channel -> (n,) in SI.
+            layout: as in `load`.
         """
+        layout = layout or usual_layout()
+        units = channel_names.of(layout)
         columns = [RawColumn("time", np.asarray(time, dtype=float), "s")]
-        columns += [RawColumn(n, np.asarray(v, dtype=float), CHANNELS.get(n, "")) for n, v in values.items()]
+        columns += [RawColumn(n, np.asarray(v, dtype=float), units.get(n, "")) for n, v in values.items()]
         for channel in values:
-            if channel not in CHANNELS:
-                raise CraneError(f"{name}: there is no channel {channel!r}.{nearest(channel, list(CHANNELS))}")
-        made = cls(**assemble(Path(name), RawTable(columns), {}) | {"name": name, "source": name})
+            if channel not in units:
+                raise CraneError(f"{name}: there is no channel {channel!r}.{nearest(channel, list(units))}")
+        made = cls(**assemble(Path(name), RawTable(columns), {}, layout) | {"name": name, "source": name})
         return made._with_gaps_told()
 
     # -- asking --------------------------------------------------------------------------------------------------
@@ -96,8 +115,8 @@ class Recording:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the measured sensor channels, in the order of `SENSORS`."""
-        return tuple(name for name in SENSORS if name in self.channels)
+        """Names of the measured sensor channels, in the order of the layout."""
+        return tuple(name for name in self.layout.sensors if name in self.channels)
 
     @property
     def start(self) -> float:
@@ -126,17 +145,18 @@ class Recording:
             CraneError: names the file, what is there and what is missing.
         """
         where = self.source or self.name
-        if commands and not (self.has(*COMMANDS) or self.has(*VOLTAGES)):
-            missing = [c for c in (VOLTAGES if any(map(self.has, VOLTAGES)) else COMMANDS) if not self.has(c)]
+        spools, volts = self.layout.commands, self.layout.voltages
+        if commands and not (self.has(*spools) or self.has(*volts)):
+            missing = [c for c in (volts if any(map(self.has, volts)) else spools) if not self.has(c)]
             raise CraneError(
                 f"{where}: {' and '.join(missing)} missing, found only {', '.join(self.channels)}. Expected spool commands "
-                f"{' and '.join(COMMANDS)} in [-1, 1], or valve voltages "
-                f"{' and '.join(f'{u}[V]' for u in VOLTAGES)}; a valve that stays closed is a column of zeros.{self._unused()}"
+                f"{' and '.join(spools)} in [-1, 1], or valve voltages "
+                f"{' and '.join(f'{u}[V]' for u in volts)}; a valve that stays closed is a column of zeros.{self._unused()}"
             )
         if len(self.sensors) < sensors:
             raise CraneError(
                 f"{where}: found {len(self.sensors)} sensor channels ({', '.join(self.sensors) or 'none'}), expected at least "
-                f"{sensors} of {', '.join(SENSORS)}. Record one, or map a column: --map z1=BoomAngle[deg].{self._unused()}"
+                f"{sensors} of {', '.join(self.layout.sensors)}. Record one, or map a column: --map {example(self.layout)}.{self._unused()}"
             )
         return self
 
@@ -147,20 +167,25 @@ class Recording:
     # -- taking data out -----------------------------------------------------------------------------------------
 
     def commands(self, crane: Crane | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return time (n,) in s and spool commands (n, 2) in [-1, 1], linear between samples; steps stay steps.
+        """Return time (n,) in s and spool commands (n, valves) in [-1, 1], linear between samples; steps stay steps.
 
-        Valve voltages become commands through the calibration of `crane`. Where both commands have one clock it is
-        returned as it is; otherwise the union of both. Where a command jumps, one more instant just before the sample that shows
+        Valve voltages become commands through the calibration of `crane`. Where all commands have one clock it is
+        returned as it is; otherwise the union of theirs. Where a command jumps, one more instant just before the sample that shows
         the new value holds the old one (see `drive.with_steps`). In a gap the last value is held; see `unknown_commands`.
         """
         from .drive import with_steps
 
         self.require(sensors=0)
+        if crane is not None and crane.layout.sensors != self.layout.sensors:
+            raise CraneError(
+                f"{self.source or self.name}: was read as a recording of another machine than {crane.name}. "
+                "Read it with the crane's names: Recording.load(path, layout=crane.layout)."
+            )
         names = self._command_names
         held = [self[name].held_until(self._gaps(name)[:, 1]) for name in names]
         time = _union([channel.time for channel in held])
         values = np.column_stack([channel.held(time) for channel in held])
-        if names == COMMANDS:
+        if names == self.layout.commands:
             return with_steps(time, np.clip(values, -1.0, 1.0))
         if crane is None:
             raise CraneError(
@@ -199,12 +224,12 @@ class Recording:
 
     @property
     def _command_names(self) -> tuple[str, ...]:
-        return COMMANDS if self.has(*COMMANDS) else VOLTAGES
+        return self.layout.commands if self.has(*self.layout.commands) else self.layout.voltages
 
     def supply(self, time: np.ndarray) -> np.ndarray:
         """Return pump and tank pressure (n, 2) in Pa at `time`; NaN where they were not measured."""
         unknown = np.full(len(time), np.nan)
-        return np.column_stack([self[n].held(time) if self.has(n) else unknown for n in SUPPLY])
+        return np.column_stack([self[n].held(time) if self.has(n) else unknown for n in self.layout.supply])
 
     def aligned(self, names: Iterable[str] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return all samples on the union of the clocks: time (n,), values (n, k), NaN where a channel has no sample.
@@ -256,13 +281,15 @@ class Recording:
         """
         changed = dict(self.channels)
         for name in self.noise_free():
-            values = signals.noisy(self[name].values, (stated or {}).get(name), seed=list(SENSORS).index(name))
+            values = signals.noisy(
+                self[name].values, (stated or {}).get(name), seed=list(self.layout.sensors).index(name)
+            )
             changed[name] = replace(self[name], values=values)
         return replace(self, channels=changed)
 
     def first_values(self, span: float = 0.1) -> dict[str, float]:
         """Return the mean of each sensor over the first `span` seconds, but not beyond the first change of a command."""
-        moves = [_first_change(self[n]) for n in (*COMMANDS, *VOLTAGES) if self.has(n)]
+        moves = [_first_change(self[n]) for n in (*self.layout.commands, *self.layout.voltages) if self.has(n)]
         until = min([self.start + span, *moves])
         means = {}
         for name in self.sensors:
@@ -277,10 +304,10 @@ class Recording:
         """Write all samples in SI units to .csv, .csv.gz, .parquet or .mat, whole or not at all."""
         from .formats import write_table
 
-        time, values = self.aligned()
+        (time, values), units = self.aligned(), channel_names.of(self.layout)
         columns = {"time[s]": time}
         for k, name in enumerate(self.channels):
-            columns[f"{name}[{CHANNELS[name] or '-'}]"] = values[:, k]
+            columns[f"{name}[{units[name] or '-'}]"] = values[:, k]
         write_table(path, columns)
 
     to_csv = save
@@ -293,7 +320,7 @@ class Recording:
         made = plots.figure(max(len(chosen), 1), height=1.2)
         for axes, name in zip(made.axes, chosen, strict=False):
             channel = self[name]
-            plots.draw_lines(axes, channel.time, {"": channel.values}, channel=name)
+            plots.draw_lines(axes, channel.time, {"": channel.values}, channel=name, layout=self.layout)
         plots.entitle(made, self.name)
         return made
 
@@ -304,7 +331,7 @@ class Recording:
         from .display import table_html
 
         rows = [
-            (name, CHANNELS[name] or "–", len(c), float(c.values.min()), float(c.values.max()))
+            (name, channel_names.of(self.layout)[name] or "–", len(c), float(c.values.min()), float(c.values.max()))
             for name, c in self.channels.items()
         ]
         title = f"{self.name}: {self.duration:g} s at {self.sampling_rate:g} Hz"

@@ -74,13 +74,3 @@ def sensor(name: str, table: Mapping[str, Sensor]) -> Sensor:
     if name not in table:
         raise CraneError(f"sensor {name!r} is not known.{nearest(name, list(table))}")
     return table[name]
-
-
-def __getattr__(name: str):  # of the one machine that was, until everything asks its crane
-    from .parameters import LAYOUT
-
-    if name == "SENSORS":
-        return LAYOUT.sensors
-    if name == "PLACES":
-        return LAYOUT.places("sensors")
-    raise AttributeError(name)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .channels import CHANNELS, COMMANDS, SENSORS, SUPPLY
+from . import channels
 from .crane import Crane
 from .errors import CraneError
 from .recording import Recording
@@ -33,9 +33,9 @@ class Simulation:
         time: (N,) s.
         state_names: names of the nx states.
         states: (N, nx), what is true; a pressure below vapour pressure stands for a void, see `laws.oil`.
-        commands: (N, 2) spool commands u1, u2.
-        inputs: (N, 4) spool positions U1, U2 and supply pressures pp, pt (NaN: the crane's own).
-        readings: (N, m) what the sensors of `sensors.SENSORS` show of the states, without noise.
+        commands: (N, valves) spool commands.
+        inputs: (N, valves + 2) spool positions and supply pressures pp, pt (NaN: the crane's own).
+        readings: (N, m) what the sensors of `crane.layout.sensors` show of the states, without noise.
     """
 
     crane: Crane
@@ -56,38 +56,47 @@ class Simulation:
 
     @cached_property
     def _channels(self) -> dict[str, np.ndarray]:
-        found = dict(zip(COMMANDS, self.commands.T, strict=True))
+        lay = self.crane.layout
+        found = dict(zip(lay.commands, self.commands.T, strict=True))
         found |= dict(zip(self.state_names, self.states.T, strict=True))
-        found |= dict(zip(SENSORS, self.readings.T, strict=True))
-        supply = dict(zip(SUPPLY, self.inputs[:, self.crane.layout.supplies].T, strict=True))
+        found |= dict(zip(lay.sensors, self.readings.T, strict=True))
+        supply = dict(zip(lay.supply, self.inputs[:, lay.supplies].T, strict=True))
         return found | {name: values for name, values in supply.items() if not np.isnan(values).all()}
 
     def recording(self) -> Recording:
         """Return the run as a recording: every channel as the crane's sensors show it, without noise."""
-        return Recording.from_arrays(f"simulation of {self.crane.name}", self.time, self.channels())
+        name = f"simulation of {self.crane.name}"
+        return Recording.from_arrays(name, self.time, self.channels(), layout=self.crane.layout)
 
     def to_csv(self, path: str | Path) -> None:
         """Write all channels in SI to .csv, .csv.gz, .parquet or .mat; `patu` reads them back as a recording."""
         from .formats import write_table
 
-        columns = {f"{n}[{CHANNELS[n] or '-'}]": values for n, values in self.channels().items()}
+        units = channels.of(self.crane.layout)
+        columns = {f"{n}[{units[n] or '-'}]": values for n, values in self.channels().items()}
         write_table(path, {"time[s]": self.time} | columns)
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure of commands, angles and pressures."""
+        """Return a matplotlib figure of commands, coordinates and pressures."""
         from . import plots
 
         lay = self.crane.layout
         names = [n for n in (*lay.commands, *lay.coordinates, *lay.added[:1], *lay.chambers) if n in self.channels()]
         made = plots.figure(len(names), height=1.2)
         for axes, name in zip(made.axes, names, strict=True):
-            plots.draw_lines(axes, self.time, {"": self[name]}, channel=name)
+            plots.draw_lines(axes, self.time, {"": self[name]}, channel=name, layout=lay)
         plots.entitle(made, f"Simulation of {self.crane.name}")
         return made
 
     def __repr__(self) -> str:
-        angles = ((name, np.degrees(self[name])) for name in self.crane.layout.coordinates)
-        ranges = ", ".join(f"{name} {z.min():.1f} … {z.max():.1f} deg" for name, z in angles)
+        from .plots import shown
+
+        parts = []
+        for name in self.crane.layout.coordinates:
+            what = shown(name, layout=self.crane.layout)
+            z = self[name] * what.factor
+            parts.append(f"{name} {z.min():.1f} … {z.max():.1f} {what.unit}")
+        ranges = ", ".join(parts)
         return f"<Simulation of {self.crane.name}: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants; {ranges}>"
 
     def _repr_html_(self) -> str:
@@ -96,7 +105,7 @@ class Simulation:
 
         rows = []
         for name, values in self.channels().items():
-            what = shown(name)
+            what = shown(name, layout=self.crane.layout)
             ends = (values[0], values[-1], values.min(), values.max())
             rows.append((name, what.unit or "–", *(float(v) * what.factor for v in ends)))
         title = f"{self.crane.name}, open loop: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants"
@@ -116,7 +125,7 @@ def simulate(
     Args:
         crane: the crane, or the name of a built-in one.
         inputs: a recording whose commands (and supply pressures, if measured) drive the crane; the result has its
-            instants. Without one, the crane goes through the paper's 25 s working cycle, with a result every 1 ms.
+            instants. Without one, the crane goes through the paper's 25 s working cycle (`inputs.paper_cycle`), with a result every 1 ms.
         start: (nx,) state at the first instant; by default the crane file's initial rule.
         engine: an engine that holds the crane; by default a new ExudynEngine.
         step: largest time step in s.
@@ -173,9 +182,9 @@ def paper_time() -> np.ndarray:
 
 
 def initial_state(crane: Crane, engine: Any) -> np.ndarray:
-    """Return the crane file's start (nx,): its angles, at rest, valves closed."""
+    """Return the crane file's start (nx,): its pose, at rest, valves closed."""
     rule = crane.initial
-    return np.asarray(engine.static_start(*rule.pose, rule.less_loaded_pressure))
+    return np.asarray(engine.static_start(*rule.pose, less_loaded=rule.less_loaded_pressure))
 
 
 def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -198,12 +207,13 @@ def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _driven(crane: Crane, inputs: Recording | None, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (n, 2) and w (n, 4) = [U1 U2 pp pt] on the grid: spool positions behind the lag (16), supply pressures."""
+    """Return commands (n, valves) and w (n, valves + 2) on the grid: spool positions behind the lag (16), supply pressures."""
     from .drive import spool_on, with_steps
     from .inputs import paper_cycle
 
     if inputs is None:  # its steps are steps here as they are to whoever reads the run back
-        (time, given), supply = with_steps(grid, paper_cycle(grid)), np.full((len(grid), 2), math.nan)
+        cycle = paper_cycle(grid, len(crane.layout.cylinders))
+        (time, given), supply = with_steps(grid, cycle), np.full((len(grid), 2), math.nan)
     else:
         (time, given), supply = inputs.commands(crane), inputs.supply(grid)
     commands = np.column_stack([np.interp(grid, time, u) for u in given.T])

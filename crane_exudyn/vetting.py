@@ -16,10 +16,10 @@ from typing import Literal
 
 import numpy as np
 
-from . import geometry as geo
-from .channels import BEYOND, SENSORS, SUPPLY, Channel
+from .channels import BEYOND, Channel
 from .crane import Crane
 from .errors import CraneError
+from .geometry import cylinder_lengths
 from .recording import Recording
 from .signals import noise_std, sampling_rate
 
@@ -29,7 +29,8 @@ Kind = Literal["scale", "clock", "pose", "swapped", "offset"]
 _SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
 #: pressures in Pa that a working crane stays between, most of the time; a chamber may stand at vapour pressure, but not all the time
 _LOW, _HIGH, _VACUUM = 0.1e5, BEYOND["Pa"], -0.5e5
-_TURNS, _FASTEST = BEYOND["rad"], BEYOND["rad/s"]
+#: by unit, sizes between which the usual largest reading lies
+_LIKELY = {"rad": (0.01, math.pi), "m": (0.01, 10.0), "rad/s": (0.01, 2.0), "m/s": (0.001, 2.0)}
 #: samples a second between which sensors of a crane are read
 _SLOWEST_CLOCK, _FASTEST_CLOCK = 2.0, 2e5
 #: m by which a cylinder may seem longer or shorter than it can be: pins and zero points are known to that
@@ -42,6 +43,7 @@ _MISTAKEN = {
     "rad": ((math.pi / 180, "deg", "rad"), (180 / math.pi, "rad", "deg"), (1e-3, "mrad", "rad")),
     "rad/s": ((math.pi / 180, "deg/s", "rad/s"), (180 / math.pi, "rad/s", "deg/s")),
     "m": ((1e-3, "mm", "m"), (1e3, "m", "mm"), (1e-2, "cm", "m")),
+    "m/s": ((1e-3, "mm/s", "m/s"), (1e3, "m/s", "mm/s")),
 }
 
 
@@ -61,7 +63,7 @@ class Finding:
 
 def vet(recording: Recording, crane: Crane) -> list[Finding]:
     """Return what is implausible about a recording of a crane, worst first; empty for a sound one."""
-    looks = (_pressures, _supply, _angles, _rates, _lengths, _poses, _clock)
+    looks = (_pressures, _supply, _motion, _lengths, _poses, _clock)
     found = [finding for look in looks for finding in look(recording, crane)]
     return sorted(found, key=lambda f: _SEVERITIES.index(f.severity))
 
@@ -101,7 +103,8 @@ def _is_constant(channel: Channel) -> bool:
 
 
 def _pressures(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    for name in (n for n in recording.channels if (SENSORS.get(n) == "Pa" or n in SUPPLY) and n != "pt"):
+    lay = crane.layout
+    for name in (n for n in recording.channels if n in (*lay.chambers, lay.supply[0])):
         low, high = _usual(recording[name])
         if _is_constant(recording[name]) and high == 0.0:  # a sensor that is not connected, told elsewhere
             continue
@@ -120,33 +123,28 @@ def _pressures(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 
 def _supply(recording: Recording, crane: Crane) -> Iterator[Finding]:
+    names = crane.layout.supply
     pump, tank = (
         float(np.median(recording[n].values)) if recording.has(n) else crane[f"supply.{word}_pressure"]
-        for n, word in zip(SUPPLY, ("pump", "tank"), strict=True)
+        for n, word in zip(names, ("pump", "tank"), strict=True)
     )
-    if any(map(recording.has, SUPPLY)) and pump <= tank:
+    if any(map(recording.has, names)) and pump <= tank:
         told = [f"the {word} ({p / 1e5:.3g} bar)" for word, p in (("pump", pump), ("tank", tank))]
-        mend = "Swap pp and pt, or mend their units."
-        yield Finding("swapped", SUPPLY, "error", f"{told[0]} stands below {told[1]}, so nothing could move", mend)
+        mend = f"Swap {' and '.join(names)}, or mend their units."
+        yield Finding("swapped", names, "error", f"{told[0]} stands below {told[1]}, so nothing could move", mend)
 
 
-def _angles(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    for name in (n for n in recording.sensors if SENSORS[n] == "rad"):
-        low, high = _usual(recording[name])
-        most = max(abs(low), abs(high))
-        if most > _TURNS:
-            text = f"{name} reaches {math.degrees(most):.3g} deg, expected less than {math.degrees(_TURNS):.3g} deg"
-            mend = _mistaken(name, "rad", most, 0.01, math.pi)
-            yield Finding("scale", (name,), "error", text, mend)
-
-
-def _rates(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    for name in (n for n in recording.sensors if SENSORS[n] == "rad/s"):
+def _motion(recording: Recording, crane: Crane) -> Iterator[Finding]:
+    """Find coordinates and rates that are larger than those of any crane."""
+    for name in (n for n in recording.sensors if n not in (*crane.layout.chambers, *crane.layout.lengths)):
+        unit = crane.layout.sensors[name].unit
         most = max(map(abs, _usual(recording[name])))
-        if most > _FASTEST:
-            text = f"{name} reaches {most:.3g} rad/s, expected less than {_FASTEST:g} rad/s"
-            mend = _mistaken(name, "rad/s", most, 0.01, 2.0)
-            yield Finding("scale", (name,), "error", text, mend)
+        if most > BEYOND[unit]:
+            factor, people = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
+            text = (
+                f"{name} reaches {factor * most:.3g} {people}, expected less than {factor * BEYOND[unit]:.3g} {people}"
+            )
+            yield Finding("scale", (name,), "error", text, _mistaken(name, unit, most, *_LIKELY[unit]))
 
 
 def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
@@ -174,35 +172,36 @@ def _reach(crane: Crane, c: int) -> tuple[float, float]:
 
 
 def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    """Find angles that the linkage or a cylinder's stroke does not reach; the lift cylinder goes with z1, the tilt cylinder with z4."""
+    """Find coordinates that the linkage or the stroke of the cylinder that drives them does not reach."""
     for c, name in enumerate(crane.layout.driven):
-        if not recording.has(name) or max(map(abs, _usual(recording[name]))) > _TURNS:
+        unit = crane.layout.unit_of(name)
+        if not recording.has(name) or max(map(abs, _usual(recording[name]))) > BEYOND[unit]:
             continue
         values = recording[name].values
         shown = values[np.linspace(0, len(values) - 1, min(_POSES, len(values))).astype(int)]
         share = _beyond(crane, c, shown)
         if share > _SHARE:
-            low, high = np.degrees(_usual(recording[name]))
+            factor, people = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
+            low, high = factor * np.array(_usual(recording[name]))
             text = (
-                f"{name} goes from {low:.4g} to {high:.4g} deg; in {100 * share:.0f} % of the samples this is beyond what the "
+                f"{name} goes from {low:.4g} to {high:.4g} {people}; in {100 * share:.0f} % of the samples this is beyond what the "
                 f"{crane.layout.cylinders[c]} cylinder's stroke and linkage reach"
             )
             severity: Severity = "error" if share > 0.5 else "warning"
-            yield Finding("pose", (name,), severity, text, _other_angle(recording, crane, c, shown))
+            yield Finding("pose", (name,), severity, text, _other_coordinate(recording, crane, c, shown))
 
 
-def _other_angle(recording: Recording, crane: Crane, c: int, shown: np.ndarray) -> str:
-    """Return what would bring an angle into reach: another sign, unit, or the horizontal as the line it is measured against."""
+def _other_coordinate(recording: Recording, crane: Crane, c: int, shown: np.ndarray) -> str:
+    """Return what would bring a coordinate into reach: another sign, unit, or the horizontal as the line it is measured against."""
     name = crane.layout.driven[c]
-    others = {
-        "with the other sign": -shown,
-        "in deg where rad is given": np.radians(shown),
-        "in rad where deg is given": np.degrees(shown),
+    units = [(was, given, factor) for factor, was, given in _MISTAKEN[crane.layout.unit_of(name)][:2]]
+    others = {"with the other sign": -shown} | {
+        f"in {was} where {given} is given": f * shown for was, given, f in units
     }
     for words, values in others.items():
         if _beyond(crane, c, values) <= _SHARE:
             return f"It would fit {words}. Mend the column, or is it another crane? Then give its file with --crane."
-    carriers = crane.layout.absolute(name)[:-1]
+    carriers = crane.layout.carriers(name)
     if carriers and recording.has(*carriers):
         base = sum(float(np.median(recording[n].values)) for n in carriers)
         if _beyond(crane, c, shown - base) <= _SHARE:
@@ -211,13 +210,10 @@ def _other_angle(recording: Recording, crane: Crane, c: int, shown: np.ndarray) 
 
 
 def _beyond(crane: Crane, c: int, values: np.ndarray) -> float:
-    """Return the share of values (n,) of z1 (c = 0) or z4 (c = 1) that a cylinder or the loop of the brackets does not reach."""
-    P = crane.parameter_vector()
-    reached = np.array([bool(geo.loop_angles(P, z)[2]) for z in values]) if c else np.ones(len(values), dtype=bool)
-    inside = values[reached]
-    still = np.full(len(inside), crane.initial.pose[1 - c])
-    pair = (inside, still) if c == 0 else (still, inside)
-    lengths = geo.pose(crane, *pair).lengths[:, c] if len(inside) else np.empty(0)
+    """Return the share of values (n,) of the coordinate that cylinder c drives that the cylinder or a loop does not reach."""
+    z = np.tile(crane.initial.pose, (len(values), 1))
+    z[:, crane.layout.index(crane.layout.driven[c])] = values
+    lengths = cylinder_lengths(crane, z)[:, c]  # NaN where a loop cannot close
     shortest, longest = _reach(crane, c)
     good = (lengths > shortest - _PLAY) & (lengths < longest + _PLAY)
     return 1.0 - float(good.sum()) / len(values)

@@ -43,7 +43,7 @@ LEVELS = {
 
 def with_effects(crane: Crane) -> Crane:
     """Return the crane with all effects at their starting values; the seal is relaxed half a millimetre from where it stands."""
-    length = float(np.ravel(pose(crane, crane.initial.z1, crane.initial.z4).lengths)[1])
+    length = float(np.ravel(pose(crane, *crane.initial.pose).lengths)[1])
     relaxed = length - crane["cylinders.tilt.empty_length"] - 5e-4
     for key, (values, _) in EFFECTS.items():
         crane = crane.with_effect(key, values | ({"l0": relaxed} if key == "stuck_seal@tilt" else {}))
@@ -60,7 +60,7 @@ def with_lever(crane: Crane, recording: Recording) -> Crane:
     name = "cylinders.lift.rod_end.x"
 
     def miss(x: float) -> float:
-        lengths = pose(crane.with_parameters({name: x}), z1, np.full_like(z1, crane.initial.z4)).lengths[:, 0]
+        lengths = pose(crane.with_parameters({name: x}), z1, np.full_like(z1, crane.initial.pose[1])).lengths[:, 0]
         return float(np.mean((lengths - s1) ** 2))
 
     best = minimize_scalar(miss, bounds=(crane[name] - 0.03, crane[name] + 0.03), method="bounded")
@@ -74,7 +74,7 @@ def fitted(crane: Crane, data: FitData) -> Fit:
         v
         for effect in crane.effects
         if effect.key in EFFECTS
-        for v in effect_variables(effect.key, effect.parameters)
+        for v in effect_variables(effect.key, effect.parameters, crane.layout)
         if v.parameter.name in EFFECTS[effect.key][1]
     ]
     variables: list[Variable] = [*nominal, *acting]

@@ -49,7 +49,7 @@ def command(
     After a fit that does not make the open-loop error smaller nothing is written, unless --anyway asks for it; exit status 1.
     """
     chosen = load_crane(crane, effects)
-    values_given = _parse(effect, values or [])
+    values_given = _parse(chosen, effect, values or [])
     if fit is None:
         from validation.history import added, with_typical
 
@@ -60,7 +60,7 @@ def command(
     from validation.search.fitted import fitted_effect, helped
 
     with doing(f"fitting {effect} to {fit}"):
-        result, document = fitted_effect(chosen, effect, load_recording(fit, mapping), values_given)
+        result, document = fitted_effect(chosen, effect, load_recording(fit, chosen, mapping), values_given)
     better = helped(document)
     if not better:
         Printer(json).line(
@@ -85,14 +85,14 @@ def remove(
     _write(removed(load_crane(crane, effects), effect), output, json, {"effect": effect})
 
 
-def _parse(key: str, entries: list[str]) -> dict[str, float]:
+def _parse(crane: Crane, key: str, entries: list[str]) -> dict[str, float]:
     from crane_exudyn.crane_toml import unit_at
     from crane_exudyn.effects import registry
     from crane_exudyn.errors import nearest
     from crane_exudyn.units import to_si
 
-    effect, place = registry.split_key(key)
-    units = {p.name: unit_at(p.unit, place) for p in effect.parameters}
+    effect, place = registry.split_key(key, crane.layout)
+    units = {p.name: unit_at(p.unit, place, crane.layout) for p in effect.parameters}
     found = {}
     for entry in entries:
         name, equals, text = (part.strip() for part in entry.partition("="))

@@ -57,7 +57,7 @@ def command(
     sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, mapping)
+    measured = load_recording(recording, chosen, mapping)
     announce_compilation()
     from validation.compare import compare
 
@@ -104,11 +104,11 @@ def filter_words(result: Comparison) -> str:
 
 def balance_table(result: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not zero."""
-    from validation.balances import EQUATIONS
     from validation.findings import VIOLATED, people_unit, rounded
 
-    units = [people_unit(e) for e in EQUATIONS]
-    columns = ("work", *(f"{e} {unit}" for e, (unit, _) in zip(EQUATIONS, units, strict=True)))
+    equations = result.layout.equations
+    units = [people_unit(e, result.layout) for e in equations]
+    columns = ("work", *(f"{e} {unit}" for e, (unit, _) in zip(equations, units, strict=True)))
     rows = []
     for kind, mean, std in result.scores.by_kind():
         cells = [

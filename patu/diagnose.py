@@ -47,8 +47,8 @@ def command(
     pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, mapping)
-    other = None if check is None else load_recording(check, mapping)
+    measured = load_recording(recording, chosen, mapping)
+    other = None if check is None else load_recording(check, chosen, mapping)
     announce_compilation()
     from validation.diagnosis import diagnose
 

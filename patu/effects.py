@@ -8,34 +8,35 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import EffectsOption, JsonOption
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
 from .output import Printer
 from .outputs import saving
 
 if TYPE_CHECKING:
     from crane_exudyn.effects.base import Effect
+    from crane_exudyn.layout import Layout
 
 
 def command(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect; all when left out.")] = None,
+    crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """List the physical effects that a model may lack, or tell one of them whole: law, signature, parameters."""
+    """List the physical effects that a model may lack, or tell one of them whole: law, signature, parameters, places on the crane."""
     from crane_exudyn.effects import registry
 
-    for file in effects or ():
-        registry.load_file(file)
+    layout = load_crane(crane, effects).layout
     chosen = [registry.find(name.partition("@")[0])] if name else list(registry.known())
     printer = Printer(json)
     if name:
-        tell(printer, chosen[0])
+        tell(printer, chosen[0], layout)
     else:
-        rows = [(e.name, _places(e), ", ".join(p.name for p in e.parameters), title(e)) for e in chosen]
+        rows = [(e.name, _places(e, layout), ", ".join(p.name for p in e.parameters), title(e)) for e in chosen]
         printer.table("", ("effect", "places", "parameters", "what it is"), rows)
         printer.line("`patu effects NAME` tells one of them whole.")
     with saving(printer) as save:
-        save.json(json, [describe(effect) for effect in chosen])
+        save.json(json, [describe(effect, layout) for effect in chosen])
 
 
 def title(effect: type[Effect]) -> str:
@@ -43,30 +44,30 @@ def title(effect: type[Effect]) -> str:
     return inspect.cleandoc(effect.__doc__ or effect.name).splitlines()[0]
 
 
-def describe(effect: type[Effect]) -> dict[str, Any]:
-    """Return one effect for the JSON result; a neutral value of null is infinite."""
+def describe(effect: type[Effect], layout: Layout) -> dict[str, Any]:
+    """Return one effect on a machine for the JSON result; a neutral value of null is infinite."""
     parameters = [
         {"name": p.name, "unit": p.unit, "neutral": p.neutral, "lower": p.lower, "upper": p.upper, "text": p.text}
         for p in effect.parameters
     ]
     text = inspect.cleandoc(effect.__doc__ or "")
-    return {"name": effect.name, "places": list(effect.places), "text": text, "parameters": parameters}
+    return {"name": effect.name, "places": list(layout.places(effect.places)), "text": text, "parameters": parameters}
 
 
-def tell(printer: Printer, effect: type[Effect]) -> None:
-    """Print one effect: its docstring, where it may act, its parameters."""
+def tell(printer: Printer, effect: type[Effect], layout: Layout) -> None:
+    """Print one effect: its docstring, where it may act on a machine, its parameters."""
     printer.line(f"{effect.name} - {inspect.cleandoc(effect.__doc__ or '')}")
-    printer.line(f"\nPlaces: {_places(effect)}")
+    printer.line(f"\nPlaces: {_places(effect, layout)}")
     rows = [
         (p.name, p.unit or "-", "shape" if p.shape else _number(p.neutral), f"{p.lower:g} … {p.upper:g}", p.text)
         for p in effect.parameters
     ]
     printer.table("", ("parameter", "unit", "neutral", "range", "meaning"), rows)
-    printer.line(f"patu add {next(iter(effect.keys()))} --fit REC -o new.toml   adds it to a crane file, fitted.")
+    printer.line(f"patu add {next(iter(effect.keys(layout)))} --fit REC -o new.toml   adds it to a crane file, fitted.")
 
 
-def _places(effect: type[Effect]) -> str:
-    return " ".join(p or "whole machine" for p in effect.places)
+def _places(effect: type[Effect], layout: Layout) -> str:
+    return " ".join(p or "whole machine" for p in layout.places(effect.places))
 
 
 def _number(value: float) -> str:

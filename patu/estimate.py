@@ -73,7 +73,7 @@ def command(
     chosen = load_crane(crane, effects)
     from crane_exudyn.vetting import vetted  # imports compiled code, of which the effects must be part
 
-    measured = vetted(load_recording(recording, mapping).require(sensors=1), chosen)
+    measured = vetted(load_recording(recording, chosen, mapping).require(sensors=1), chosen)
     std = sensor_noise(chosen, measured, sensors)
     announce_compilation()
     from ukf.estimator import Estimator
@@ -102,8 +102,6 @@ def command(
 
 def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
     """Return {channel: standard deviation} of the chosen sensors: the crane file's, else what the recording shows."""
-    from crane_exudyn.sensors import SENSORS
-
     for name in only or ():
         if name not in recording.sensors:
             raise CraneError(
@@ -112,7 +110,7 @@ def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> 
     measured = recording.noise()
     chosen = [n for n in recording.sensors if not only or n in only]
     # a simulated recording has no noise; a filter that believes in none cannot be corrected
-    return {n: crane.sensors.get(n, max(measured[n], 0.02 * SENSORS[n].sizes.noise)) for n in chosen}
+    return {n: crane.sensors.get(n, max(measured[n], 0.02 * crane.layout.sensors[n].sizes.noise)) for n in chosen}
 
 
 def noise_slack(crane: Crane, recording: Recording, std: Iterable[str]) -> float:
@@ -155,7 +153,7 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
         "filter": result.method,
     }
     for channel, value in std.items():
-        factor, unit = display(channel, "")
+        factor, unit = display(channel, "", result.layout)
         parameters[f"noise of {channel} / {unit}"] = factor * value
     mood: Any = "good" if result.consistent else "bad"
     return write_report(directory, f"Estimate of {name}", verdict(result), sections, parameters=parameters, mood=mood)

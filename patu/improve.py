@@ -49,8 +49,8 @@ def command(
     which evidence; `patu remove` undoes it.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, mapping)
-    other = None if check is None else load_recording(check, mapping)
+    measured = load_recording(recording, chosen, mapping)
+    other = None if check is None else load_recording(check, chosen, mapping)
     announce_compilation()
     from validation.improvement import improve
 

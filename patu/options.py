@@ -111,12 +111,12 @@ def parse_map(entries: Sequence[str] | None) -> dict[str, str]:
     return mapping
 
 
-def load_recording(path: Path, entries: Sequence[str] | None = None) -> Recording:
-    """Return the recording at `path`, its columns mapped as `--map` says."""
+def load_recording(path: Path, crane: Crane, entries: Sequence[str] | None = None) -> Recording:
+    """Return the recording of a crane at `path`, its columns mapped as `--map` says."""
     from crane_exudyn.recording import Recording
 
     with doing(f"reading {path}"):
-        return Recording.load(path, mapping=parse_map(entries))
+        return Recording.load(path, mapping=parse_map(entries), layout=crane.layout)
 
 
 def make_engine(name: EngineName, crane: Crane) -> Any:

@@ -120,10 +120,10 @@ def _runs(
 
     if recording is None:
         return [Trajectory.at_rest(crane)]
-    runs = [Trajectory.from_recording(load_recording(recording, mapping), label)]
+    runs = [Trajectory.from_recording(load_recording(recording, crane, mapping), label)]
     for entry, default in zip(ghosts, _GHOST_NAMES, strict=False):
         name, path = ghost_of(entry)
-        runs.append(Trajectory.from_recording(load_recording(Path(path), mapping), name or default))
+        runs.append(Trajectory.from_recording(load_recording(Path(path), crane, mapping), name or default))
     if len(ghosts) > len(_GHOST_NAMES):
         raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(_GHOST_NAMES)}.")
     return runs

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -60,7 +59,7 @@ def command(
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
     chosen = load_crane(crane, effects)
-    recording = None if inputs is None else load_recording(inputs, mapping).require(sensors=0)
+    recording = None if inputs is None else load_recording(inputs, chosen, mapping).require(sensors=0)
     from crane_exudyn.simulation import simulate
 
     holder = make_engine(engine, chosen)
@@ -118,6 +117,8 @@ def summary(run: Simulation, engine: str, seconds: float) -> dict[str, Any]:
 
 def tell(printer: Printer, run: Simulation, recording: Recording | None, engine: str, seconds: float) -> None:
     """Print the range of each shown channel."""
+    from crane_exudyn.plots import shown
+
     driven = "the paper's working cycle" if recording is None else recording.name
     printer.line(
         f"{run.crane.name} on {engine}, driven by {driven}: {run.time[-1] - run.time[0]:g} s in {seconds:.2f} s"
@@ -125,8 +126,11 @@ def tell(printer: Printer, run: Simulation, recording: Recording | None, engine:
     for note in recording.notes if recording is not None else ():
         printer.line(f"note: {note}")
     channels, lay = run.channels(), run.crane.layout
-    shown = [(n, "deg", math.pi / 180) for n in lay.coordinates] + [(n, "bar", 1e5) for n in lay.chambers]
-    rows = [(f"{n} / {unit}", *(float(f(channels[n]) / si) for f in _RANGE)) for n, unit, si in shown]
+    rows = []
+    for name in (*lay.coordinates, *lay.chambers):
+        what = shown(name, layout=lay)
+        unit = {"°": "deg"}.get(what.unit, what.unit)
+        rows.append((f"{name} / {unit}", *(float(f(channels[name]) * what.factor) for f in _RANGE)))
     printer.table("", ("channel", "first", "last", "min", "max"), rows)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_up import made_up
 
 from crane_exudyn import errors
 from crane_exudyn.errors import CraneError
@@ -70,7 +71,7 @@ def test_every_command_has_help_with_an_example_and_json(patu: Callable[..., Sim
 def test_options_mean_the_same_everywhere(patu: Callable[..., SimpleNamespace], name: str) -> None:
     out = patu(name, "--help").out
     assert "--effects" in out
-    assert ("--crane" in out) == (name != "effects")
+    assert "--crane" in out
     if name in ("estimate", "compare", "diagnose", "improve", "crosscheck", "paper"):
         assert "--report" in out
     if "REC" in out and name != "benchmark":
@@ -86,6 +87,14 @@ def test_loading_a_command_imports_no_engine() -> None:
 
 
 # -- bad input -------------------------------------------------------------------------------------------------------
+
+
+def test_effects_are_listed_with_the_places_of_the_crane(tmp_path: Path, patu: Callable[..., SimpleNamespace]) -> None:
+    made_up().save(tmp_path / "made_up.toml")
+    done = patu("effects", "internal_leakage", "--crane", str(tmp_path / "made_up.toml"))
+    assert "Places: hoist slide curl" in done.out and "internal_leakage@hoist" in done.out
+    refused = patu("add", "internal_leakage@lift", "--crane", str(tmp_path / "made_up.toml"))
+    assert refused.status == 2 and "hoist, slide, curl" in refused.err
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from crane_exudyn.recording import Recording
 from crane_exudyn.signals import noise_std
 from crane_exudyn.simulation import Simulation, simulate
 from validation import balances, phases
-from validation.balances import EQUATIONS, Balances, Steps
+from validation.balances import Balances, Steps, spread_of
 from validation.compare import Comparison, compare
 from validation.findings import rounded, scores_of, violation
 from validation.fitness import check_recording, noise_at_rest, usable
@@ -74,7 +74,7 @@ def test_a_chamber_at_the_pressure_floor_takes_any_flow(clean):
     boiling = replace(clean.balances, states=states)
     phase = next(i for i, p in enumerate(clean.phases) if p.first <= 100 < p.last)
     scores = scores_of(clean.estimate, boiling, clean.phases)
-    assert np.isinf(scores.stds[phase, EQUATIONS.index("flow.p2")]) and np.isfinite(scores.stds[phase, 0])
+    assert np.isinf(scores.stds[phase, CRANE.layout.equations.index("flow.p2")]) and np.isfinite(scores.stds[phase, 0])
     assert all(np.isfinite(std[0]) for _, _, std in scores.by_kind())
 
 
@@ -199,13 +199,16 @@ def test_smoother_and_mean_over_a_phase_equal_the_dense_normal_distribution() ->
     assert smoothed.mean == pytest.approx(mean.reshape(K, n), abs=1e-8)
     blocks = np.array([covariance[k * n : k * n + n, k * n : k * n + n] for k in range(K)])
     assert smoothed.covariance == pytest.approx(blocks, abs=1e-8)
-    values = (steps.inputs + smoothed.mean[:, -6:]) * balances.SPREAD
-    found = Balances(np.arange(K), steps.states, values, values, 0.0, smoothed.covariance[:, :, -6:], smoothed.gains)
+    spread = spread_of(CRANE.layout)
+    values = (steps.inputs + smoothed.mean[:, -6:]) * spread
+    found = Balances(
+        np.arange(K), steps.states, CRANE.layout, values, values, 0.0, smoothed.covariance[:, :, -6:], smoothed.gains
+    )
     got, std = found.mean(2, 6)
     pick = np.zeros((6, K * n))
     for k in range(2, 6):
         pick[:, k * n + n - 6 : k * n + n] = np.eye(6) / 4
-    assert std / balances.SPREAD == pytest.approx(np.sqrt(np.diag(pick @ covariance @ pick.T)), rel=1e-8)
+    assert std / spread == pytest.approx(np.sqrt(np.diag(pick @ covariance @ pick.T)), rel=1e-8)
     assert got == pytest.approx(values[2:6].mean(axis=0))
 
 
@@ -287,8 +290,8 @@ def test_where_is_sorted_and_tells_place_time_and_work(leaking: tuple[Simulation
     scores = [f.score for f in found.where]
     assert scores == sorted(scores, reverse=True) and len(scores) > 3
     for f in found.where:
-        assert TIME[0] <= f.start < f.end <= TIME[-1] and f.phase in phases.KINDS
-        assert f.name in (EQUATIONS if f.kind == "equation" else NOISE)
+        assert TIME[0] <= f.start < f.end <= TIME[-1] and f.phase in phases.kinds(CRANE.layout)
+        assert f.name in (CRANE.layout.equations if f.kind == "equation" else NOISE)
         assert f"between {f.start:.1f} and {f.end:.1f} s" in f.text
 
 
@@ -315,10 +318,10 @@ def test_json_is_the_contract(leaking: tuple[Simulation, Comparison]) -> None:
 
 def test_words_for_engineers() -> None:
     assert (
-        violation("flow.p3", -2.1e-3 / 60, 0.153e-3 / 60)
+        violation("flow.p3", -2.1e-3 / 60, 0.153e-3 / 60, CRANE.layout)
         == "chamber p3 (tilt, piston side) receives 2.1 ± 0.3 l/min less than the model says"
     )
-    assert violation("torque.O", 310.0, 10.2, rate=-0.1).endswith(
+    assert violation("torque.O", 310.0, 10.2, CRANE.layout, rate=-0.1).endswith(
         "upwards with 310 ± 20 N m more than the model says, against its motion"
     )
     assert (

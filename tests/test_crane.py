@@ -5,7 +5,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 import pytest
 
-from crane_exudyn import Crane, CraneError, parameters
+from crane_exudyn import Crane, CraneError
 from crane_exudyn.crane import built_in
 
 
@@ -29,15 +29,15 @@ def test_a_written_crane_reads_back_equal_and_the_same_text(name, tmp_path):
 
 @pytest.mark.parametrize("name", built_in())
 def test_every_number_of_a_built_in_crane_names_its_source(name):
-    sources = Crane.load(name).sources
-    nameless = [n for n in parameters.NAMES if not any(fnmatchcase(n, pattern) for pattern in sources)]
+    crane = Crane.load(name)
+    nameless = [n for n in crane.machine.names if not any(fnmatchcase(n, pattern) for pattern in crane.sources)]
     assert nameless == []
 
 
 def test_numbers_are_those_of_the_model_sheet(crane):
     assert crane["valves.lift.flow_coefficient"] == pytest.approx(24e-3 / 60 / np.sqrt(7e5), rel=1e-12)
     assert crane["cylinders.tilt.hose_volume_rod"] == pytest.approx(np.pi / 4 * 0.0127**2 * 2.0, rel=1e-12)
-    assert crane.initial.z4 == pytest.approx(np.radians(-40.0), rel=1e-15)
+    assert crane.initial.pose[1] == pytest.approx(np.radians(-40.0), rel=1e-15)
     assert crane.uncertainty["payload.mass"].upper == 400.0
     assert crane.uncertainty["bodies.lift_boom.mass"].std == pytest.approx(0.05 * 143.66)
 

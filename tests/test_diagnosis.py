@@ -220,7 +220,7 @@ def test_where_moved_parameters_help_an_effect_its_other_places_are_fitted_too()
 def test_an_effect_too_weak_to_be_told_from_nothing_is_idle():
     """A pressure compensation of 128 bar does nothing; its neutral value is infinite."""
     w = weighed("pressure_compensation@lift", {"dpc": 128e5}, 0.0)
-    variables = effect_variables("pressure_compensation@lift", {"dpc": 128e5})
+    variables = effect_variables("pressure_compensation@lift", {"dpc": 128e5}, w.fit.crane.layout)
     u = np.array([v.to_u(v.start) for v in variables])
     for spread, idle in ((u[0], {"pressure_compensation@lift"}), (u[0] / 10.0, set())):
         fit = SimpleNamespace(crane=w.fit.crane, variables=variables, u=u, cov=np.diag([spread**2]))

@@ -294,7 +294,7 @@ def test_verdict_on_recordings_that_others_made(case, right):
     noise = scale(CRANE, signals, std, seconds=3.0).noise
     estimate = Estimator(CRANE, "semi-recursive", std, noise, max_step=5e-3).run(signals)
     assert estimate.consistent == right, repr(estimate)
-    assert (noise.pressure[0] < ProcessNoise().pressure[0]) == right
+    assert (noise.pressure[0] < ProcessNoise.of(CRANE.layout).pressure[0]) == right
     assert right or (estimate.persistent and "lacks something" in estimate.verdict)
 
 
@@ -508,7 +508,7 @@ def test_bounds_are_the_ends_of_the_strokes():
             if not np.isfinite(limit):
                 continue
             finite += 1
-            z = np.tile([CRANE.initial.z1, CRANE.initial.z4], (2, 1))
+            z = np.tile(CRANE.initial.pose, (2, 1))
             z[:, i] = limit, limit + beyond
             inside, outside = cylinder_lengths(CRANE, z)[:, i]
             assert empty < inside < full and not empty + 5e-3 < outside < full - 5e-3

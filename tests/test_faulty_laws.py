@@ -31,7 +31,7 @@ def spoil(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Crane]:
         def vector(crane: Crane) -> np.ndarray:
             values = usual(crane)
             if crane.effect(key) is not None:
-                values[registry.slot(effect.name, place)] = np.nan
+                values[registry.slot(effect.name, place, crane.layout)] = np.nan
             return values
 
         monkeypatch.setattr(Crane, "effect_vector", vector)

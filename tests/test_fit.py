@@ -8,8 +8,8 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.measurement import Measurement
 from validation.fit.data import ACCURACY, FitData, Samples
-from validation.fit.linear import PRESSURE_RATE, columns_of, cut, forgotten, model_at, normal_equations, robust
-from validation.fit.solve import bounded_step, covariance, fit, prior_start, reduce, reknot
+from validation.fit.linear import RATE, columns_of, cut, forgotten, model_at, normal_equations, robust
+from validation.fit.solve import bounded_step, covariance, fit, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.search.weigh import UNDETERMINED
@@ -77,7 +77,7 @@ def test_eliminating_knots_equals_the_dense_solution(nominal):
     H, g = np.zeros((K * nx + m,) * 2), np.concatenate([linear.gx.ravel(), linear.gu])
     for k in range(K):
         a = slice(k * nx, (k + 1) * nx)
-        H[a, a] = linear.Hxx[k] + np.diag(prior_start(knots)) + 1e-9 * np.eye(nx)
+        H[a, a] = linear.Hxx[k] + np.diag(linear.weak) + 1e-9 * np.eye(nx)
         H[a, K * nx :] = linear.Hxu[k]
         H[K * nx :, a] = linear.Hxu[k].T
         if k + 1 < K:
@@ -128,7 +128,7 @@ def test_a_clean_recording_is_explained_down_to_its_noise(nominal):
 def test_an_effect_is_found_back_within_three_standard_deviations_or_three_percent(key, true, start):
     crane = Crane.load("patu655")
     data = FitData.of(recorded(crane.with_effect(key, true)), crane)
-    variables = effect_variables(key, start)
+    variables = effect_variables(key, start, crane.layout)
     u = np.array([v.to_u(v.start) for v in variables])
     loose = staged(crane, data, variables, u, first_knots(crane, data), (LOOSE,))
     result = staged(crane, data, variables, loose.u, loose, (TIGHT, STIFF))
@@ -163,8 +163,8 @@ def test_a_lagging_sensors_unknown_first_value_is_integrated_out():
     sample = Samples("p1", index, np.full(len(index), 0.5), np.zeros(len(index)), 3e4)
     rng = np.random.default_rng(5)
     r = rng.standard_normal((len(index), 2))
-    found, cost = forgotten(r, sample, 2.5e-3, 0.05)
-    shape = np.exp(-2.5e-3 * (index + 0.5) / 0.05) * 0.05 * PRESSURE_RATE / 3e4
+    found, cost = forgotten(r, sample, 2.5e-3, 0.05, RATE["Pa"])
+    shape = np.exp(-2.5e-3 * (index + 0.5) / 0.05) * 0.05 * RATE["Pa"] / 3e4
     C = np.eye(len(index)) + np.outer(shape, shape)
     assert found.T @ found == pytest.approx(r.T @ np.linalg.solve(C, r), rel=1e-9)
     assert cost == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-9)
@@ -195,7 +195,7 @@ def test_the_moment_of_an_event_is_found_between_the_moments_that_are_tried():
     crane = Crane.load("patu655")
     recording = recorded(crane.with_effect("tip_contact_force", true), seconds=2.5)
     data = FitData.of(recording, crane)
-    variables = effect_variables("tip_contact_force", {"F": 2000.0, "T": 1.1})
+    variables = effect_variables("tip_contact_force", {"F": 2000.0, "T": 1.1}, crane.layout)
     u = np.array([v.to_u(v.start) for v in variables])
     found = staged(crane, data, variables, u, first_knots(crane, data), (LOOSE, STIFF))
     acting = found.crane.effect("tip_contact_force")

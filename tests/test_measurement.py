@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_up import made_up
 
 from crane_exudyn import Crane, CraneError, Recording
-from crane_exudyn.geometry import pose
+from crane_exudyn.geometry import cylinder_lengths, pose
 from crane_exudyn.measurement import Measurement, lagged
-from crane_exudyn.parameters import LAYOUT
-from crane_exudyn.sensors import PLACES, SENSORS, Sensor
 from crane_exudyn.simulation import sensed
 from ukf.channels import Channels
 from validation.fit.data import FitData
 from validation.fit.staged import residuals
 
 CRANE = Crane.load("patu655")
+SENSORS = CRANE.layout.sensors
 ALL = tuple(SENSORS)
 TIME = np.arange(0.0, 2.0, 2.5e-3)
 #: every kind of effect on sensors that comes with the package
@@ -125,23 +125,27 @@ def test_the_outer_booms_sensor_is_one_place_whether_it_shows_z4_or_z4_abs() -> 
     assert shown["dz4_abs"][0] == 0.0
 
 
-def test_another_machine_brings_a_table_of_its_own() -> None:
-    table = {
-        "q": Sensor("q", "rad", ("boom", "arm"), 0), "v": Sensor("v", "rad/s", ("darm",), 0), "pa": Sensor("pa", "Pa", ("p",), 0)
-    }  # fmt: skip
-    measurement = Measurement(
-        ("pa", "q", "v"), CRANE.parameter_vector(), CRANE.effect_vector(), table, ("boom", "arm", "darm", "p")
-    )
-    Y, C = measurement.rows(np.array([[0.1, 0.2, 0.3, 4e5]]))
-    assert Y[0] == pytest.approx([4e5, 0.3, 0.3])
-    assert C[0].tolist() == [[0, 0, 0, 1], [1, 1, 0, 0], [0, 0, 1, 0]]
+def test_sensors_of_another_machine_show_its_quantities() -> None:
+    crane = made_up().with_effect("sensor_bias@reach", {"b": 0.02}).with_effect("sensor_scale@b3", {"a": 2.0})
+    lay, measurement = crane.layout, Measurement.of(crane)
+    x = np.array([0.3, 0.5, -0.4, 0.1, 0.2, 0.3, 60e5, 10e5, 30e5, -5e5, 8e5, 20e5])
+    Y, C = measurement.rows(x[None])
+    shown = dict(zip(measurement.names, Y[0], strict=True))
+    assert list(shown) == list(lay.sensors)
+    assert [shown[n] for n in lay.states] == pytest.approx([*x[:1], 0.52, *x[2:9], 0.0, x[10], 40e5])
+    assert [shown["bucket_abs"], shown["dbucket_abs"]] == pytest.approx([-0.1, 0.4])
+    assert [shown[n] for n in lay.lengths] == pytest.approx(cylinder_lengths(crane, x[None, lay.positions])[0])
+    for i in range(len(x)):
+        h = 1e-5 * np.eye(len(x))[i] if i < 6 else 10.0 * np.eye(len(x))[i]
+        quotient = (measurement.read((x + h)[None]) - measurement.read((x - h)[None])) / (2.0 * h[i])
+        np.testing.assert_allclose(C[:, :, i], quotient, rtol=1e-6, atol=1e-8)
     with pytest.raises(CraneError, match=r"sensor 'z1' is not known"):
-        Measurement(("z1",), CRANE.parameter_vector(), CRANE.effect_vector(), table)
+        Measurement.of(crane, ("z1",))
 
 
 def test_places_of_effects_keep_their_order_in_old_files() -> None:
-    assert PLACES == ("z1", "z4", "p1", "p2", "p3", "p4")
-    assert all(set(s.shows) <= set(LAYOUT.states) for s in SENSORS.values())
+    assert CRANE.layout.places("sensors") == ("z1", "z4", "p1", "p2", "p3", "p4")
+    assert all(set(s.shows) <= set(CRANE.layout.states) for s in SENSORS.values())
 
 
 OWN = """

@@ -5,32 +5,24 @@
 | any nominal parameter, such as `payload.mass`, `supply.pump_pressure`, `joints.A.x` | SI | that parameter |
 | any effect's parameter, such as `internal_leakage@lift.k` | SI | that parameter |
 | `bias.p4`, any sensor | of the sensor | an offset of the sensor: y + b |
-| `torque.O`, `torque.A` | N m | a moment on z1 or z4 that no law explains |
-| `force.x`, `force.y` | N | a force on the point E of the outer boom |
-| `flow.p1` … `flow.p4` | m³/s | a flow into the chamber that no law explains |
+| `torque.O`, any joint | N m | a moment on the joint that no law explains; of a sliding one a force, N |
+| `force.x`, `force.y` | N | a force on the point that carries the payload |
+| `flow.p1`, any chamber | m³/s | a flow into the chamber that no law explains |
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from crane_exudyn import parameters
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
-from crane_exudyn.parameters import LAYOUT
-from crane_exudyn.sensors import SENSORS
 
-#: places of the vector D of disturbances that the engines take, with a standard deviation that is worth a search
-_TORQUES, _FORCE, _FLOW = (300.0, 200.0), 200.0, 1e-5
-DISTURBANCES = (
-    dict.fromkeys(LAYOUT.disturbances, _FORCE)
-    | dict(zip(LAYOUT.torques, _TORQUES, strict=True))
-    | dict.fromkeys(LAYOUT.flows, _FLOW)
-)
+#: standard deviations of disturbances that are worth a search, by unit
+_DISTURBED: Mapping[str, float] = {"N*m": 300.0, "N": 200.0, "m^3/s": 1e-5}
 
 
 @dataclass(frozen=True)
@@ -90,11 +82,12 @@ def _resolve_one(crane: Crane, wanted: Augment) -> Extra:
 def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
     """Return kind, value, standard deviation and lower limit of a quantity as the crane file knows it."""
     head, _, tail = name.partition(".")
-    if head == "bias" and tail in SENSORS:
-        return "bias", 0.0, SENSORS[tail].sizes.bias, -np.inf
-    if name in DISTURBANCES:
-        return "parameter", 0.0, DISTURBANCES[name], -np.inf
-    if name in parameters.INDEX:
+    lay = crane.layout
+    if head == "bias" and tail in lay.sensors:
+        return "bias", 0.0, lay.sensors[tail].sizes.bias, -np.inf
+    if name in lay.disturbances:
+        return "parameter", 0.0, _DISTURBED[lay.unit_of(name)], -np.inf
+    if name in crane.machine.index:
         known = crane.uncertainty.get(name)
         std = known.std if known is not None else np.nan
         if not np.isfinite(std):
@@ -102,7 +95,9 @@ def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
         return "parameter", crane[name], std, _least(name, crane[name])
     if "@" in name or "." in name:
         return _effect_parameter(crane, name)
-    raise CraneError(f"augmented state {name!r} is not known.{nearest(name, [*parameters.NAMES, *DISTURBANCES])}")
+    raise CraneError(
+        f"augmented state {name!r} is not known.{nearest(name, [*crane.machine.names, *lay.disturbances])}"
+    )
 
 
 def _least(name: str, value: float) -> float:
@@ -115,9 +110,10 @@ def _least(name: str, value: float) -> float:
 def _effect_parameter(crane: Crane, name: str) -> tuple[str, float, float, float]:
     key, _, last = name.rpartition(".")
     try:
-        effect, _place = registry.split_key(key)
+        effect, _place = registry.split_key(key, crane.layout)
     except CraneError:
-        known = [*parameters.NAMES, *DISTURBANCES, *(f"bias.{s}" for s in SENSORS)]
+        lay = crane.layout
+        known = [*crane.machine.names, *lay.disturbances, *(f"bias.{s}" for s in lay.sensors)]
         raise CraneError(f"augmented state {name!r} is not known.{nearest(name, known)}") from None
     for p in effect.parameters:
         if p.name == last:

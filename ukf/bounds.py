@@ -78,14 +78,16 @@ def _clipped(points, lower, upper):  # type: ignore[no-untyped-def]
 
 #: largest share of a chamber that may be void; a state remembers a void as a pressure that far below zero
 _MOST_VOID = 0.5
+#: values of a coordinate at which a cylinder's length is looked at
+_GRID = 1441
 
 
 def crane_bounds(
     crane: Crane, lengths: Callable[[np.ndarray], np.ndarray] | None, states: int, margin: float = 5e-3
 ) -> Bounds:
-    """Return the limits of a crane's states: half a chamber empty, and the angles at which a piston meets its cylinder's end.
+    """Return the limits of a crane's states: half a chamber empty, and the coordinates at which a piston meets its cylinder's end.
 
-    `lengths` maps z (m, 2) to cylinder lengths (m, 2), NaN where the loop cannot close; without it angles are free.
+    `lengths` maps z (m, n) to cylinder lengths (m, n), NaN where a loop cannot close; without it coordinates are free.
     `margin` (m) keeps both chambers of a cylinder a little longer than nothing.
     """
     lower, upper = np.full(states, -np.inf), np.full(states, np.inf)
@@ -95,26 +97,33 @@ def crane_bounds(
             i = crane.layout.index(driven)
             empty = crane[f"cylinders.{cylinder}.empty_length"] + margin
             full = empty + crane[f"cylinders.{cylinder}.chamber_range"] - 2 * margin
-            lower[i], upper[i] = _angle_range(lengths, c, i, crane.initial.pose, empty, full)
+            start, turns = np.array(crane.initial.pose), crane.layout.unit_of(driven) == "rad"
+            grid = np.linspace(-np.pi, np.pi, _GRID) if turns else start[i] + np.linspace(-2, 2, _GRID) * (full - empty)
+            lower[i], upper[i] = _range(lengths, c, i, start, grid, empty, full)
     return Bounds(lower, upper)
 
 
-def _angle_range(
-    lengths: Callable[[np.ndarray], np.ndarray], c: int, i: int, start: tuple[float, float], empty: float, full: float
+def _range(
+    lengths: Callable[[np.ndarray], np.ndarray],
+    c: int,
+    i: int,
+    start: np.ndarray,
+    grid: np.ndarray,
+    empty: float,
+    full: float,
 ) -> tuple[float, float]:
-    """Return the connected range of angle i around the start in which the length of cylinder c stays in its limits.
+    """Return the connected range of coordinate i around the start in which the length of cylinder c stays in its limits.
 
     A boom may pass the pose at which its cylinder is shortest; nothing but the length is a limit.
     """
-    angles = np.linspace(-np.pi, np.pi, 1441)
-    z = np.tile(np.asarray(start, float), (angles.size, 1))
-    z[:, i] = angles
+    z = np.tile(start, (grid.size, 1))
+    z[:, i] = grid
     s = lengths(z)[:, c]
     good = (s > empty) & (s < full)  # a loop that cannot close has NaN lengths and is not good
-    home = int(np.argmin(np.abs(angles - start[i])))
+    home = int(np.argmin(np.abs(grid - start[i])))
     if not good[home]:
         return -np.inf, np.inf
     below, above = np.flatnonzero(~good[:home]), np.flatnonzero(~good[home:])
-    first = angles[below[-1] + 1] if below.size else -np.inf
-    last = angles[home + above[0] - 1] if above.size else np.inf
+    first = grid[below[-1] + 1] if below.size else -np.inf
+    last = grid[home + above[0] - 1] if above.size else np.inf
     return float(first), float(last)

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crane_exudyn.channels import CHANNELS
+from crane_exudyn import channels
 from crane_exudyn.crane import Crane
+from crane_exudyn.layout import Layout
+from crane_exudyn.recording import usual_layout
 
 from . import consistency
 from .monitor import ABSENT, FROZEN, OUTLIER, USED
@@ -85,6 +87,7 @@ class Estimate:
     noise_slack: float = 0.0
     smoothed: Estimate | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    layout: Layout = field(default_factory=usual_layout, repr=False)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return the estimated mean (N,) of one quantity by its name."""
@@ -270,7 +273,7 @@ class Estimate:
 
         rows = []
         for i, name in enumerate(self.state_names):
-            factor, unit = display(name, self.units.get(name, ""))
+            factor, unit = display(name, self.units.get(name, ""), self.layout)
             values, half = factor * self.mean[:, i], factor * 1.96 * float(self.std[-1, i])
             first, last, lowest, highest = map(float, (values[0], values[-1], values.min(), values.max()))
             rows.append((name, unit, first, last, half, lowest, highest))
@@ -379,7 +382,8 @@ class Recorder:
             covariance=self.covariance if self._keeps else None,
             floor=floor,
             pressures=pressures,
-            units={n: unit_of(n) for n in (*self.states, *self.channels)},
+            units={n: unit_of(n, crane.layout) for n in (*self.states, *self.channels)},
+            layout=crane.layout,
         )
         if smoothed is None:
             return result
@@ -418,19 +422,21 @@ def flagged(time: np.ndarray, flags: np.ndarray, channels: Sequence[str]) -> lis
     return sorted(found, key=lambda e: e.start)
 
 
-def unit_of(name: str) -> str:
+def unit_of(name: str, layout: Layout) -> str:
     """Return the SI unit, as pint writes it, of an estimated quantity or a sensor."""
     from crane_exudyn import parameters
+    from crane_exudyn.crane_toml import unit_at
     from crane_exudyn.effects import registry
 
     head, _, tail = name.partition(".")
     if head in ("bias", "reading"):
-        return unit_of(tail)
-    if head in ("torque", "force", "flow") and tail:
-        return {"torque": "N*m", "force": "N", "flow": "m^3/s"}[head]
-    if name in parameters.INDEX:
-        return parameters.unit_of(name)
-    if "@" in name or "." in name:
-        effect = registry.find(name.split("@")[0].split(".")[0])
-        return next((p.unit for p in effect.parameters if p.name == name.rpartition(".")[2]), "")
-    return CHANNELS.get(name, "")
+        return unit_of(tail, layout)
+    if name in (*layout.all_states, *layout.disturbances):
+        return layout.unit_of(name)
+    if name in channels.of(layout):
+        return channels.of(layout)[name]
+    key, _, last = name.rpartition(".")
+    if key.partition("@")[0] in [e.name for e in registry.known()]:
+        effect, place = registry.split_key(key, layout)
+        return next((unit_at(p.unit, place, layout) for p in effect.parameters if p.name == last), "")
+    return parameters.unit_of(name)

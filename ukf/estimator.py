@@ -14,12 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from crane_exudyn.channels import SUPPLY
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import cylinder_lengths
-from crane_exudyn.parameters import LAYOUT
-from crane_exudyn.sensors import SENSORS, sensor
+from crane_exudyn.sensors import sensor
 from crane_exudyn.statics import vapour_pressure
 
 from .augment import Augment, resolve
@@ -34,7 +32,7 @@ from .process import Process, engine_of
 from .samples import command_of, first_stamp, impossible, number, readings_of
 from .second_opinion import SecondOpinion
 from .signals import LONG_GAP, Plan, Signals
-from .start import ANGLE, RIVALS, showing, start_belief, taken
+from .start import UNSHOWN, rivals, showing, start_belief, taken
 from .visible import show
 
 #: in the first so many seconds of a recording a leap puts the start in doubt
@@ -75,11 +73,11 @@ class Estimator:
         crane: the model that the filter believes in.
         engine: "exudyn", "semi-recursive", or an engine object with this crane.
         sensors: channels with their noise standard deviation in SI, or channel names alone (then the crane file's
-            standard deviation, else a default of the channel's kind).
-        noise: process noise with a method `covariance(dt)` -> (8, 8); `noise.ProcessNoise` or `noise.PaperNoise`.
+            standard deviation, else a default of the channel's kind); by default all coordinates and the chambers that carry loads.
+        noise: process noise with a method `covariance(dt)` -> (nx, nx); `noise.ProcessNoise` or `noise.PaperNoise`.
         method: "ukf", "sr-ukf", "ckf" or "ekf".
         augment: quantities to estimate along with the state, see `augment`.
-        start: mean and covariance (8, …) of the state to start with; without it, the crane at rest as measured first.
+        start: mean and covariance (nx, …) of the state to start with; without it, the crane at rest as measured first.
         gate: how many standard deviations an innovation may leap before the sample is rejected; None for no gate.
         max_step: longest integration step of the engine, s; longer intervals are cut evenly.
 
@@ -91,7 +89,7 @@ class Estimator:
         self,
         crane: Crane,
         engine: Any = "exudyn",
-        sensors: Mapping[str, float] | Sequence[str] = (*LAYOUT.coordinates, *LAYOUT.loaded),
+        sensors: Mapping[str, float] | Sequence[str] | None = None,
         noise: Any = None,
         method: str = "ukf",
         augment: Iterable[Augment | str] = (),
@@ -101,14 +99,16 @@ class Estimator:
     ) -> None:
         self.crane = crane
         self.engine = engine_of(engine, crane)
-        self.std_of = sensor_std(crane, sensors)
-        self.noise = noise if noise is not None else ProcessNoise()
+        lay = crane.layout
+        self.std_of = sensor_std(crane, (*lay.coordinates, *lay.loaded) if sensors is None else sensors)
+        self.noise = noise if noise is not None else ProcessNoise.of(lay)
         self.max_step = float(max_step)
         if not 0.0 < self.max_step < np.inf:
             raise CraneError(f"max_step is {max_step}. Give a positive time in seconds, such as 1e-3.")
         if gate is not None and not gate > 0.0:
             raise CraneError(f"gate is {gate}. Give a positive number of standard deviations, or None for no gate.")
         self._floor = vapour_pressure(crane)
+        self._units = tuple(lay.sensors[n].unit for n in self.std_of)
         self._std = np.array(list(self.std_of.values()))
         self._variance = measurement_noise(self._std)
         self._extras = resolve(crane, augment)
@@ -147,7 +147,7 @@ class Estimator:
         self.time: float | None = None
         self.count = 0
         self.events: list[tuple[float, str, str]] = []
-        self._monitor = Monitor(self._channels.names, self._std, self._gate, self._floor)
+        self._monitor = Monitor(self._channels.names, self._units, self._std, self._gate, self._floor)
         self._belief_in_doubt = Doubt(self._gate)
         self._opinion: SecondOpinion | None = None
         self._spool = None
@@ -167,7 +167,7 @@ class Estimator:
         """Return what is known after one more sample.
 
         Args:
-            commands: spool commands u1, u2 in [-1, 1] at `time`; between two calls they are taken as linear.
+            commands: spool commands in [-1, 1] at `time`; between two calls they are taken as linear.
             measurements: any of the sensors, SI; what is missing or NaN is missing. `pp`, `pt` go to the model as inputs.
             time: s; without it one `max_step` after the last call. A time that is not later than the last one is
                 not a new sample: the call changes nothing, and says so in `events`. After more than `LONG_GAP` seconds, and when
@@ -199,13 +199,15 @@ class Estimator:
     def _sorted_out(
         self, commands: Sequence[float] | Mapping[str, float], measurements: Mapping[str, float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        command = self._usable(command_of(commands))
-        readings = readings_of(measurements, (*self.std_of, *SUPPLY))
-        for k, name in enumerate((*self.std_of, *SUPPLY)):
-            if impossible(name, readings[k]):
+        supply = self.crane.layout.supply
+        command = self._usable(command_of(commands, self.crane.layout.commands))
+        readings = readings_of(measurements, (*self.std_of, *supply))
+        units = (*self._units, *("Pa" for _ in supply))
+        for k, (name, unit) in enumerate(zip((*self.std_of, *supply), units, strict=True)):
+            if impossible(unit, readings[k]):
                 self.events.append((self._clock, name, f"no crane shows {readings[k]:g}: taken as missing"))
                 readings[k] = np.nan
-        return command, readings[: -len(SUPPLY)], readings[-len(SUPPLY) :]
+        return command, readings[: -len(supply)], readings[-len(supply) :]
 
     @property
     def _clock(self) -> float:
@@ -297,7 +299,7 @@ class Estimator:
         self._opened = covariance
         self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)))
         self.belief = self._method.begin(mean, covariance)
-        self._forget_doubts(time, taken(first) if self._start is None else ())
+        self._forget_doubts(time, taken(self.crane.layout, first) if self._start is None else ())
         self.time = time
 
     def _forget_doubts(self, time: float, read: Collection[str]) -> None:
@@ -307,7 +309,7 @@ class Estimator:
         self._opinion = None
 
     def _shown(self, first: Mapping[str, float], spread: Mapping[str, float]) -> Belief:
-        """Return the belief (8, …) in which the sensors show `first`, give or take their noise and `spread`."""
+        """Return the belief (nx, …) in which the sensors show `first`, give or take their noise and `spread`."""
         std = {n: float(np.hypot(self.std_of.get(n, 0.0), spread.get(n, 0.0))) for n in {*self.std_of, *spread}}
         return start_belief(self.crane, self.engine, first, std)
 
@@ -415,8 +417,8 @@ class Estimator:
         names = self._channels.names
         believed = {names[i]: float(values[i]) for i in np.flatnonzero(flags == USED)}
         if row is not None:
-            rivals = RIVALS.get(names[row], ())
-            believed = {n: v for n, v in believed.items() if n not in rivals} | {names[row]: float(values[row])}
+            others = rivals(self.crane.layout).get(names[row], ())
+            believed = {n: v for n, v in believed.items() if n not in others} | {names[row]: float(values[row])}
         return self._anew(believed)
 
     def _anew(self, first: Mapping[str, float], spread: Mapping[str, float] | None = None) -> Any:
@@ -425,12 +427,11 @@ class Estimator:
         lay = self.crane.layout
         kept = dict(zip(lay.states[lay.motion], old.mean[lay.motion].tolist(), strict=True))
         for name in lay.coordinates:
-            if any(n in first and np.isfinite(first[n]) for n in showing(name)):
+            if any(n in first and np.isfinite(first[n]) for n in showing(lay, name)):
                 del kept[name]
         mean, covariance = old.mean.copy(), np.diag(np.diag(old.covariance))
-        self._set_states(
-            self._shown(kept | dict(first), dict.fromkeys(kept, ANGLE) | dict(spread or {})), mean, covariance
-        )
+        spreads = dict(zip(kept, lay.sized(kept, UNSHOWN), strict=True)) | dict(spread or {})
+        self._set_states(self._shown(kept | dict(first), spreads), mean, covariance)
         return self._method.begin(mean, covariance)
 
     def _resume(
@@ -439,7 +440,7 @@ class Estimator:
         """Go on after a gap that is too long to be predicted through."""
         self.events.append((time, "time", f"clock went on by {time - self._clock:.3g} s: anew from the sensors"))
         self.belief = self._anew(first, spread)
-        self._forget_doubts(time, taken(first))
+        self._forget_doubts(time, taken(self.crane.layout, first))
         if recorder is not None and recorder.smooth:
             recorder.cut(self.belief)
         self.time = time
@@ -604,7 +605,7 @@ class Estimator:
         groups: dict[float, list[str]] = {}
         for name, (time, values) in plan.series.items():
             early, std = time <= end, self.std_of[name]
-            at = leaps(time[early], values[early], std, FASTEST[sensor(name).unit], self._gate)
+            at = leaps(time[early], values[early], std, FASTEST[self.crane.layout.sensors[name].unit], self._gate)
             if at.size:
                 longest = at[np.argmax(np.diff([*at, early.sum()]))]
                 for k in sorted({int(at[0]), int(longest)}):
@@ -646,12 +647,13 @@ def sensor_std(crane: Crane, sensors: Mapping[str, float] | Sequence[str]) -> di
         CraneError: no sensor, an unknown one, or a standard deviation that is not positive.
     """
     given = dict(sensors) if isinstance(sensors, Mapping) else dict.fromkeys(sensors)
+    table = crane.layout.sensors
     if not given:
-        raise CraneError(f"The estimator has no sensor. Give at least one of {', '.join(SENSORS)}.")
+        raise CraneError(f"The estimator has no sensor. Give at least one of {', '.join(table)}.")
     for name, std in given.items():
-        sensor(name)
+        sensor(name, table)
         if std is not None and not (np.isfinite(std) and std > 0):
             raise CraneError(
                 f"sensor {name!r}: a noise standard deviation of {std:g} cannot be used. Give a positive one."
             )
-    return {n: float(s if s is not None else crane.sensors.get(n, sensor(n).sizes.noise)) for n, s in given.items()}
+    return {n: float(s if s is not None else crane.sensors.get(n, table[n].sizes.noise)) for n, s in given.items()}

@@ -22,12 +22,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from crane_exudyn.channels import SENSORS
 from crane_exudyn.compiled import njit
 
 USED, ABSENT, OUTLIER, FROZEN = 0, 1, 2, 3
-#: fastest change that physics allows, by unit: rad/s, rad/s², Pa/s, m/s
-FASTEST = {"rad": 3.0, "rad/s": 100.0, "Pa": 2e8, "m": 1.0}
+#: fastest change that physics allows, by unit: rad/s, rad/s², Pa/s, m/s, m/s²
+FASTEST = {"rad": 3.0, "rad/s": 100.0, "Pa": 2e8, "m": 1.0, "m/s": 30.0}
 _FROZEN_AFTER = 25
 #: two samples further apart than this, s, may differ by anything
 _APART = 0.1
@@ -50,6 +49,7 @@ class Monitor:
     """
 
     names: tuple[str, ...]
+    units: tuple[str, ...]
     std: np.ndarray
     gate: float = 6.0
     floor: float = -np.inf
@@ -58,8 +58,8 @@ class Monitor:
 
     def __post_init__(self) -> None:
         self.std = np.asarray(self.std, float)
-        self.fastest = np.array([FASTEST[SENSORS[n]] for n in self.names])
-        self._least = np.array([self.floor if SENSORS[n] == "Pa" else -np.inf for n in self.names])
+        self.fastest = np.array([FASTEST[unit] for unit in self.units])
+        self._least = np.array([self.floor if unit == "Pa" else -np.inf for unit in self.units])
         # last value and change; mean size of what changes from change to change; repeats and their longest run; last
         # innovation and time; off and in agreement with itself since; believed since; seconds until it is disputed; how many readings were off; how many the belief is taken from
         self.memory = np.full((len(self.names), 12), np.nan)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from crane_exudyn.parameters import LAYOUT
+from crane_exudyn.layout import Layout
 
 #: The paper's tuning: variances of acceleration in rad²/s⁴ and of pressure in Pa² a step
 PAPER_ACCELERATION = 0.0175
 PAPER_PRESSURE = 259.8e8
-#: The paper's start: variances in rad², rad²/s², Pa²
+#: The paper's start: variances in rad², rad²/s², Pa²; and how many angles, rates and pressures its crane has
 PAPER_START = (0.035, 0.087, 22.5e7)
+_COUNTS = (2, 2, 4)
+#: usual densities: of acceleration by the unit of the coordinate, rad²/s³ and m²/s³, and of pressure, Pa²/s
+_ACCELERATION: Mapping[str, float] = {"rad": 1e-4, "m": 1e-4}
+_PRESSURE = 1e8
 
 
 def measurement_noise(standard_deviations: np.ndarray) -> np.ndarray:
@@ -30,7 +34,7 @@ def paper_process_noise(
     it is, whatever the step. `acceleration` in rad²/s⁴ and `pressure` in Pa² are variances.
     """
     block = np.array([[dt**3, dt**2], [dt**2, dt]])
-    return _in_blocks([acceleration] * len(LAYOUT.coordinates), block, [pressure] * len(LAYOUT.chambers))
+    return _in_blocks([acceleration] * _COUNTS[0], block, [pressure] * _COUNTS[2])
 
 
 def _in_blocks(accelerations: Sequence[float], block: np.ndarray, pressures: Sequence[float]) -> np.ndarray:
@@ -44,18 +48,25 @@ def _in_blocks(accelerations: Sequence[float], block: np.ndarray, pressures: Seq
 
 def paper_start_covariance() -> np.ndarray:
     """Return the paper's P0 (8, 8): independent angles, rates and pressures."""
-    return np.diag(np.repeat(PAPER_START, [len(n) for n in (LAYOUT.coordinates, LAYOUT.rates, LAYOUT.chambers)]))
+    return np.diag(np.repeat(PAPER_START, _COUNTS))
 
 
 @dataclass(frozen=True)
 class ProcessNoise:
     """White-noise densities: what the model does not know, per second, so that any step gives the same growth.
 
-    acceleration: rad²/s³ (one for each coordinate); pressure: Pa²/s (one for each chamber).
+    acceleration: rad²/s³ or m²/s³ (one for each coordinate); pressure: Pa²/s (one for each chamber).
     """
 
-    acceleration: tuple[float, ...] = (1e-4,) * len(LAYOUT.coordinates)
-    pressure: tuple[float, ...] = (1e8,) * len(LAYOUT.chambers)
+    acceleration: tuple[float, ...]
+    pressure: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls, layout: Layout, acceleration: Mapping[str, float] = _ACCELERATION, pressure: float = _PRESSURE
+    ) -> ProcessNoise:
+        """Return the noise of a machine from densities of acceleration by the unit of the coordinate, and of pressure."""
+        return cls(layout.sized(layout.coordinates, acceleration), (pressure,) * len(layout.chambers))
 
     def covariance(self, dt: float) -> np.ndarray:
         """Return Q (n, n) over `dt` seconds: Van Loan's integral of white acceleration, and white pressure rates."""

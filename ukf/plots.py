@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from crane_exudyn.layout import Layout
+
     from .estimate import Estimate
 
 _BLUE, _BLACK, _RED, _GREY = "#0072B2", "#111111", "#D55E00", "#999999"
@@ -65,9 +67,9 @@ def innovations_figure(estimate: Estimate) -> Figure:
     return made
 
 
-def display(name: str, unit: str) -> tuple[float, str]:
-    """Return factor and unit in which people read a quantity: degrees and bar."""
-    what = plots.shown(name, unit)
+def display(name: str, unit: str, layout: Layout) -> tuple[float, str]:
+    """Return factor and unit in which people read a quantity of a machine: degrees and bar."""
+    what = plots.shown(name, unit, layout)
     return what.factor, what.unit
 
 
@@ -92,7 +94,7 @@ def _end(axes: Axes) -> None:
 
 
 def _what(estimate: Estimate, name: str) -> Shown:
-    return plots.shown(name, estimate.units.get(name, ""))
+    return plots.shown(name, estimate.units.get(name, ""), estimate.layout)
 
 
 def _thin(count: int) -> slice:

@@ -8,28 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from crane_exudyn.channels import BEYOND, CHANNELS, COMMANDS
+from crane_exudyn.channels import BEYOND
 from crane_exudyn.errors import CraneError, nearest
 
 
-def command_of(commands: Sequence[float] | Mapping[str, float]) -> np.ndarray:
-    """Return the spool commands (2,), NaN for a missing one.
+def command_of(commands: Sequence[float] | Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+    """Return the spool commands (valves,) of the channels `names`, NaN for a missing one.
 
     Raises:
-        CraneError: not two numbers, or names other than u1 and u2.
+        CraneError: not one number a valve, or other names.
     """
     if isinstance(commands, Mapping):
-        if set(commands) != set(COMMANDS):
+        if set(commands) != set(names):
             raise CraneError(
-                f"commands: found {', '.join(map(str, commands)) or 'nothing'}. Give {' and '.join(COMMANDS)} in [-1, 1]."
+                f"commands: found {', '.join(map(str, commands)) or 'nothing'}. Give {' and '.join(names)} in [-1, 1]."
             )
-        commands = [commands[name] for name in COMMANDS]
+        commands = [commands[name] for name in names]
     found = np.asarray(commands, object)
-    if found.shape != (len(COMMANDS),):
+    if found.shape != (len(names),):
         raise CraneError(
-            f"commands: found {_shown(commands)}. Give two numbers in [-1, 1], one for each valve: ({', '.join(COMMANDS)})."
+            f"commands: found {_shown(commands)}. Give {len(names)} numbers in [-1, 1], one for each valve: ({', '.join(names)})."
         )
-    return np.array([number(value, f"commands: {name}") for name, value in zip(COMMANDS, found, strict=True)])
+    return np.array([number(value, f"commands: {name}") for name, value in zip(names, found, strict=True)])
 
 
 def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
@@ -40,7 +40,7 @@ def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.n
     """
     if not isinstance(measurements, Mapping):
         raise CraneError(
-            f"measurements: found {_shown(measurements)}. Give a mapping such as {{'z1': 0.17, 'p1': 62e5}}, SI."
+            f"measurements: found {_shown(measurements)}. Give a mapping such as {{{names[0]!r}: 0.17}}, SI."
         )
     for name in measurements:
         if name not in names:
@@ -48,9 +48,9 @@ def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.n
     return np.array([number(measurements.get(n), f"measurements: {n}") for n in names])
 
 
-def impossible(name: str, readings: np.ndarray) -> np.ndarray:
-    """Return which readings (n,) of a channel no crane can show, infinite ones among them; NaN is missing and not among them."""
-    return np.asarray(np.abs(readings) > BEYOND[CHANNELS[name]])
+def impossible(unit: str, readings: np.ndarray) -> np.ndarray:
+    """Return which readings (n,) in a SI unit no crane can show, infinite ones among them; NaN is missing and not among them."""
+    return np.asarray(np.abs(readings) > BEYOND[unit])
 
 
 def _shown(value: Any) -> str:

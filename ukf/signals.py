@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from crane_exudyn.channels import SUPPLY
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
-from crane_exudyn.sensors import SENSORS
+from crane_exudyn.layout import Layout
 from crane_exudyn.simulation import inner_grid
 
 from .samples import impossible
@@ -31,9 +30,9 @@ _GLANCE = 0.1  # s, in which the angles must show a rate for it to be believed
 
 @dataclass(frozen=True)
 class Plan:
-    """Instants `time` (N,), measurements `values` (N, k) with NaN, inner `grid` (G,) with `inputs` (G, 4).
+    """Instants `time` (N,), measurements `values` (N, k) with NaN, inner `grid` (G,) with `inputs` (G, valves + 2).
 
-    `inner[k]` is where instant k stands in the grid; `series` are the known samples of each sensor.
+    `inner[k]` is where instant k stands in the grid; `series` are the known samples of each sensor of a machine with this `layout`.
     """
 
     time: np.ndarray
@@ -43,15 +42,16 @@ class Plan:
     inner: np.ndarray
     series: Mapping[str, Series]
     events: list[tuple[float, str, str]]
+    layout: Layout
 
     def opening(self, at: float = -np.inf) -> tuple[dict[str, float], dict[str, float]]:
         """Return the measurements to start from at `at`, and how far they may be from that instant because the crane moves.
 
-        Rates are given where the angles show them.
+        Rates are given where the coordinates show them.
         """
         begins = {name: int(np.searchsorted(time, at)) for name, (time, _) in self.series.items()}
         shown = {n: (t[begins[n] :], y[begins[n] :]) for n, (t, y) in self.series.items() if begins[n] < t.size}
-        first = {c: float(np.median(y[:_FIRST])) for c, (_, y) in shown.items()} | _rates(shown)
+        first = {c: float(np.median(y[:_FIRST])) for c, (_, y) in shown.items()} | _rates(shown, self.layout)
         spread = {c: float(np.subtract(*np.percentile(y[:_FIRST], [75, 25]))) for c, (_, y) in shown.items()}
         return first, spread
 
@@ -76,7 +76,7 @@ class Signals:
     """Spool commands, sensors and supply pressures in SI, each with its own clock.
 
     Attributes:
-        command_time: (n,) s; commands: (n, 2) u1, u2 in [-1, 1], linear between samples.
+        command_time: (n,) s; commands: (n, valves) in [-1, 1], linear between samples.
         sensors: {channel: (time (m,), values (m,))}, NaN for missing.
         supply: {"pp" or "pt": (time, values)} if measured.
     """
@@ -96,8 +96,8 @@ class Signals:
         return cls(
             np.asarray(time, float),
             np.asarray(commands, float),
-            {n: held[n] for n in SENSORS if n in held},
-            {n: held[n] for n in SUPPLY if n in held},
+            {n: held[n] for n in crane.layout.sensors if n in held},
+            {n: held[n] for n in crane.layout.supply if n in held},
             str(recording.name),
             tuple(recording.notes),
         )
@@ -117,7 +117,8 @@ class Signals:
                 f"{self.name}: none of the estimator's sensors ({', '.join(channels)}) was recorded; "
                 f"there are {', '.join(self.sensors) or 'none'}. Choose the sensors among these."
             )
-        series = {c: clean(*self.sensors[c], c, events) for c in present}
+        lay = crane.layout
+        series = {c: clean(*self.sensors[c], c, lay.sensors[c].unit, events) for c in present}
         time = instants(series)
         if time.size < 2:
             raise CraneError(f"{self.name}: fewer than two samples of {', '.join(present)}. Nothing can be estimated.")
@@ -129,13 +130,13 @@ class Signals:
         _note_gaps(time, events)
         grid, inner = _grid(time, max_step)
         spool = spool_on(crane, grid, self.command_time, self.commands)
-        inputs = np.column_stack([spool, *(self._supply(n, grid) for n in SUPPLY)])
-        return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, series, events)
+        inputs = np.column_stack([spool, *(self._supply(n, grid) for n in lay.supply)])
+        return Plan(time, values, grid, np.ascontiguousarray(inputs), inner, series, events, lay)
 
     def _supply(self, name: str, grid: np.ndarray) -> np.ndarray:
         if name not in self.supply:
             return np.full(grid.size, np.nan)
-        t, y = clean(*self.supply[name], name, [])
+        t, y = clean(*self.supply[name], name, "Pa", [])
         return _held(grid, t, y)
 
 
@@ -153,24 +154,24 @@ def _held(grid: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.interp(grid, time[known], values[known]) if known.any() else np.full(grid.size, np.nan)
 
 
-def _rates(series: Mapping[str, Series]) -> dict[str, float]:
-    """Return the rates with which the angles set out, where they stand out of the noise: a recording may begin in motion."""
+def _rates(series: Mapping[str, Series], layout: Layout) -> dict[str, float]:
+    """Return the rates with which the coordinates set out, where they stand out of the noise: a recording may begin in motion."""
     rates = {}
-    for angle in (n for n, own in SENSORS.items() if own.unit == "rad"):
-        time, values = series.get(angle, (np.empty(0), np.empty(0)))
+    for shown in (n for n, own in layout.sensors.items() if own.place in layout.coordinates):
+        time, values = series.get(shown, (np.empty(0), np.empty(0)))
         early = time <= time[:1] + _GLANCE
-        if early.sum() < _FIRST or f"d{angle}" in series:
+        if early.sum() < _FIRST or f"d{shown}" in series:
             continue
         (slope, _), covariance = np.polyfit(time[early] - time[0], values[early], 1, cov=True)
         if abs(slope) > 6.0 * np.sqrt(covariance[0, 0]):
-            rates[f"d{angle}"] = float(slope)
+            rates[f"d{shown}"] = float(slope)
     return rates
 
 
-def clean(time: np.ndarray, values: np.ndarray, name: str, events: list[tuple[float, str, str]]) -> Series:
+def clean(time: np.ndarray, values: np.ndarray, name: str, unit: str, events: list[tuple[float, str, str]]) -> Series:
     """Return the known samples in increasing order of time; repeated and backward stamps are left out and told."""
     time, values = np.asarray(time, float), np.asarray(values, float)
-    wrong = impossible(name, values)
+    wrong = impossible(unit, values)
     if wrong.any():
         text = f"no crane shows {values[wrong][0]:g}: {wrong.sum()} such samples taken as missing"
         events.append((float(time[wrong][0]), name, text))

@@ -3,67 +3,71 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.geometry import cylinder_lengths
-from crane_exudyn.parameters import LAYOUT
-from crane_exudyn.sensors import SENSORS
+from crane_exudyn.layout import Layout
 from crane_exudyn.statics import vapour_pressure
 
 from .filter import Belief
 
-#: standard deviations of what no sensor shows: rad, rad/s, Pa
-ANGLE, RATE, PRESSURE = 0.1, 0.05, 10e5
+#: standard deviations of what no sensor shows, by unit
+UNSHOWN: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.05, "m/s": 0.05, "Pa": 10e5}
+#: by the unit of a coordinate, by how many metres a cylinder is longer for one more of it
+_LEVER = {"rad": 0.3, "m": 1.0}
 
 
-def showing(coordinate: str) -> tuple[str, ...]:
+def showing(layout: Layout, coordinate: str) -> tuple[str, ...]:
     """Return the sensors from which a coordinate may be taken: its own, and the length of the cylinder that drives it."""
-    length = LAYOUT.lengths[LAYOUT.driven.index(coordinate)]
-    return (*(n for n, own in SENSORS.items() if own.place == coordinate), length)
+    length = layout.lengths[layout.driven.index(coordinate)]
+    return (*(n for n, own in layout.sensors.items() if own.place == coordinate), length)
 
 
-#: what the start is not taken from when the channel is there, and so what must go where the channel shall be believed
-RIVALS = {n: own.shows[-1:] for n, own in SENSORS.items() if len(own.shows) > 1} | {
-    length: showing(driven)[:-1] for length, driven in zip(LAYOUT.lengths, LAYOUT.driven, strict=True)
-}
+@cache
+def rivals(layout: Layout) -> Mapping[str, tuple[str, ...]]:
+    """Return what the start is not taken from when a channel is there, and so what must go where the channel shall be believed."""
+    return {n: own.shows[-1:] for n, own in layout.sensors.items() if len(own.shows) > 1} | {
+        length: showing(layout, driven)[:-1] for length, driven in zip(layout.lengths, layout.driven, strict=True)
+    }
 
 
-def taken(first: Mapping[str, float]) -> tuple[str, ...]:
+def taken(layout: Layout, first: Mapping[str, float]) -> tuple[str, ...]:
     """Return the channels that the start is taken from: those that are known and have no known rival."""
     known = [n for n, v in first.items() if np.isfinite(v)]
-    return tuple(n for n in known if not set(RIVALS.get(n, ())) & set(known))
+    return tuple(n for n in known if not set(rivals(layout).get(n, ())) & set(known))
 
 
 def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Mapping[str, float]) -> Belief:
-    """Return the belief (8, …) from the first measurements `first` (SI, NaN for missing) and their noise `std`.
+    """Return the belief (nx, …) from the first measurements `first` (SI, NaN for missing) and their noise `std`.
 
-    Angles come from z1, z4, z4_abs or the cylinder lengths, else from the crane file. Pressures follow from the balance
+    Coordinates come from their own sensors or the cylinder lengths, else from the crane file. Pressures follow from the balance
     of moments at rest (`engine.static_start`): the cylinder's force is known, so one measured pressure gives the other.
     """
     known = {n: v for n, v in first.items() if np.isfinite(v)}
-    z, z_std = _angles(crane, known, std)
+    z, z_std = _pose(crane, known, std)
     nx = len(engine.state_names)
     mean, deviation = np.zeros(nx), np.full(nx, 0.05)
-    mean[:] = engine.static_start(z[0], z[1])
+    mean[:] = engine.static_start(*z)
     lay = crane.layout
     for name in lay.coordinates:
-        carried = sum(known.get(f"d{n}", 0.0) for n in lay.absolute(name)[:-1])
-        mean[lay.index(f"d{name}")] = known.get(f"d{name}", known.get(f"d{name}_abs", 0.0) - carried)
-    deviation[lay.positions], deviation[lay.pressures] = z_std, PRESSURE
-    deviation[lay.velocities] = np.hypot(RATE, 0.5 * mean[lay.velocities])
+        carried = sum(known.get(f"d{n}", 0.0) for n in lay.carriers(name))
+        mean[lay.index(f"d{name}")] = known.get(f"d{name}", known.get(f"d{name}_abs", carried) - carried)
+    deviation[lay.positions], deviation[lay.pressures] = z_std, lay.sized(lay.chambers, UNSHOWN)
+    deviation[lay.velocities] = np.hypot(lay.sized(lay.rates, UNSHOWN), 0.5 * mean[lay.velocities])
     for cylinder in range(len(lay.cylinders)):
         _set_pressures(crane, cylinder, mean, deviation, known, std)
     return Belief(mean, np.diag(deviation**2))
 
 
-def _angles(crane: Crane, known: Mapping[str, float], std: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def _pose(crane: Crane, known: Mapping[str, float], std: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
     z = np.array(crane.initial.pose)
-    lay, deviation = crane.layout, np.full(len(z), ANGLE)
+    lay, deviation = crane.layout, np.array(crane.layout.sized(crane.layout.coordinates, UNSHOWN))
     for i, name in enumerate(lay.coordinates):
-        carriers = [lay.index(n) for n in lay.absolute(name)[:-1]]
+        carriers = [lay.index(n) for n in lay.carriers(name)]
         absolute, cylinder = f"{name}_abs", lay.driven.index(name)
         length = lay.lengths[cylinder]
         if name in known:
@@ -72,12 +76,13 @@ def _angles(crane: Crane, known: Mapping[str, float], std: Mapping[str, float]) 
             z[i] = known[absolute] - z[carriers].sum()
             deviation[i] = np.hypot(std[absolute], np.linalg.norm(deviation[carriers]))
         elif length in known:
-            z[i], deviation[i] = _angle_of_length(crane, z, i, cylinder, known[length]), 5 * std[length] / 0.3
+            z[i] = _coordinate_of_length(crane, z, i, cylinder, known[length])
+            deviation[i] = 5 * std[length] / _LEVER[lay.unit_of(name)]
     return z, np.minimum(2.0 * deviation, 0.2)  # a first sample may be off by more than one standard deviation
 
 
-def _angle_of_length(crane: Crane, z: np.ndarray, i: int, cylinder: int, length: float) -> float:
-    """Return the angle i nearest to z at which a cylinder has this length."""
+def _coordinate_of_length(crane: Crane, z: np.ndarray, i: int, cylinder: int, length: float) -> float:
+    """Return the coordinate i nearest to z at which a cylinder has this length."""
     grid = np.tile(z, (4001, 1))
     grid[:, i] = z[i] + np.linspace(-1.5, 1.5, 4001)
     off = np.abs(cylinder_lengths(crane, grid)[:, cylinder] - length)

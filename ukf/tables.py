@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crane_exudyn.formats import write_table
-from crane_exudyn.parameters import LAYOUT
 
 if TYPE_CHECKING:
     from .estimate import Estimate
@@ -14,8 +13,8 @@ if TYPE_CHECKING:
 
 def write_csv(estimate: Estimate, path: str | Path) -> None:
     """Write .csv, .csv.gz, .parquet or .mat, one row an instant: time, inputs, each state with its 95 % limits, innovations with their std, NIS."""
-    names = ["time[s]", *(f"U_{name}[dimensionless]" for name in LAYOUT.cylinders)]
-    columns = [estimate.time, *estimate.inputs[:, LAYOUT.spools].T]
+    names = ["time[s]", *(f"U_{name}[dimensionless]" for name in estimate.layout.cylinders)]
+    columns = [estimate.time, *estimate.inputs[:, estimate.layout.spools].T]
     low, high = estimate.interval()
     for i, name in enumerate(estimate.state_names):
         unit = estimate.units.get(name, "") or "dimensionless"

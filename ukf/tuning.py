@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.parameters import LAYOUT
 
 from .estimator import Estimator, sensor_std
 from .noise import ProcessNoise
 from .signals import Signals
 
-#: the logarithms (base 10) that are searched, with their ranges
-LIMITS = ((-8.0, 3.0), (-8.0, 3.0), (2.0, 14.0), (2.0, 14.0))
+#: ranges in which the logarithms (base 10) of accelerations and pressures are searched
+_ACCELERATIONS, _PRESSURES = (-8.0, 3.0), (2.0, 14.0)
 _FINEST = 0.25
 #: `scale` goes so many powers of ten up and down at most; below that the noise does no longer matter on a right model
 _UP, _DOWN = 6, 3
@@ -30,19 +29,20 @@ _UP, _DOWN = 6, 3
 
 @dataclass(frozen=True)
 class Tuned:
-    """The most likely noise: `noise`, the sensors' `std`, and the log-likelihood per sample before and after."""
+    """The most likely noise: `noise`, the sensors' `std`, the log-likelihood per sample before and after, and the cylinders' names."""
 
     noise: ProcessNoise
     std: dict[str, float]
     before: float
     after: float
     evaluations: int
+    cylinders: tuple[str, ...]
 
     def __repr__(self) -> str:
         accelerations = ", ".join(f"{a:.2g}" for a in self.noise.acceleration)
-        pressures = ", ".join(f"{n} {p:.2g}" for n, p in zip(LAYOUT.cylinders, self.noise.pressure[::2], strict=True))
+        pressures = ", ".join(f"{n} {p:.2g}" for n, p in zip(self.cylinders, self.noise.pressure[::2], strict=True))
         return (
-            f"<Tuned: acceleration {accelerations} rad²/s³; pressure {pressures} Pa²/s; "
+            f"<Tuned: acceleration {accelerations} SI; pressure {pressures} Pa²/s; "
             f"log-likelihood a sample {self.before:.4g} -> {self.after:.4g} in {self.evaluations} runs>"
         )
 
@@ -73,7 +73,7 @@ def tune(
     """
     std = sensor_std(crane, sensors)
     cost, count = _cost(crane, recording, std, engine, augment, seconds, evaluations, progress)
-    first = logs_of(start or ProcessNoise())
+    first = logs_of(start or ProcessNoise.of(crane.layout))
     before = cost(first)
     logs, best = _climb(cost, first, before)
     step = 1.0
@@ -85,7 +85,7 @@ def tune(
                 break
         if best >= old - 1e-4:
             step *= 0.5
-    return Tuned(noise_of(logs), std, -before, -best, count[0])
+    return Tuned(noise_of(logs), std, -before, -best, count[0], crane.layout.cylinders)
 
 
 def _along(
@@ -96,7 +96,7 @@ def _along(
         moved = False
         while True:
             trial = logs.copy()
-            trial[i] = np.clip(trial[i] + direction, *LIMITS[i])
+            trial[i] = np.clip(trial[i] + direction, *(_ACCELERATIONS if i < len(logs) // 2 else _PRESSURES))
             value = cost(trial) if trial[i] != logs[i] else best
             if value >= best:
                 break
@@ -137,10 +137,10 @@ def scale(
     """
     std = sensor_std(crane, sensors)
     cost, count = _cost(crane, recording, std, engine, augment, seconds, _UP, progress)
-    first = logs_of(ProcessNoise())
+    first = logs_of(ProcessNoise.of(crane.layout))
     before = cost(first)
     chosen, best = _climb(cost, first, before)
-    return Tuned(noise_of(chosen), std, -before, -best, count[0])
+    return Tuned(noise_of(chosen), std, -before, -best, count[0], crane.layout.cylinders)
 
 
 def _cost(
@@ -173,8 +173,8 @@ def _cost(
 
 
 def noise_of(logs: np.ndarray) -> ProcessNoise:
-    """Return the noise of [log10 acceleration of each coordinate, log10 pressure of each cylinder]."""
-    densities, m = 10.0 ** np.asarray(logs, float), len(LAYOUT.coordinates)
+    """Return the noise of [log10 acceleration of each coordinate, log10 pressure of each cylinder]: as many of one as of the other."""
+    densities, m = 10.0 ** np.asarray(logs, float), len(logs) // 2
     return ProcessNoise(tuple(densities[:m].tolist()), tuple(np.repeat(densities[m:], 2).tolist()))
 
 

@@ -1,8 +1,8 @@
 """Which balance is violated: the residual flow of each chamber and the residual moment of each joint, with uncertainty.
 
-The model gets six unknown inputs: a moment on each joint and a flow into each chamber,
+The model gets unknown inputs: a moment on each joint and a flow into each chamber,
 
-    M z'' = … + [torque.O torque.A],        p' = Be/V (… + flow),
+    M z'' = … + torque,        p' = Be/V (… + flow),
 
 each a random process that forgets within `MEMORY`. State and inputs together are estimated by an extended Kalman filter and a
 Rauch-Tung-Striebel smoother around the machine's own trajectory. An input that stays away from zero is a term that the equation
@@ -11,7 +11,9 @@ lacks. What the sensors cannot tell apart (moment and pressure, where a pressure
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -20,21 +22,19 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.hydraulics import vapour_pressure
-from crane_exudyn.parameters import LAYOUT
+from crane_exudyn.layout import Layout
 
 from .fit.data import ACCURACY, FitData
-from .fit.linear import JUMP, cut
+from .fit.linear import cut, jump_of
 from .fit.model import Model, model_of
 from .fit.start import knots_of
 from .semi_recursive import sensitivity
 
-#: the unknown inputs, by the equation in which they stand
-EQUATIONS = (*LAYOUT.torques, *LAYOUT.flows)
-#: standard deviation of each unknown input before anything was measured: N m, m³/s
-SPREAD = np.array([300.0, 200.0, *[5e-5] * len(LAYOUT.flows)])
+#: standard deviation of an unknown input before anything was measured, by unit
+_SPREAD: Mapping[str, float] = {"N*m": 300.0, "N": 300.0, "m^3/s": 5e-5}
 #: time in s after which an unknown input may be another
 MEMORY = 0.3
-#: the smoother is run again around what it found, until states and inputs move by less than this (RMS, in JUMP and SPREAD), or so often
+#: the smoother is run again around what it found, until states and inputs move by less than this (RMS, in units of `jump_of` and `spread_of`), or so often
 _SETTLED_STATE, _SETTLED_INPUT, _ROUNDS = 0.5, 0.03, 6
 #: length of the stretches in which long recordings are treated, s: what the smoother needs for one is some 100 MB
 _CHUNK = 30.0
@@ -42,8 +42,14 @@ _CHUNK = 30.0
 _KNOTS = 0.1
 #: Pa above the floor up to which a smoothed pressure counts as standing on it
 _AT_FLOOR = 0.5e5
-#: spread of the first state around its guess, and growth of what the model does not say a step, in units of JUMP
+#: spread of the first state around its guess, and growth of what the model does not say a step, in units of `jump_of`
 _FIRST, _GROWTH = 30.0, 1e-4
+
+
+@cache
+def spread_of(layout: Layout) -> np.ndarray:
+    """Return the standard deviation of each unknown input of `layout.equations` before anything was measured, SI."""
+    return np.array(layout.sized(layout.equations, _SPREAD))
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,7 @@ class Balances:
     Attributes:
         time: (K,) s, the instants of the smoother.
         states: (K, nx) smoothed states.
-        values, std: (K, 6) residual of each equation of `EQUATIONS` and its standard deviation, N m and m³/s.
+        layout: of the machine; values, std: (K, b) residual of each of its `equations` and its standard deviation, SI.
         log_likelihood: of all samples under this model with unknown inputs.
         unsettled: stretches (from, to) in s in which the smoother still moved after its last round.
         floor: pressure in Pa below which the model's oil does not go.
@@ -61,6 +67,7 @@ class Balances:
 
     time: np.ndarray
     states: np.ndarray
+    layout: Layout
     values: np.ndarray
     std: np.ndarray
     log_likelihood: float
@@ -71,26 +78,26 @@ class Balances:
 
     @property
     def at_floor(self) -> np.ndarray:
-        """Return (K, 4) whether a chamber stands at the pressure floor, where the model takes any flow out of it."""
-        return self.states[:, LAYOUT.pressures] <= self.floor + _AT_FLOOR
+        """Return (K, chambers) whether a chamber stands at the pressure floor, where the model takes any flow out of it."""
+        return self.states[:, self.layout.pressures] <= self.floor + _AT_FLOOR
 
     def mean(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean residuals (6,) over instants first … last - 1, and their standard deviations (6,).
+        """Return the mean residuals (b,) over instants first … last - 1, and their standard deviations (b,).
 
         Errors of neighbouring instants are not independent: cov(x_k, x_i) = G_k cov(x_k+1, x_i) with the smoother's gains G,
         which is summed up from the end.
         """
-        n = self._covariance.shape[1]
-        inputs = slice(n - len(EQUATIONS), n)  # the covariance has their columns only
-        with_sum = np.zeros((n, len(EQUATIONS)))  # cov(x_k, sum of the inputs from k on)
-        total = np.zeros(len(EQUATIONS))
+        _, n, b = self._covariance.shape
+        inputs = slice(n - b, n)  # the covariance has their columns only
+        with_sum = np.zeros((n, b))  # cov(x_k, sum of the inputs from k on)
+        total = np.zeros(b)
         for k in range(last - 1, first - 1, -1):
             later = self._gains[k] @ with_sum if k + 1 < last else with_sum
             own = self._covariance[k]
             total += np.diag(own[inputs]) + 2.0 * np.diag(later[inputs])
             with_sum = own + later
         mean = self.values[first:last].mean(axis=0)
-        return mean, np.sqrt(np.maximum(total, 0.0)) * SPREAD / (last - first)
+        return mean, np.sqrt(np.maximum(total, 0.0)) * spread_of(self.layout) / (last - first)
 
 
 def balances_of(crane: Crane, data: FitData) -> Balances:
@@ -132,24 +139,25 @@ def _wide(knots: np.ndarray, nx: int) -> np.ndarray:
 
 def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray) -> Balances:
     """Return the residuals along a stretch that is short enough to be held in memory at once."""
-    inputs = np.zeros((len(data.time), len(EQUATIONS)))
-    stride = _stride(data)
+    lay, nx, stride = model.crane.layout, model.nx, _stride(data)
+    spread, jump = spread_of(lay), jump_of(lay)[:nx]
+    inputs = np.zeros((len(data.time), len(spread)))
     for _ in range(_ROUNDS):
         steps = linearised(model, data, starts, knots, inputs, stride)
         smoothed = _smooth(steps)
-        states = steps.states + smoothed.mean[:, :-6] * JUMP[: model.nx]
-        found = steps.inputs + smoothed.mean[:, -6:]
+        states = steps.states + smoothed.mean[:, :nx] * jump
+        found = steps.inputs + smoothed.mean[:, nx:]
         at = data.time[::stride][: len(found)]
         knots = np.column_stack([np.interp(data.time[starts], at, x) for x in states.T])
         inputs = np.column_stack([np.interp(data.time, at, d) for d in found.T])
         moved = np.sqrt(np.mean(smoothed.mean**2, axis=0))
-        settled = moved[:-6].max() < _SETTLED_STATE and moved[-6:].max() < _SETTLED_INPUT
+        settled = moved[:nx].max() < _SETTLED_STATE and moved[nx:].max() < _SETTLED_INPUT
         if settled:
             break
     unsettled = () if settled else ((float(at[0]), float(at[-1])),)
-    std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, -6:] * SPREAD
+    std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, nx:] * spread
     return Balances(
-        at, states, found * SPREAD, std, smoothed.log_likelihood, smoothed.covariance[:, :, -6:].astype(np.float32),
+        at, states, lay, found * spread, std, smoothed.log_likelihood, smoothed.covariance[:, :, nx:].astype(np.float32),
         smoothed.gains.astype(np.float32), unsettled, float(vapour_pressure(model.P)),
     )  # fmt: skip
 
@@ -164,6 +172,7 @@ def _joined(parts: list[Balances]) -> Balances:
         "log_likelihood": sum(part.log_likelihood for part in parts),
         "unsettled": tuple(stretch for part in parts for stretch in part.unsettled),
         "floor": parts[0].floor,
+        "layout": parts[0].layout,
     }
     names = ("time", "states", "values", "std", "_covariance", "_gains")
     pieces = {n: [getattr(part, n)[end] for part, end in zip(parts, ends, strict=True)] for n in names}
@@ -180,13 +189,13 @@ def _stride(data: FitData) -> int:
 
 @dataclass(frozen=True)
 class Steps:
-    """The model made linear around a trajectory, from one instant of the smoother to the next; scaled by JUMP and SPREAD.
+    """The model made linear around a trajectory, from one instant of the smoother to the next; scaled by `jump_of` and `spread_of`.
 
-    Deviations x (nx,) and inputs d (6,): x_k+1 = A_k x_k + B_k d_k + jump_k, y_k = C_k x_k.
+    Deviations x (nx,) and inputs d (b,): x_k+1 = A_k x_k + B_k d_k + jump_k, y_k = C_k x_k.
 
     Attributes:
-        states: (K, nx) the trajectory, SI; inputs: (K, 6) those it was run with, scaled.
-        A (K-1, nx, nx), B (K-1, nx, 6), jump (K-1, nx).
+        states: (K, nx) the trajectory, SI; inputs: (K, b) those it was run with, scaled.
+        A (K-1, nx, nx), B (K-1, nx, b), jump (K-1, nx).
         C (K, m, nx), residual (K, m): measured minus shown in noise units, NaN without sample; spread (K, m).
         forget: how much of an input is left after one step.
     """
@@ -205,10 +214,10 @@ class Steps:
 def linearised(
     model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray, inputs: np.ndarray, stride: int
 ) -> Steps:
-    """Return the model made linear around the trajectory that starts anew at each knot, with inputs (N, 6) on the grid."""
+    """Return the model made linear around the trajectory that starts anew at each knot, with inputs (N, b) on the grid."""
     X, A, B, jump = _transitions(model, data, starts, knots, inputs)
-    scale = JUMP[: model.nx]
-    A, B, jump = A * (scale / scale[:, None]), B * (SPREAD / scale[:, None]), jump / scale
+    scale = jump_of(model.crane.layout)[: model.nx]
+    A, B, jump = A * (scale / scale[:, None]), B * (spread_of(model.crane.layout) / scale[:, None]), jump / scale
     A, B, jump = _compounded(A, B, jump, stride)
     C, residual, spread = _observed(model, data, X, scale, stride, len(A) + 1)
     K = len(A) + 1
@@ -228,14 +237,14 @@ def linearised(
 def _transitions(
     model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray, inputs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return states (N, nx), and A (N-1, nx, nx), B (N-1, nx, 6), jump (N-1, nx) of every grid step, SI."""
+    """Return states (N, nx), and A (N-1, nx, nx), B (N-1, nx, b), jump (N-1, nx) of every grid step, SI."""
     lay = model.crane.layout
-    nx, columns = model.nx, [lay.all_inputs.index(e) for e in EQUATIONS]
+    nx, spread, columns = model.nx, spread_of(lay), [lay.all_inputs.index(e) for e in lay.equations]
     W = np.zeros((1 + len(columns), len(data.time), len(lay.all_inputs)))
     W[:, :, lay.driving] = model.W
-    W[:, :, columns] = inputs * SPREAD
+    W[:, :, columns] = inputs * spread
     for j, column in enumerate(columns):
-        W[1 + j, :, column] += SPREAD[j]
+        W[1 + j, :, column] += spread[j]
     m = len(columns)
     P, E = np.tile(model.P, (m, 1)), np.tile(model.E, (m, 1))
     run = sensitivity.sweep(
@@ -248,8 +257,9 @@ def _transitions(
         model.E,
         P,
         E,
-        SPREAD,
+        spread,
         np.arange(1, 1 + m),
+        topology=model.topology,
         want_phi=True,
         allowed=ACCURACY,
     )
@@ -309,7 +319,7 @@ class _Smoothed:
 def _smooth(steps: Steps) -> _Smoothed:
     """Return smoothed deviations (K, n) of state and inputs, covariances (K, n, n) and gains (K, n, n)."""
     K, nx = steps.states.shape
-    n = nx + len(EQUATIONS)
+    n = nx + steps.inputs.shape[1]
     F, constant, Q = _augmented(steps)
     mean, covariance = np.zeros(n), np.diag(np.r_[np.full(nx, _FIRST**2), np.ones(n - nx)])
     mean[nx:] = -steps.inputs[0]
@@ -336,7 +346,7 @@ def _smooth(steps: Steps) -> _Smoothed:
 def _augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return F (K-1, n, n), constant (K-1, n) and Q (n, n) of [x d]: d_k+1 = forget · d_k + noise, about the inputs found before."""
     K, nx = steps.states.shape
-    n = nx + len(EQUATIONS)
+    n = nx + steps.inputs.shape[1]
     F = np.zeros((K - 1, n, n))
     F[:, :nx, :nx], F[:, :nx, nx:] = steps.A, steps.B
     F[:, nx:, nx:] = steps.forget * np.eye(n - nx)

@@ -19,7 +19,6 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
-from crane_exudyn.parameters import LAYOUT
 
 #: length of the paper's working cycle, and of the stretch in which the slow filters are timed, s
 CYCLE, STRETCH, NAIVE_STRETCH = 25.0, 3.0, 0.05
@@ -125,7 +124,7 @@ def _cycle(crane: Crane, engine: Any) -> tuple[np.ndarray, np.ndarray, np.ndarra
     from crane_exudyn.simulation import initial_state, paper_time
 
     grid = paper_time()
-    spool = SpoolPath(crane).run(grid, paper_cycle(grid))
+    spool = SpoolPath(crane).run(grid, paper_cycle(grid, len(crane.layout.cylinders)))
     return initial_state(crane, engine), grid, np.column_stack([spool, np.full((len(grid), 2), np.nan)])
 
 
@@ -268,19 +267,20 @@ def diagnosis(results: Results, crane: Crane) -> None:
 
 
 def leaking_recording(crane: Crane, rate: float = 200.0) -> Any:
-    """Return a recording of the paper's cycle on a crane whose lift cylinder leaks: z1, z4, all pressures, with noise."""
+    """Return a recording of the paper's cycle on a crane whose first cylinder leaks: coordinates and all pressures, with noise."""
     from crane_exudyn.recording import Recording
     from crane_exudyn.simulation import simulate
     from ukf.process import engine_of
 
-    leaking = crane.with_effect("internal_leakage@lift", {"k": 5e-12})
+    leaking = crane.with_effect(f"internal_leakage@{crane.layout.cylinders[0]}", {"k": 5e-12})
     run = simulate(leaking, engine=engine_of("semi-recursive", leaking))
     every = slice(None, None, round(1.0 / (rate * _STEP)))
     rng = np.random.default_rng(0)
-    noise = dict.fromkeys(LAYOUT.coordinates, math.radians(0.05)) | dict.fromkeys(LAYOUT.chambers, 0.3e5)
+    lay = crane.layout
+    noise = dict.fromkeys(lay.coordinates, math.radians(0.05)) | dict.fromkeys(lay.chambers, 0.3e5)
     measured = {n: run[n][every] + std * rng.normal(size=len(run.time[every])) for n, std in noise.items()}
-    commands = {n: run[n][every] for n in LAYOUT.commands}
-    return Recording.from_arrays("leaking lift cylinder", run.time[every], commands | measured)
+    commands = {n: run[n][every] for n in lay.commands}
+    return Recording.from_arrays("leaking cylinder", run.time[every], commands | measured, layout=lay)
 
 
 def memory(results: Results, crane: Crane) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
-from crane_exudyn.parameters import LAYOUT
+from crane_exudyn.layout import Layout
 from crane_exudyn.recording import Recording
 from ukf.consistency import guessed_noise
 from ukf.estimate import Estimate
@@ -47,7 +47,7 @@ Engine = Literal["semi-recursive", "exudyn"]
 Series = dict[str, tuple[np.ndarray, np.ndarray]]
 
 #: what the filter allows the model to be wrong by: next to nothing, so that whatever the model lacks is left in the innovations
-_TRUSTING = ProcessNoise((1e-6,) * len(LAYOUT.coordinates), (1e6,) * len(LAYOUT.chambers))
+_TRUSTING: tuple[Mapping[str, float], float] = ({"rad": 1e-6, "m": 1e-6}, 1e6)
 #: a lateness of the commands beyond this is told, s
 _LATE = 1e-3
 
@@ -76,7 +76,7 @@ class Comparison:
         scores: how well each phase of work is explained, by channel and by equation.
         where: where the model fails, worst first.
         measured, simulated: channel -> (time (n,), values (n,)), the open-loop run at the measured instants.
-        commands: time (n,) and spool commands (n, 2).
+        commands: time (n,) and spool commands (n, valves).
         nis_bounds: what holds the filter's mean NIS with 99 % if the model is right; wider than χ² alone where the noise of the
             sensors had to be estimated from the recording.
         notes: what a reader should know about the recording.
@@ -107,6 +107,11 @@ class Comparison:
         low, high = self.nis_bounds
         p = [v for v in self.estimate.whiteness.values() if np.isfinite(v)]
         return bool(low <= self.estimate.nis_mean <= high and min(p, default=1.0) >= 0.01 / max(len(p), 1))
+
+    @property
+    def layout(self) -> Layout:
+        """Of the machine."""
+        return self.balances.layout
 
     @property
     def phases(self) -> Sequence[Phase]:
@@ -142,17 +147,17 @@ class Comparison:
 
         One row an instant of any channel, `z1_measured[rad]`, `z1_simulated[rad]`, …; NaN where a channel has no sample.
         """
-        from crane_exudyn.channels import CHANNELS
+        from crane_exudyn import channels
         from crane_exudyn.formats import write_table
 
         time = np.unique(np.concatenate([own for own, _ in self.measured.values()]))
-        columns = {"time[s]": time}
+        columns, units = {"time[s]": time}, channels.of(self.layout)
         for name in self.channels:
             for kind, series in (("measured", self.measured), ("simulated", self.simulated)):
                 own, values = series[name]
                 column = np.full(time.size, np.nan)
                 column[np.searchsorted(time, own)] = values
-                columns[f"{name}_{kind}[{CHANNELS[name]}]"] = column
+                columns[f"{name}_{kind}[{units[name]}]"] = column
         write_table(path, columns)
 
     def plot(self) -> Figure:
@@ -211,7 +216,7 @@ def compare(
     if engine not in ("semi-recursive", "exudyn"):
         raise CraneError(f'There is no engine {engine!r}. Use "exudyn" or "semi-recursive".')
     crane = Crane.load(crane) if isinstance(crane, str) else crane
-    recording = recording if isinstance(recording, Recording) else Recording.load(recording)
+    recording = recording if isinstance(recording, Recording) else Recording.load(recording, layout=crane.layout)
     done = progress or (lambda fraction: None)
     notes = check_recording(recording, crane)
     kept = usable(recording)
@@ -259,7 +264,7 @@ def _open_loop_errors(
     data = FitData.of(recording, crane, rate=np.inf, step=FINE).shifted(late)
     measured, simulated = open_loop(crane, data, starts, engine)
     errors = {
-        s.channel: _channel_error(s.channel, measured[s.channel][1], simulated[s.channel][1], s.noise)
+        s.channel: _channel_error(s.channel, crane.layout, measured[s.channel][1], simulated[s.channel][1], s.noise)
         for s in data.samples
     }
     return measured, simulated, errors
@@ -293,11 +298,13 @@ class _Following(Estimator):
 def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[float], None] | None = None) -> Estimate:
     """Return the run of a filter that trusts the model, and believes every sample; it begins anew after unknown commands."""
     noise = {s.channel: s.noise for s in data.samples}
-    estimator = _Following(crane, engine, sensors=noise, noise=_TRUSTING, max_step=data.step, gate=None)
+    estimator = _Following(
+        crane, engine, sensors=noise, noise=ProcessNoise.of(crane.layout, *_TRUSTING), max_step=data.step, gate=None
+    )
     runs = []
     for first, last in data.stretches:
         done = partial(_share, progress, first / len(data.time), (last - first) / len(data.time))
-        runs.append(estimator.run(_signals(data, first, last), progress=done))
+        runs.append(estimator.run(_signals(data, first, last, crane.layout), progress=done))
     return joined(runs)
 
 
@@ -306,14 +313,14 @@ def _share(progress: Callable[[float], None] | None, done: float, share: float, 
         progress(done + share * fraction)
 
 
-def _signals(data: FitData, first: int, last: int) -> Signals:
+def _signals(data: FitData, first: int, last: int, layout: Layout) -> Signals:
     """Return what the filter sees of the stretch of grid points first … last."""
     sensors = {}
     for s in data.samples:
         inside = (s.index >= first) & (s.index <= last)
         if inside.any():
             sensors[s.channel] = (data.time[s.index[inside]] + s.fraction[inside] * data.step, s.values[inside])
-    supply = {n: (data.time, v) for n, v in zip(LAYOUT.supply, data.supply.T, strict=True) if np.isfinite(v).any()}
+    supply = {n: (data.time, v) for n, v in zip(layout.supply, data.supply.T, strict=True) if np.isfinite(v).any()}
     return Signals(data.command_time, data.commands, sensors, supply, data.name)
 
 
@@ -349,8 +356,10 @@ def _phases(crane: Crane, data: FitData, balances: Balances) -> list[Phase]:
     return found
 
 
-def _channel_error(channel: str, measured: np.ndarray, simulated: np.ndarray, noise: float) -> ChannelError:
-    unit, factor = people_unit(channel)
+def _channel_error(
+    channel: str, layout: Layout, measured: np.ndarray, simulated: np.ndarray, noise: float
+) -> ChannelError:
+    unit, factor = people_unit(channel, layout)
     both = simulated[:, None], measured[:, None]
     error = float(rmse(*both)[0])
     return ChannelError(

@@ -7,12 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crane_exudyn.parameters import LAYOUT
-
 from . import plots
-from .balances import EQUATIONS
 from .findings import PREDICTED_BADLY, VIOLATED, people_unit
-from .phases import BOTH, KINDS, LOW_PRESSURE, MOVING, REST, REVERSAL, STROKE_END, Phase
+from .phases import LOW_PRESSURE, REST, REVERSAL, STROKE_END, Phase, kinds, moving, together
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,19 +18,18 @@ if TYPE_CHECKING:
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
+    from crane_exudyn.layout import Layout
+
     from .compare import Comparison
 
 #: colours of the kinds of work: extending warm, retracting cold, what is special dark
-_COLORS = {
-    REST: "#eeeeee", BOTH: "#B9A3C9", REVERSAL: "#7A5C8E", LOW_PRESSURE: "#3E6E5A", STROKE_END: "#333333",
-    **{kind: {1: ("#F0C27B", "#E39B57"), -1: ("#A7CBE8", "#6FA3CF")}[side][c % 2] for (c, side), kind in MOVING.items()},
-}  # fmt: skip
+_COLORS = {REST: "#eeeeee", REVERSAL: "#7A5C8E", LOW_PRESSURE: "#3E6E5A", STROKE_END: "#333333"}
+_TOGETHER = {"facecolor": "#B9A3C9", "hatch": "++++++"}
+#: by the way that a valve is open, of one cylinder and the next
+_WARM_AND_COLD = {1: ("#F0C27B", "#E39B57", "#C97B3D"), -1: ("#A7CBE8", "#6FA3CF", "#457FAF")}
 #: and hatches, so that they differ without colour
-_HATCHES = {
-    BOTH: "++++++", REVERSAL: "------",
-    **{kind: {1: ("//////", "......"), -1: ("\\\\\\\\\\\\", "xxxxxx")}[side][c % 2] for (c, side), kind in MOVING.items()},
-}  # fmt: skip
-_LABELS = {e: e.replace("torque.", "moment at ").replace("flow.", "flow into ") for e in EQUATIONS}
+_HATCHES = {REVERSAL: "------"}
+_HATCHES_OF_WAYS = {1: ("//////", "......", "oooo"), -1: ("\\\\\\\\\\\\", "xxxxxx", "OOOO")}
 #: scores at which the map is white and at which it is darkest
 _PALE, _DARK = 1.0, 100.0
 
@@ -61,7 +57,7 @@ def _stacked(ratios: Sequence[float], height: float) -> Figure:
 def where_figure(comparison: Comparison) -> Figure:
     """Return a map of time against channels and equations: the darker, the worse the model; what the crane did stands above."""
     scores = comparison.scores
-    rows = [*scores.channel_names, *(_LABELS[e] for e in EQUATIONS)]
+    rows = [*scores.channel_names, *map(_label, scores.layout.equations)]
     values = np.column_stack([scores.channels, np.abs(scores.equations) / (VIOLATED / PREDICTED_BADLY)]).T
     made = _stacked((1.0, 0.22, 0.27 * len(rows)), 2.2 + 0.27 * len(rows))
     with plots.style():
@@ -79,10 +75,9 @@ def where_figure(comparison: Comparison) -> Figure:
 
 def _commands(axes: Axes, comparison: Comparison) -> None:
     time, commands = comparison.commands
-    names = zip(LAYOUT.commands, LAYOUT.cylinders, strict=True)
-    for name, u, look in zip(names, commands.T, cycle(("-", (0, (4, 2)))), strict=False):
-        color = "#111111" if look == "-" else "#D55E00"
-        axes.plot(*plots.thin(time, u), label=" ".join(name), linestyle=look, color=color)
+    names = zip(comparison.layout.commands, comparison.layout.cylinders, strict=True)
+    for name, u, look in zip(names, commands.T, cycle(plots.OTHERS), strict=False):
+        axes.plot(*plots.thin(time, u), label=" ".join(name), linestyle=look.dashes, color=look.color)
     axes.set_ylabel("command")
     axes.set_ylim(-1.05 * max(0.2, np.abs(commands).max()), 1.05 * max(0.2, np.abs(commands).max()))
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2)
@@ -90,20 +85,34 @@ def _commands(axes: Axes, comparison: Comparison) -> None:
 
 def _strip(axes: Axes, phases: Sequence[Phase]) -> None:
     for phase in phases:
-        axes.axvspan(phase.start, phase.end, **_look(phase.kind))
+        axes.axvspan(phase.start, phase.end, **_look(phase.kind, phase.layout))
     axes.set_yticks([])
     axes.grid(visible=False)
     from matplotlib.patches import Patch
 
-    present = [k for k in KINDS if any(p.kind == k for p in phases)]
+    layout = phases[0].layout
+    present = [k for k in kinds(layout) if any(p.kind == k for p in phases)]
     axes.legend(
-        [Patch(**_look(k)) for k in present], present, loc="lower left", bbox_to_anchor=(0.0, 1.0),
+        [Patch(**_look(k, layout)) for k in present], present, loc="lower left", bbox_to_anchor=(0.0, 1.0),
         ncols=3, fontsize=7.5, handlelength=2.0, columnspacing=0.9, borderpad=0.1,
     )  # fmt: skip
 
 
-def _look(kind: str) -> dict[str, Any]:
-    return {"facecolor": _COLORS[kind], "hatch": _HATCHES.get(kind, ""), "edgecolor": "#555555", "lw": 0.0}
+def _label(equation: str) -> str:
+    """Return a balance in words, such as "flow into p1"."""
+    return equation.replace("torque.", "moment at ").replace("flow.", "flow into ")
+
+
+def _look(kind: str, layout: Layout) -> dict[str, Any]:
+    """Return how matplotlib fills what stands for a kind of work of a machine."""
+    fill = {"facecolor": _COLORS.get(kind, ""), "hatch": _HATCHES.get(kind, "")}
+    if kind == together(layout):
+        fill = _TOGETHER
+    for (c, side), name in moving(layout).items():
+        if name == kind:
+            colors, hatches = _WARM_AND_COLD[side], _HATCHES_OF_WAYS[side]
+            fill = {"facecolor": colors[c % len(colors)], "hatch": hatches[c % len(hatches)]}
+    return fill | {"edgecolor": "#555555", "lw": 0.0}
 
 
 def _map(axes: Axes, phases: Sequence[Phase], rows: Sequence[str], values: np.ndarray) -> QuadMesh:
@@ -128,7 +137,7 @@ def open_loop_figure(comparison: Comparison) -> Figure:
     with plots.style():
         for axes, (name, error) in zip(made.axes, comparison.channels.items(), strict=True):
             lines = {"measured": comparison.measured[name], "simulated": comparison.simulated[name]}
-            plots.draw_lines(axes, comparison.measured[name][0], lines, channel=name)
+            plots.draw_lines(axes, comparison.measured[name][0], lines, channel=name, layout=comparison.layout)
             axes.set_title(f"error {error.error_over_noise:.3g} × noise", loc="right", fontsize=9)
         made.axes[-1].set_xlabel("time / s")
     plots.legend_above(made)
@@ -137,19 +146,17 @@ def open_loop_figure(comparison: Comparison) -> Figure:
 
 def balances_figure(comparison: Comparison) -> Figure:
     """Return what each balance lacks over time, with its 95 % interval, on the colours of the work that was done."""
-    balances = comparison.balances
-    made = _stacked((0.18, *[1.0] * len(EQUATIONS)), 1.2 * len(EQUATIONS) + 0.9)
+    balances, equations = comparison.balances, comparison.layout.equations
+    made = _stacked((0.18, *[1.0] * len(equations)), 1.2 * len(equations) + 0.9)
     with plots.style():
         _strip(made.axes[0], comparison.phases)
-        for j, (axes, equation) in enumerate(zip(made.axes[1:], EQUATIONS, strict=True)):
-            unit, factor = people_unit(equation)
+        for j, (axes, equation) in enumerate(zip(made.axes[1:], equations, strict=True)):
+            unit, factor = people_unit(equation, comparison.layout)
             t, y, s = plots.thin(balances.time, balances.values[:, j] / factor, balances.std[:, j] / factor)
             axes.fill_between(t, y - 1.96 * s, y + 1.96 * s, color="#0072B2", alpha=0.25, lw=0)
             axes.plot(t, y, color="#0072B2", lw=1.1)
             axes.axhline(0.0, color="#111111", lw=0.8)
-            axes.set_title(
-                f"{_LABELS[equation]} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0
-            )
+            axes.set_title(f"{_label(equation)} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0)
             axes.set_ylabel(unit)
         made.axes[-1].set_xlim(balances.time[0], balances.time[-1])
         made.axes[-1].set_xlabel("time / s")
@@ -158,30 +165,36 @@ def balances_figure(comparison: Comparison) -> Figure:
 
 def by_work_figure(comparison: Comparison) -> Figure:
     """Return what each balance lacks in each kind of work: bars with 95 % intervals, moments first, then flows."""
-    kinds = comparison.scores.by_kind()
-    made = plots.figure(3, 2, height=0.75 + 0.2 * len(kinds), sharex=False)
+    found, lay = comparison.scores.by_kind(), comparison.layout
+    b = len(lay.equations)
+    made = plots.figure((b + 1) // 2, 2, height=0.75 + 0.2 * len(found), sharex=False)
+    for axes in made.axes[b:]:
+        axes.set_visible(False)
     with plots.style():
-        for j, axes in enumerate(made.axes):
-            _work(axes, kinds, j)
+        for j, axes in enumerate(made.axes[:b]):
+            _work(axes, found, j, lay)
             axes.set_yticks(
-                range(len(kinds)), [k for k, _, _ in kinds] if j % 2 == 0 else [""] * len(kinds), fontsize=8
+                range(len(found)), [k for k, _, _ in found] if j % 2 == 0 else [""] * len(found), fontsize=8
             )
-        for group in (made.axes[:2], made.axes[2:]):  # one scale for what has one unit
+        units = [lay.unit_of(e) for e in lay.equations]
+        for unit in set(units):  # one scale for what has one unit
+            group = [axes for axes, own in zip(made.axes, units, strict=False) if own == unit]
             widest = 1.05 * max(abs(x) for axes in group for x in axes.get_xlim())
             for axes in group:
                 axes.set_xlim(-widest, widest)
     return made
 
 
-def _work(axes: Axes, kinds: Sequence[tuple[str, np.ndarray, np.ndarray]], j: int) -> None:
+def _work(axes: Axes, found: Sequence[tuple[str, np.ndarray, np.ndarray]], j: int, layout: Layout) -> None:
     """Draw bars of balance j for every kind of work."""
-    unit, factor = people_unit(EQUATIONS[j])
-    at = np.arange(len(kinds))
-    mean = np.array([m[j] for _, m, _ in kinds]) / factor
-    half = 1.96 * np.array([s[j] for _, _, s in kinds]) / factor
-    axes.barh(at, mean, 0.62, color=[_COLORS[k] for k, _, _ in kinds], edgecolor="#555555", lw=0.6)
+    unit, factor = people_unit(layout.equations[j], layout)
+    at = np.arange(len(found))
+    mean = np.array([m[j] for _, m, _ in found]) / factor
+    half = 1.96 * np.array([s[j] for _, _, s in found]) / factor
+    colors = [_look(k, layout)["facecolor"] for k, _, _ in found]
+    axes.barh(at, mean, 0.62, color=colors, edgecolor="#555555", lw=0.6)
     axes.errorbar(mean, at, xerr=half, fmt="none", ecolor="#111111", elinewidth=1.0, capsize=2.0)
     axes.axvline(0.0, color="#111111", lw=0.8)
     axes.invert_yaxis()
     axes.set_xlabel(unit)
-    axes.set_title(_LABELS[EQUATIONS[j]], loc="left", fontsize=9)
+    axes.set_title(_label(layout.equations[j]), loc="left", fontsize=9)

@@ -174,7 +174,7 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
     """Return {"name@place": crane with that effect} for every effect that acts inside an engine, its parameters typical."""
     probes = {}
     for key in registry.all_keys(crane.layout):
-        effect, place = registry.split_key(key)
+        effect, _ = registry.split_key(key)
         if set(effect.hooks()) <= OUTSIDE_ENGINES:
             continue
         base = crane

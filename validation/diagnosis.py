@@ -323,7 +323,7 @@ def _where(crane: Crane, recording: Recording) -> tuple[Mapping[str, Any], ...]:
 def _prepare(crane: Crane, data: FitData, jobs: int, progress: Progress) -> _Search:
     """Fit all nominal parameters in short windows and keep the directions that the data speak about."""
     nominal, base = all_parameters(replace(crane, uncertainty={}), data), all_parameters(crane, data)
-    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
+    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
     return _Search(crane, data, jobs, progress, nominal, base, [*informed_directions(base), *own])
 
 
@@ -379,7 +379,7 @@ def _elsewhere(search: _Search, finished: list[Weighed]) -> list[Weighed]:
         return finished
     best, tried = finished[0], {key for w in finished for key in w.hypothesis.keys}
     effect, _ = registry.split_key(best.hypothesis.keys[0])
-    found = [s for s in starts(search.crane, search.data) if s.key in set(effect.keys()) - tried]
+    found = [s for s in starts(search.crane, search.data) if s.key in set(effect.keys(search.crane.layout)) - tried]
     others = search.run([(Hypothesis({s.key: s.values}), search.base) for s in found], (LOOSE,)) if found else []
     leading = _best_of_each(others)[:1]
     return _best_of_each([*finished, *search.run([(w.hypothesis, w.fit) for w in leading], (TIGHT, STIFF))])
@@ -445,10 +445,10 @@ def _paired(search: _Search, firsts: Sequence[Weighed]) -> list[Weighed]:
     if not firsts:
         return []
     hypotheses = [h for first in firsts for h in _beside(first, _likely(search.scores(first.fit), 5))]
-    strained = [first for first in firsts if not _plausible(first.fit)]
+    strained, lay = [first for first in firsts if not _plausible(first.fit)], search.crane.layout
     held = in_parallel(search.jobs, [(_held, search.crane, search.data, first) for first in strained])
     for first, fit in zip(strained, held, strict=True):
-        own = [v for key in first.hypothesis.keys for v in effect_variables(key, fitted_values(first, key))]
+        own = [v for key in first.hypothesis.keys for v in effect_variables(key, fitted_values(first, key), lay)]
         unmoved = search.unmoved(fit, own)
         tried = {h.keys for h, _ in hypotheses}
         more = _beside(first, _likely(search.scores(unmoved), BESIDE), unmoved)
@@ -675,8 +675,9 @@ def _candidate(w: Weighed, probability: float) -> Candidate:
     for key in w.hypothesis.keys:
         values, spread = fitted_values(w, key), deviations(w, key)
         prefix = f"{key}:" if len(w.hypothesis.keys) > 1 else ""
-        for p in registry.split_key(key)[0].parameters:
-            unit = unit_at(p.unit, key.partition("@")[2])
+        effect, place = registry.split_key(key)
+        for p in effect.parameters:
+            unit = unit_at(p.unit, place, w.fit.crane.layout)
             parameters[prefix + p.name] = {"value": values[p.name], "std": spread.get(p.name, math.inf), "unit": unit}
     bounds = tuple(f"{k}:{p}" for k in w.hypothesis.keys for p in at_bound(w, k))
     return Candidate(

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.parameters import LAYOUT
 from ukf.methods import METHODS
 from ukf.process import engine_of
 from ukf.tuning import cut
@@ -96,7 +95,7 @@ def _row(engine: Timed, wrong: Crane, experiment: paper.Experiment, tuning: str,
     seconds = clock.process_time() - begin
     steps = estimate.time.size - 1
     assert estimate.covariance is not None
-    errors = metrics.pn_rmse(estimate.mean[:, LAYOUT.basic], experiment.truth)
+    errors = metrics.pn_rmse(estimate.mean[:, wrong.layout.basic], experiment.truth)
     return Row(
         method=method,
         tuning=tuning,

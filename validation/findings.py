@@ -9,23 +9,23 @@ from typing import Any, Literal
 
 import numpy as np
 
-from crane_exudyn.channels import CHANNELS
-from crane_exudyn.parameters import LAYOUT
+from crane_exudyn import channels
+from crane_exudyn.layout import Layout
 from ukf.estimate import Estimate
 
-from .balances import EQUATIONS, Balances
-from .phases import KINDS, Phase
+from .balances import Balances
+from .phases import Phase, kinds
 
 #: a phase counts as badly predicted when the innovations' RMS is so many times what the filter expects
 PREDICTED_BADLY = 1.5
 #: a balance counts as violated when its mean residual is so many standard deviations from zero
 VIOLATED = 4.0
-#: unit for people by the SI unit of a channel or the kind of a balance, and what one of it is in SI
+#: unit for people by the SI unit of a channel or a balance, and what one of it is in SI
 _UNITS = {
-    "rad/s": ("deg/s", math.pi / 180), "rad": ("deg", math.pi / 180), "Pa": ("bar", 1e5), "m": ("mm", 1e-3),
-    "flow": ("l/min", 1e-3 / 60.0), "torque": ("N m", 1.0),
+    "rad/s": ("deg/s", math.pi / 180), "rad": ("deg", math.pi / 180), "Pa": ("bar", 1e5), "m": ("mm", 1e-3), "m/s": ("mm/s", 1e-3),
+    "m^3/s": ("l/min", 1e-3 / 60.0), "N*m": ("N m", 1.0), "N": ("N", 1.0),
 }  # fmt: skip
-#: a joint counts as turning from this mean rate on, rad/s
+#: a joint counts as moving from this mean rate on, rad/s or m/s
 _TURNING = 5e-3
 
 
@@ -54,13 +54,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Scores:
-    """How well each phase is explained; F phases, k channels, 6 equations.
+    """How well each phase is explained; F phases, k channels, b equations.
 
     Attributes:
         channels (F, k): RMS innovation over what the filter expects, NaN with fewer than five samples; errors (F, k): in SI.
         samples (F, k): number of samples.
-        means, stds (F, 6): mean residual of each balance and its standard deviation, SI; infinite where it cannot be known.
-        turning (F, 2): mean rates of the joints O and A, rad/s.
+        means, stds (F, b): mean residual of each balance and its standard deviation, SI; infinite where it cannot be known.
+        turning (F, n): mean rates of the joints, rad/s or m/s.
+        layout: of the machine, for names and words.
     """
 
     phases: Sequence[Phase]
@@ -71,10 +72,11 @@ class Scores:
     means: np.ndarray
     stds: np.ndarray
     turning: np.ndarray
+    layout: Layout
 
     @property
     def equations(self) -> np.ndarray:
-        """Mean residual of each balance in its standard deviations (F, 6), signed."""
+        """Mean residual of each balance in its standard deviations (F, b), signed."""
         return self.means / self.stds
 
     def findings(self) -> list[Finding]:
@@ -86,7 +88,7 @@ class Scores:
         found = []
         for i, j in np.argwhere(self.channels > limit):
             phase, name, score = self.phases[i], self.channel_names[j], float(self.channels[i, j])
-            text = f"{phase.words}, {name} is {told(name, self.errors[i, j])} (RMS) off what the filter expects"
+            text = f"{phase.words}, {name} is {told(name, self.errors[i, j], self.layout)} (RMS) off what the filter expects"
             text += f", {score:.1f} times what noise explains"
             found.append(
                 Finding("channel", name, phase.start, phase.end, phase.kind, score, text, float(self.errors[i, j]))
@@ -96,20 +98,20 @@ class Scores:
     def _violations(self) -> list[Finding]:
         found = []
         for i, j in np.argwhere(np.abs(self.equations) > VIOLATED):
-            phase, name, mean = self.phases[i], EQUATIONS[j], float(self.means[i, j])
-            rate = float(self.turning[i, j]) if name in LAYOUT.torques else 0.0
-            text = f"{phase.words}, {violation(name, mean, float(self.stds[i, j]), rate)}"
+            phase, name, mean = self.phases[i], self.layout.equations[j], float(self.means[i, j])
+            rate = float(self.turning[i, j]) if name in self.layout.torques else 0.0
+            text = f"{phase.words}, {violation(name, mean, float(self.stds[i, j]), self.layout, rate)}"
             score = float(abs(self.equations[i, j]))
             found.append(Finding("equation", name, phase.start, phase.end, phase.kind, score, text, mean))
         return found
 
     def by_kind(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
-        """Return (kind of work, mean residuals (6,), standard deviations (6,)) over all phases of each kind, in KINDS' order.
+        """Return (kind of work, mean residuals (b,), standard deviations (b,)) over all phases of each kind, in the order of `kinds`.
 
         NaN where no phase of a kind tells anything about a balance.
         """
         found = []
-        for kind in KINDS:
+        for kind in kinds(self.layout):
             chosen = [i for i, phase in enumerate(self.phases) if phase.kind == kind]
             if chosen:
                 known = np.isfinite(self.stds[chosen])
@@ -133,40 +135,45 @@ def scores_of(estimate: Estimate, balances: Balances, phases: Sequence[Phase]) -
             if samples[i, j] >= 5:
                 channels[i, j] = np.sqrt(np.mean(relative[a:b, j][known] ** 2))
                 errors[i, j] = np.sqrt(np.mean(estimate.innovation[a:b, j][known] ** 2))
+    lay = balances.layout
     pairs = [balances.mean(p.first, p.last) for p in phases]
-    turning = np.array([balances.states[p.first : p.last, LAYOUT.velocities].mean(axis=0) for p in phases])
+    turning = np.array([balances.states[p.first : p.last, lay.velocities].mean(axis=0) for p in phases])
     means, stds = np.array([m for m, _ in pairs]), np.array([s for _, s in pairs])
     for i, p in enumerate(phases):  # at the pressure floor a balance says nothing about the flow into the chamber
-        stds[i, len(LAYOUT.torques) :][balances.at_floor[p.first : p.last].any(axis=0)] = math.inf
-    return Scores(phases, estimate.channel_names, channels, errors, samples, means, stds, turning)
+        stds[i, len(lay.torques) :][balances.at_floor[p.first : p.last].any(axis=0)] = math.inf
+    return Scores(phases, estimate.channel_names, channels, errors, samples, means, stds, turning, lay)
 
 
 # -- words -----------------------------------------------------------------------------------------------------------
 
 
-def people_unit(name: str) -> tuple[str, float]:
-    """Return the unit in which people read a channel or a balance, and what one of it is in SI."""
-    return _UNITS[CHANNELS[name] if name in CHANNELS else name.partition(".")[0]]
+def people_unit(name: str, layout: Layout) -> tuple[str, float]:
+    """Return the unit in which people read a channel or a balance of a machine, and what one of it is in SI."""
+    units = channels.of(layout)
+    return _UNITS[units[name] if name in units else layout.unit_of(name)]
 
 
-def told(name: str, value: float) -> str:
+def told(name: str, value: float, layout: Layout) -> str:
     """Return a value in SI as people read it, such as "1.2 bar"."""
-    unit, factor = people_unit(name)
+    unit, factor = people_unit(name, layout)
     return f"{value / factor:.2g} {unit}"
 
 
-def violation(equation: str, mean: float, std: float, rate: float = 0.0) -> str:
+def violation(equation: str, mean: float, std: float, layout: Layout, rate: float = 0.0) -> str:
     """Return what a mean residual says, ± half its 95 % interval; `rate` is that of the joint, for moments."""
-    unit, factor = people_unit(equation)
+    unit, factor = people_unit(equation, layout)
     amount = f"{rounded(abs(mean) / factor, 1.96 * std / factor)} {unit}"
     place = equation.rpartition(".")[2]
     if equation.startswith("flow."):
-        return f"chamber {place} ({LAYOUT.side_of(place)}) receives {amount} {'more' if mean > 0 else 'less'} than the model says"
+        return f"chamber {place} ({layout.side_of(place)}) receives {amount} {'more' if mean > 0 else 'less'} than the model says"
     motion = ""
     if abs(rate) > _TURNING:
         motion = ", against its motion" if rate * mean < 0 else ", along with its motion"
+    body = layout.bodies[layout.joints.index(place)].replace("_", " ")
+    if unit == "N":
+        way = "out" if mean > 0 else "in"
+        return f"joint {place} pushes the {body} {way} with {amount} more than the model says{motion}"
     way = "upwards" if mean > 0 else "downwards"
-    body = LAYOUT.bodies[LAYOUT.joints.index(place)].replace("_", " ")
     return f"joint {place} turns the {body} {way} with {amount} more than the model says{motion}"
 
 

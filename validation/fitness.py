@@ -6,12 +6,10 @@ from typing import Literal
 
 import numpy as np
 
-from crane_exudyn.channels import CHANNELS, Channel
+from crane_exudyn.channels import Channel
 from crane_exudyn.crane import Crane
-from crane_exudyn.effects.base import CYLINDERS
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
-from crane_exudyn.sensors import SENSORS
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
 from crane_exudyn.vetting import vetted
 
@@ -49,14 +47,15 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
             "Check that the sensors were connected and the logger was running."
         )
     for name in recording.sensors:
-        _refuse_saturated(where, name, recording[name], time, commands)
-    moves = _moves(recording, commands)
+        command = commands[:, crane.layout.sensors[name].cylinder]
+        _refuse_saturated(where, name, recording[name], time, command)
+    moves = _moves(recording, crane, commands)
     if purpose == "diagnose" and not moves:
         raise CraneError(
             f"{where}: nothing moves: no valve is opened by more than {OPEN:g} and no angle leaves its noise. A diagnosis needs "
-            "motion; record a run in which both cylinders extend and retract."
+            "motion; record a run in which every cylinder extends and retracts."
         )
-    notes = _notes(recording, time, commands, constant, moves)
+    notes = _notes(recording, crane, time, commands, constant, moves)
     return notes + _wavering(recording, crane, time, commands, constant)
 
 
@@ -117,9 +116,9 @@ def _is_constant(channel: Channel) -> bool:
     return bool(np.ptp(channel.values) <= 1e-9 * max(float(np.max(np.abs(channel.values))), 1e-9))
 
 
-def _refuse_saturated(where: str, name: str, channel: Channel, time: np.ndarray, commands: np.ndarray) -> None:
+def _refuse_saturated(where: str, name: str, channel: Channel, time: np.ndarray, command: np.ndarray) -> None:
     """Refuse a channel that sits exactly at its largest or smallest value most of the time, also while its valve is open."""
-    valve = np.abs(np.interp(channel.time, time, commands[:, SENSORS[name].cylinder])) > OPEN
+    valve = np.abs(np.interp(channel.time, time, command)) > OPEN
     step = float(np.median(np.diff(channel.time)))
     for value, word in ((channel.values.max(), "largest"), (channel.values.min(), "smallest")):
         stuck = channel.values == value
@@ -132,10 +131,10 @@ def _refuse_saturated(where: str, name: str, channel: Channel, time: np.ndarray,
             )
 
 
-def _moves(recording: Recording, commands: np.ndarray) -> bool:
+def _moves(recording: Recording, crane: Crane, commands: np.ndarray) -> bool:
     if (np.abs(commands) > OPEN).any():
         return True
-    shown = [recording[n] for n in recording.sensors if n[0] in "zs"]
+    shown = [recording[n] for n in recording.sensors if crane.layout.sensors[n].unit in ("rad", "m")]
     return any(_range(c) > 10.0 * max(noise_std(c.values), 1e-12) for c in shown)
 
 
@@ -145,10 +144,13 @@ def _range(channel: Channel) -> float:
     return max(means) - min(means)
 
 
-def _notes(recording: Recording, time: np.ndarray, commands: np.ndarray, constant: list[str], moves: bool) -> list[str]:
+def _notes(
+    recording: Recording, crane: Crane, time: np.ndarray, commands: np.ndarray, constant: list[str], moves: bool
+) -> list[str]:
     notes = list(recording.notes)
     notes += [f"{name} shows one value throughout and is left out" for name in constant]
-    notes += [f"the {name} valve is never opened" for i, name in enumerate(CYLINDERS) if not _opened(commands[:, i])]
+    valves = zip(crane.layout.cylinders, commands.T, strict=True)
+    notes += [f"the {name} valve is never opened" for name, command in valves if not _opened(command)]
     if free := recording.noise_free():
         notes.append(
             f"{', '.join(free)} show{'s' * (len(free) == 1)} no noise, as simulations do: noise is added as [sensors] of the crane file says, "
@@ -179,7 +181,11 @@ def _wavering(
     for name in (n for n in recording.sensors if n not in known):
         slow = noise_at_rest(recording[name], time, commands)
         factors.append((slow / max(noise_std(recording[name].values), 1e-300), name, slow))
-    found = [f"{name} by {slow:.2g} {CHANNELS[name]} ({f:.1f} times)" for f, name, slow in factors if f > _WAVERS]
+    found = [
+        f"{name} by {slow:.2g} {crane.layout.sensors[name].unit} ({f:.1f} times)"
+        for f, name, slow in factors
+        if f > _WAVERS
+    ]
     if not found:
         return []
     return [

@@ -20,10 +20,9 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.base import CYLINDERS, SENSORS
 from crane_exudyn.errors import CraneError
 from crane_exudyn.measurement import Measurement
-from crane_exudyn.recording import Recording
+from crane_exudyn.recording import Recording, usual_layout
 
 if TYPE_CHECKING:
     from .hidden_plant import Dialect, Law
@@ -130,7 +129,7 @@ SEVERITIES: Mapping[str, Draw] = {
 
 def hideable(sensors: Sequence[str]) -> list[str]:
     """Return "name@place" of every effect that can be drawn, faults of sensors that are not recorded left out."""
-    keys = [k for k in registry.all_keys() if k.partition("@")[0] in SEVERITIES]
+    keys = [k for k in registry.all_keys(usual_layout()) if k.partition("@")[0] in SEVERITIES]
     return [k for k in keys if not k.startswith("sensor_") or k.partition("@")[2] in sensors]
 
 
@@ -253,7 +252,7 @@ def _run(crane: Crane, engine: Any, manoeuvre: Manoeuvre) -> np.ndarray:
     """Return the states (N, nx) of a machine through a manoeuvre every ms, from its own static start."""
     from .hidden_plant import inputs
 
-    start = engine.static_start(manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded)
+    start = engine.static_start(manoeuvre.z1, manoeuvre.z4, less_loaded=manoeuvre.less_loaded)
     w = inputs(crane, _GRID, *manoeuvre.driven())
     states = np.asarray(engine.simulate(start, _GRID, w, step=_STEP))
     _check_reach(crane, states)
@@ -280,8 +279,8 @@ def _draft(crane: Crane, manoeuvre: Manoeuvre) -> dict[str, np.ndarray]:
 
 def readings(crane: Crane, states: np.ndarray) -> dict[str, np.ndarray]:
     """Return what the sensors of a machine show without noise, every ms, as its effects say; those that lag begin settled."""
-    shown = Measurement.of(crane, SENSORS).shown(states, _GRID[: len(states)], settled=True)
-    return dict(zip(SENSORS, shown.T, strict=True))
+    shown = Measurement.of(crane).shown(states, _GRID[: len(states)], settled=True)
+    return dict(zip(crane.layout.sensors, shown.T, strict=True))
 
 
 def visibility(
@@ -409,7 +408,8 @@ def _until_it_does(seed: int, s: _Setting) -> HiddenCase:
 
 def _try_case(seed: int, s: _Setting) -> HiddenCase:
     """Return a case of new manoeuvres and severities, or raise CraneError where they do not do."""
-    plan = [_PAST_THE_STOP[c] if f"end_stop@{name}" in s.keys else _PLANNED[c] for c, name in enumerate(CYLINDERS)]
+    cylinders = s.machine.layout.cylinders
+    plan = [_PAST_THE_STOP[c] if f"end_stop@{name}" in s.keys else _PLANNED[c] for c, name in enumerate(cylinders)]
     manoeuvres = [draw_manoeuvre(s.rng, cycle=None if s.foreign else 0.01, plan=plan) for _ in range(2)]
     if s.kind == "unknown":
         return _unknown_case(seed, s, manoeuvres)
@@ -437,7 +437,9 @@ def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law
             return _draft(machine, manoeuvre)
         return readings(machine, _run(machine, ExudynEngine(machine), manoeuvre))
     w = inputs(plain, _GRID, *manoeuvre.driven(), dialects)
-    states = simulate(plain, static_start(plain, manoeuvre.z1, manoeuvre.z4, manoeuvre.less_loaded), _GRID, w, acting)
+    states = simulate(
+        plain, static_start(plain, manoeuvre.z1, manoeuvre.z4, less_loaded=manoeuvre.less_loaded), _GRID, w, acting
+    )
     _check_reach(machine, states)
     return readings(machine, states)
 
@@ -460,7 +462,7 @@ def _seen(s: _Setting, machine: Crane, manoeuvre: Manoeuvre) -> dict[str, float]
     seen = {}
     for key in s.keys:
         if key.startswith("end_stop"):
-            _check_hit(machine, whole, CYLINDERS.index(key.partition("@")[2]))
+            _check_hit(machine, whole, machine.layout.cylinders.index(key.partition("@")[2]))
             continue  # without it there is no run to compare with
         seen[key] = visibility(whole, _draft(machine.without_effect(key), manoeuvre), s.noise)
         if not s.visible[0] <= seen[key] <= s.visible[1]:
@@ -477,9 +479,10 @@ def _check_hit(machine: Crane, shown: Mapping[str, np.ndarray], cylinder: int) -
     from crane_exudyn.geometry import pose
 
     lengths = pose(machine, shown["z1"], shown["z4"]).lengths[:, cylinder]
-    names = [f"cylinders.{CYLINDERS[cylinder]}.{part}" for part in ("empty_length", "chamber_range")]
+    name = machine.layout.cylinders[cylinder]
+    names = [f"cylinders.{name}.{part}" for part in ("empty_length", "chamber_range")]
     if np.sum(lengths > sum(machine[n] for n in names)) * _STEP < 0.3:
-        raise CraneError(f"the {CYLINDERS[cylinder]} cylinder does not come to its end.")
+        raise CraneError(f"the {name} cylinder does not come to its end.")
 
 
 def _unknown_case(seed: int, s: _Setting, manoeuvres: Sequence[Manoeuvre]) -> HiddenCase:

@@ -18,7 +18,6 @@ from crane_exudyn import geometry
 from crane_exudyn import hydraulics as hyd
 from crane_exudyn.crane import Crane
 from crane_exudyn.drive import spool_on
-from crane_exudyn.effects.base import CHAMBERS, CYLINDERS
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.inputs import SpoolPath, play
 from crane_exudyn.statics import visible
@@ -89,7 +88,7 @@ def scored_bore(crane: Crane, cylinder: int, force: float, middle: float, width:
 
     Adds force·exp(-((s - middle)/width)²) in N to Coulomb and static friction of a cylinder; lengths in m.
     """
-    names = [f"cylinders.{CYLINDERS[cylinder]}.{kind}_friction" for kind in ("coulomb", "static")]
+    names = [f"cylinders.{crane.layout.cylinders[cylinder]}.{kind}_friction" for kind in ("coulomb", "static")]
 
     def law(now: Now) -> Mapping[str, float]:
         added = force * math.exp(-(((now.lengths[cylinder] - middle) / width) ** 2))
@@ -199,7 +198,7 @@ def _soft_dead_band(values: Mapping[str, float], place: str, crane: Crane) -> Di
     def spool(_: np.ndarray, __: np.ndarray, u: np.ndarray) -> np.ndarray:
         return np.where(u >= 0.0, opening(u, values["upper"]), -opening(-u, values["lower"]))
 
-    return Dialect(spool=spool, cylinder=CYLINDERS.index(place))
+    return Dialect(spool=spool, cylinder=crane.layout.cylinders.index(place))
 
 
 def _play_behind_the_spool(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
@@ -211,12 +210,12 @@ def _play_behind_the_spool(values: Mapping[str, float], place: str, crane: Crane
             held = out[k] = play(held, leader, values["b"])
         return out
 
-    return Dialect(spool=spool, cylinder=CYLINDERS.index(place))
+    return Dialect(spool=spool, cylinder=crane.layout.cylinders.index(place))
 
 
 def _delay_by_cycles(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
     """Return a delay of a controller that reads its command every 5 ms and holds it."""
-    cylinder = CYLINDERS.index(place)
+    cylinder = crane.layout.cylinders.index(place)
 
     def spool(time: np.ndarray, command: np.ndarray, _: np.ndarray) -> np.ndarray:
         read = np.floor((time - values["T"]) / 5e-3 + 1e-9) * 5e-3
@@ -263,7 +262,7 @@ class _Follower:
 
 def _steep_counterbalance(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
     """Return a load-holding valve that opens fully over 35 bar instead of 20, and never closes quite (1 %)."""
-    c = CYLINDERS.index(place)
+    c = crane.layout.cylinders.index(place)
 
     def law(now: Now) -> Mapping[str, float]:
         piston, rod = now.pressures(c)
@@ -277,7 +276,10 @@ def _steep_counterbalance(values: Mapping[str, float], place: str, crane: Crane)
 
 def _friction_as_in_19(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
     """Return pressure-dependent friction that enters the friction law (19) of the cylinder, with its smoothing."""
-    c, names = CYLINDERS.index(place), [f"cylinders.{place}.{kind}_friction" for kind in ("coulomb", "static")]
+    c, names = (
+        crane.layout.cylinders.index(place),
+        [f"cylinders.{place}.{kind}_friction" for kind in ("coulomb", "static")],
+    )
 
     def law(now: Now) -> Mapping[str, float]:
         piston, rod = now.pressures(c)
@@ -313,19 +315,19 @@ def _curved_leak(values: Mapping[str, float], place: str, crane: Crane) -> Diale
         return values["k"] * dp * (1.0 + 0.1 * abs(dp) / 50e5)
 
     def out(now: Now) -> Mapping[str, float]:
-        return {f"flow.{place}": -flow(float(now.visible[4 + CHAMBERS.index(place)]))}
+        return {f"flow.{place}": -flow(float(now.visible[crane.layout.index(place)]))}
 
     def across(now: Now) -> Mapping[str, float]:
-        c = CYLINDERS.index(place)
+        c = crane.layout.cylinders.index(place)
         piston, rod = now.pressures(c)
         return {f"flow.p{2 * c + 1}": -flow(piston - rod), f"flow.p{2 * c + 2}": flow(piston - rod)}
 
-    return Dialect((out if place in CHAMBERS else across,))
+    return Dialect((out if place in crane.layout.chambers else across,))
 
 
 def _soft_compensator(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
     """Return a compensator that lets a twentieth of the surplus pressure through."""
-    c, P = CYLINDERS.index(place), crane.parameter_vector()
+    c, P = crane.layout.cylinders.index(place), crane.parameter_vector()
 
     def law(now: Now) -> Mapping[str, float]:
         filled = now.pressures(c)[0 if now.inputs[c] >= 0.0 else 1]
@@ -337,7 +339,7 @@ def _soft_compensator(values: Mapping[str, float], place: str, crane: Crane) -> 
 
 def _lopsided_meter_out(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
     """Return a restriction that is a tenth stronger one way and a tenth weaker the other."""
-    c = CYLINDERS.index(place)
+    c = crane.layout.cylinders.index(place)
 
     def law(now: Now) -> Mapping[str, float]:
         return {f"meter_out_restriction@{place}.r": values["r"] * (1.1 if now.inputs[c] > 0.0 else 0.9)}

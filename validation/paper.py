@@ -211,7 +211,7 @@ def real_system(crane: Crane, inputs: int, engine: str, seed: int, duration: flo
     commands = INPUT_SETS[inputs](time)
     w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((time.size, 2), np.nan)])
     model = engine_of(engine, crane)
-    truth = visible(crane, model.simulate(model.static_start(crane.initial.z1, crane.initial.z4), time, w, step=STEP))
+    truth = visible(crane, model.simulate(model.static_start(*crane.initial.pose), time, w, step=STEP))
     rng = np.random.default_rng(seed)
     signals = Signals(time, commands, noisy_sensors(crane, time, truth, rng), name=f"input set {inputs}")
     return Experiment(crane, time, commands, w, truth, signals)

@@ -3,33 +3,68 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.parameters import LAYOUT
+from crane_exudyn.layout import Layout
 
 REST = "rest"
 #: what a cylinder does by the way its valve is open
 _WAYS = {1: "extends", -1: "retracts"}
-BOTH, REVERSAL, LOW_PRESSURE, STROKE_END = "both moving", "reversal", "low pressure", "end of stroke"
-#: the kinds of work of one cylinder: (cylinder, way its valve is open) -> kind
-MOVING = {
-    (c, side): f"{name} {way}"
-    for c, name in enumerate(LAYOUT.cylinders)
-    for side, way in ((1, "extending"), (-1, "retracting"))
+REVERSAL, LOW_PRESSURE, STROKE_END = "reversal", "low pressure", "end of stroke"
+#: what is going on where it is not the work of single cylinders, for a sentence: "while …"
+_WORDS = {
+    REVERSAL: "a cylinder reverses",
+    LOW_PRESSURE: "a chamber is below the pressure of the tank",
+    STROKE_END: "a cylinder is at the end of its stroke",
 }
-KINDS = (REST, *MOVING.values(), BOTH, REVERSAL, LOW_PRESSURE, STROKE_END)
-#: what is going on, for a sentence: "while …"
-WORDS = {
-    REST: "while both valves are closed",
-    **{kind: f"while the {LAYOUT.cylinders[c]} cylinder {_WAYS[side]}" for (c, side), kind in MOVING.items()},
-    BOTH: "while both cylinders are driven",
-    REVERSAL: "while a cylinder reverses",
-    LOW_PRESSURE: "while a chamber is below the pressure of the tank",
-    STROKE_END: "while a cylinder is at the end of its stroke",
-}
+
+
+def together(layout: Layout) -> str:
+    """Return the kind of work in which more than one cylinder of a machine moves."""
+    return "both moving" if len(layout.cylinders) == 2 else "several moving"
+
+
+@cache
+def moving(layout: Layout) -> Mapping[tuple[int, int], str]:
+    """Return the kinds of work of one cylinder: {(cylinder, way its valve is open): kind}."""
+    ways = ((1, "extending"), (-1, "retracting"))
+    return {(c, side): f"{name} {way}" for c, name in enumerate(layout.cylinders) for side, way in ways}
+
+
+@cache
+def kinds(layout: Layout) -> tuple[str, ...]:
+    """Return all kinds of work of a machine."""
+    several = [together(layout)] * (len(layout.cylinders) > 1)
+    return (REST, *moving(layout).values(), *several, REVERSAL, LOW_PRESSURE, STROKE_END)
+
+
+def _doing(kind: str, sides: tuple[int, ...], layout: Layout) -> str:
+    """Return what is going on, for a sentence that begins with "while"."""
+    if kind == REST:
+        return {1: "the valve is", 2: "both valves are"}.get(len(layout.cylinders), "all valves are") + " closed"
+    if kind in _WORDS:
+        return _WORDS[kind]
+    if kind == together(layout):
+        return _together(sides, layout)
+    cylinder, side = next(at for at, name in moving(layout).items() if name == kind)
+    return f"the {layout.cylinders[cylinder]} cylinder {_WAYS[side]}"
+
+
+def _together(sides: tuple[int, ...], layout: Layout) -> str:
+    """Return what the cylinders do that are driven at once; without sides, or where no two are, that they are driven."""
+    driven = [(name, _WAYS[side]) for name, side in zip(layout.cylinders, sides, strict=False) if side]
+    both = "both cylinders" if len(layout.cylinders) == 2 else "several cylinders"
+    if len(driven) < 2:
+        return f"{both} are driven"
+    if len(driven) == 2 == len(layout.cylinders) and driven[0][1] == driven[1][1]:
+        return f"{both} {driven[0][1].removesuffix('s')}"
+    return " and ".join(f"the {name} cylinder {way}" for name, way in driven)
+
 
 #: a spool position beyond this drives its cylinder
 DRIVEN = 0.02
@@ -52,17 +87,14 @@ class Phase:
     last: int
     start: float
     end: float
-    sides: tuple[int, ...] = ()
+    sides: tuple[int, ...]
+    layout: Layout = field(repr=False)
 
     @property
     def words(self) -> str:
         """Where and when, as a sentence begins: "between 7.6 and 8.5 s, while the tilt cylinder extends"."""
-        doing = WORDS[self.kind]
-        if self.kind == BOTH and self.sides and all(self.sides):
-            ways = [_WAYS[side] for side in self.sides]
-            each = [f"the {name} cylinder {way}" for name, way in zip(LAYOUT.cylinders, ways, strict=True)]
-            doing = "while " + ("both cylinders " + ways[0].rstrip("s") if len(set(ways)) == 1 else " and ".join(each))
-        return f"between {self.start:.1f} and {self.end:.1f} s, {doing}"
+        doing = _doing(self.kind, self.sides, self.layout)
+        return f"between {self.start:.1f} and {self.end:.1f} s, while {doing}"
 
 
 def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray) -> list[Phase]:
@@ -71,15 +103,16 @@ def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndar
     Args:
         crane: for its strokes.
         time: (N,) s, even.
-        spool: (N, 2) spool positions.
+        spool: (N, valves) spool positions.
         states: (N, nx) estimated states.
     """
-    side = _sides(spool)
-    kinds = labels(crane, time, spool, states)
-    # driving both counts as another piece of work when one of them turns
+    side, names = _sides(spool), kinds(crane.layout)
+    found_kinds = labels(crane, time, spool, states)
+    # driving several counts as another piece of work when one of them turns
     ways = 3 ** np.arange(side.shape[1])[::-1]
-    way = np.where(kinds == KINDS.index(BOTH), side @ ways, 0).astype(int)
-    code = _smooth(3 * ways[0] * kinds + way, time)
+    several = together(crane.layout)
+    way = np.where(found_kinds == names.index(several), side @ ways, 0).astype(int) if several in names else 0
+    code = _smooth(3 * ways[0] * found_kinds + way, time)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1, [len(code)]])
     found = []
     for a, b in itertools.pairwise(edges):
@@ -88,27 +121,28 @@ def phases_of(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndar
         for i, j in itertools.pairwise(cuts):
             end = time[min(j, len(time) - 1)]
             middle = side[(i + j) // 2]
-            kind = KINDS[round(code[a] / (3 * ways[0]))]
-            found.append(Phase(kind, int(i), int(j), float(time[i]), float(end), tuple(map(int, middle))))
+            kind, sides = names[round(code[a] / (3 * ways[0]))], tuple(map(int, middle))
+            found.append(Phase(kind, int(i), int(j), float(time[i]), float(end), sides, crane.layout))
     return found
 
 
 def _sides(spool: np.ndarray) -> np.ndarray:
-    """Return which way each valve is open (N, 2): 1 extending, -1 retracting, 0 closed."""
+    """Return which way each valve is open (N, valves): 1 extending, -1 retracting, 0 closed."""
     return np.asarray(np.sign(np.where(np.abs(spool) > DRIVEN, spool, 0.0)))
 
 
 def labels(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Return the kind of work at every instant as an index into KINDS (N,); special states come before plain motion."""
-    side = _sides(spool)
-    kind = np.full(len(time), KINDS.index(REST))
+    """Return the kind of work at every instant as an index into `kinds` (N,); special states come before plain motion."""
+    side, names = _sides(spool), kinds(crane.layout)
+    kind = np.full(len(time), names.index(REST))
     empty = states[:, crane.layout.pressures] < LOW * crane["supply.tank_pressure"]
     for chosen, name in (
-        *((side[:, c] == way, name) for (c, way), name in MOVING.items()),
-        ((side != 0).sum(axis=1) > 1, BOTH), (np.any([_reverses(time, one) for one in side.T], axis=0), REVERSAL),
+        *((side[:, c] == way, name) for (c, way), name in moving(crane.layout).items()),
+        ((side != 0).sum(axis=1) > 1, together(crane.layout)), (np.any([_reverses(time, one) for one in side.T], axis=0), REVERSAL),
         (empty.any(axis=1), LOW_PRESSURE), (_at_end(crane, states), STROKE_END),
     ):  # fmt: skip
-        kind[chosen] = KINDS.index(name)
+        if chosen.any():
+            kind[chosen] = names.index(name)
     return kind
 
 

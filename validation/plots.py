@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from crane_exudyn.layout import Layout
+
 __all__ = [
     "LOOKS", "OTHERS", "WIDTH", "Look", "Shown", "bars", "draw_lines", "figure", "legend_above", "look", "mark_intervals", "name_axes", "png", "save",
     "shown", "style", "thin", "trajectories",
@@ -40,6 +42,7 @@ def trajectories(
     lines: Mapping[str, Mapping[str, np.ndarray]],
     *,
     channels: Sequence[str] | None = None,
+    layout: Layout | None = None,
     bands: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     marks: Sequence[tuple[float, float, str]] = (),
 ) -> Figure:
@@ -49,6 +52,7 @@ def trajectories(
         time: (n,) s.
         lines: {"measured": {"z1": (n,), …}, "estimated": {…}}, SI; a channel may be missing in any of them.
         channels: which, in what order; by default every channel named in `lines`.
+        layout: of the machine; by default that of patu655.
         bands: lower and upper (n,) by channel.
         marks: (from, to, text) intervals shaded in every panel, text in the first.
     """
@@ -58,7 +62,7 @@ def trajectories(
     made = figure(max(len(chosen), 1), height=1.35)
     for axes, channel in zip(made.axes, chosen, strict=False):
         parts = {label: named[channel] for label, named in lines.items() if channel in named}
-        draw_lines(axes, time, parts, channel=channel, band=(bands or {}).get(channel))
+        draw_lines(axes, time, parts, channel=channel, layout=layout, band=(bands or {}).get(channel))
         mark_intervals(axes, marks, text=axes is made.axes[0])
     made.axes[-1].set_xlabel("time / s")
     legend_above(made)

@@ -24,6 +24,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects.registry import split_key
+from crane_exudyn.layout import Layout
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
@@ -239,14 +240,14 @@ def _parameters(crane: Crane, key: str) -> Mapping[str, float]:
     return acting.parameters
 
 
-def plausible(key: str, values: Mapping[str, float]) -> list[EffectParameter]:
+def plausible(key: str, values: Mapping[str, float], layout: Layout) -> list[EffectParameter]:
     """Return the variables of an effect with priors of plausible size."""
-    return [Plausible(v.key, v.parameter, v.start, v.difference) for v in effect_variables(key, values)]
+    return [Plausible(v.key, v.parameter, v.start, v.difference) for v in effect_variables(key, values, layout)]
 
 
-def stated(key: str, values: Mapping[str, float]) -> list[EffectParameter]:
+def stated(key: str, values: Mapping[str, float], layout: Layout) -> list[EffectParameter]:
     """Return the variables of an effect that the crane file has, held near the file's values."""
-    return [Stated(v.key, v.parameter, v.start, v.difference) for v in effect_variables(key, values)]
+    return [Stated(v.key, v.parameter, v.start, v.difference) for v in effect_variables(key, values, layout)]
 
 
 def fitted(
@@ -317,14 +318,14 @@ def _tried(
 
 def acting(crane: Crane, keys: Sequence[str]) -> list[EffectParameter]:
     """Return the variables of effects that a crane has, as they are."""
-    return [v for k in keys for v in plausible(k, _parameters(crane, k))]
+    return [v for k in keys for v in plausible(k, _parameters(crane, k), crane.layout)]
 
 
 def begun(crane: Crane, data: FitData, jobs: int = 1) -> _Growth:
     """Return the growth before its first step: nominal parameters fitted, levels of the channels found."""
     noise = {s.channel: s.noise for s in data.samples}
     base = all_parameters(crane, data, (Stage(SHORT, 1.0, 5, STEP),))
-    own: list[Variable] = [v for e in crane.effects for v in stated(e.key, e.parameters)]
+    own: list[Variable] = [v for e in crane.effects for v in stated(e.key, e.parameters, crane.layout)]
     shared = [*informed_directions(base), *own]
     raised = with_noise(data, {c: noise[c] * max(1.0, e) for c, e in base.errors.items()})
     projected = _projected(shared, base)
@@ -406,7 +407,8 @@ def candidates(growth: _Growth) -> list[tuple[str, float, Fit]]:
     """Return effects fitted beside those taken in: key, gain in log evidence, fit; best first."""
     now, data = growth.current, growth.current.data
     begins = {s.start.key: scaled(s.start, s.amplitude) for s in promising(growth)} | dict(growth.tried)
-    tasks = [(_tried, growth.crane, data, growth.shared, growth.keys, plausible(k, v), now) for k, v in begins.items()]
+    own = [plausible(k, v, growth.crane.layout) for k, v in begins.items()]
+    tasks = [(_tried, growth.crane, data, growth.shared, growth.keys, variables, now) for variables in own]
     bare = log_evidence(now)
     fits = in_parallel(growth.jobs, tasks)
     gains = [(k, log_evidence(f) - bare, f) for k, f in zip(begins, fits, strict=True) if not at_end(f, k)]
@@ -563,7 +565,8 @@ def _everything(
     """Return timing, all uncertain parameters and all effects as variables, and their values in a crane."""
     nominal = [_believable(v) for v in uncertain_parameters(given)]
     found = acting(crane, keys)
-    own = [(v, _parameters(crane, e.key)[v.parameter.name]) for e in given.effects for v in stated(e.key, e.parameters)]
+    variables = [v for e in given.effects for v in stated(e.key, e.parameters, given.layout)]
+    own = [(v, _parameters(crane, v.key)[v.parameter.name]) for v in variables]
     values = {v.name: (crane[v.name] - given[v.name]) / v.weights[v.name] for v in nominal}
     values |= {v.name: v.to_u(v.start) for v in found} | {v.name: v.to_u(x) for v, x in own}
     return [timing_of(data), *nominal, *(v for v, _ in own), *found], values

@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.errors import CraneError
-from crane_exudyn.parameters import LAYOUT
-from crane_exudyn.sensors import PLACES
+from crane_exudyn.recording import usual_layout
 
 from .hidden import SENSOR_SETS, SEVERITIES, HiddenCase, hideable, make_case
 from .workers import results_of
@@ -49,9 +48,10 @@ def planned(seed: int) -> dict[str, Any]:
     )
     names = list(SEVERITIES)
     name = names[turn % len(names)]
-    keys = [k for k in hideable(PLACES) if k.partition("@")[0] == name]
+    lay = usual_layout()
+    keys = [k for k in hideable(lay.places("sensors")) if k.partition("@")[0] == name]
     key = keys[(turn // len(names)) % len(keys)]
-    all_sensors = {} if key.partition("@")[2] not in set(LAYOUT.chambers) - set(LAYOUT.loaded) else {"sensors": 0}
+    all_sensors = {} if key.partition("@")[2] not in set(lay.chambers) - set(lay.loaded) else {"sensors": 0}
     return {"kind": kind, "keys": [key], **all_sensors}
 
 
@@ -254,7 +254,7 @@ def _by_sensors(good: Sequence[Mapping[str, Any]]) -> str:
     for sensors in SENSOR_SETS:
         for pressure_noise, name in ((0.3e5, "0.05° and 0.3 bar"), (1.5e5, "1° and 1.5 bar")):
             wanted = len(sensors), pressure_noise
-            own = [g for g in good if (len(noise := g["answer"]["noise"]), noise[LAYOUT.loaded[0]]) == wanted]
+            own = [g for g in good if (len(noise := g["answer"]["noise"]), noise[usual_layout().loaded[0]]) == wanted]
             hiding = [g for g in own if g["answer"]["effects"]]
             rows.append((
                 " ".join(sensors), name, _share(g["judged"]["right"] for g in hiding),

@@ -8,11 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from crane_exudyn.channels import SUPPLY
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
-from crane_exudyn.sensors import SENSORS
 from crane_exudyn.signals import NO_SENSOR
 
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
@@ -46,7 +44,7 @@ class FitData:
     Attributes:
         time: (N,) uniform grid in s, from the first to the last sample.
         step: its step in s.
-        command_time, commands: (n,) s and (n, 2), linear between, on their own clock.
+        command_time, commands: (n,) s and (n, valves), linear between, on their own clock.
         supply: (N, 2) measured pump and tank pressure in Pa, NaN where not recorded.
         samples: one entry a measured channel; none where the commands are not known.
         blind: spans (from, to) in s in which a command was not recorded, or is still felt; the model is not run through them.
@@ -100,9 +98,11 @@ class FitData:
         """
         recording = recording.with_noise(crane.sensors)
         times, commands = recording.commands(crane)
-        sensors = [c for c in SENSORS if recording.has(c)]
+        sensors = list(recording.sensors)
         if not sensors:
-            raise CraneError(f"{recording.name}: no sensor channel. At least one of {', '.join(SENSORS)} is needed.")
+            raise CraneError(
+                f"{recording.name}: no sensor channel. At least one of {', '.join(crane.layout.sensors)} is needed."
+            )
         start = min(recording.channels[c].time[0] for c in sensors)
         end = max(recording.channels[c].time[-1] for c in sensors)
         step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
@@ -226,7 +226,7 @@ def _placed(samples: Samples, time: np.ndarray, grid: np.ndarray) -> Samples:
 
 def _supply(recording: Recording, grid: np.ndarray) -> np.ndarray:
     columns = []
-    for name in SUPPLY:
+    for name in recording.layout.supply:
         if recording.has(name):
             channel = recording.channels[name]
             columns.append(np.interp(grid, channel.time, channel.values))

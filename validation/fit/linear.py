@@ -9,33 +9,46 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import Measurement, sensing_slots
-from crane_exudyn.parameters import LAYOUT
-from crane_exudyn.sensors import SENSORS
 
 from ..semi_recursive import sensitivity
 from .data import ACCURACY, FitData, Samples
 from .model import Model, model_of
 from .variables import Variable, lateness, with_variables
 
-#: size of a jump between two windows that is taken as one standard deviation: angles, rates, pressures, pendulum
-JUMP = np.repeat(
-    [3e-3, 2e-2, 1e5, 3e-2], [len(n) for n in (LAYOUT.coordinates, LAYOUT.rates, LAYOUT.chambers, LAYOUT.added)]
-)
+#: size of a jump between two windows that is taken as one standard deviation, by unit; and that of a pendulum's states
+_JUMP: Mapping[str, float] = {"rad": 3e-3, "m": 3e-3, "rad/s": 2e-2, "m/s": 2e-2, "Pa": 1e5}
+_JUMP_OF_PENDULUM = 3e-2
+#: likewise, how far a first state may be from its guess
+_GUESS: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.1, "m/s": 0.1, "Pa": 50e5}
+_GUESS_OF_PENDULUM = 0.3
 THREADS = 2
 #: grid points of a window beyond which only one is swept at a time: it takes 200 MB
 _LARGE = 40_000
-#: what a sensor that lags shows at the start of a window is known to its lag times these rates: angles in rad/s, pressures in Pa/s
-ANGLE_RATE, PRESSURE_RATE = 0.3, 5e7
+#: by the unit of a sensor: what it shows at the start of a window where it lags is known to its lag times this rate
+RATE: Mapping[str, float] = {"rad": 0.3, "m": 0.3, "rad/s": 0.3, "m/s": 0.3, "Pa": 5e7}
+
+
+@cache
+def jump_of(layout: Layout) -> np.ndarray:
+    """Return the size of a jump between two windows that is taken as one standard deviation, for each state that there may be."""
+    return np.array([*layout.sized(layout.states, _JUMP), *[_JUMP_OF_PENDULUM] * len(layout.added)])
+
+
+@cache
+def _guess_of(layout: Layout) -> np.ndarray:
+    return np.array([*layout.sized(layout.states, _GUESS), *[_GUESS_OF_PENDULUM] * len(layout.added)])
 
 
 @dataclass(frozen=True)
@@ -48,11 +61,12 @@ class Window:
 
 @dataclass
 class Linear:
-    """Normal equations of one linearised fit: knots x (K, nx) in units of JUMP, variables u (m,).
+    """Normal equations of one linearised fit: knots x (K, nx) in units of `jump` (nx,), variables u (m,).
 
     Hxx (K, nx, nx), Hxo (K-1, nx, nx) between knot k and k+1, Hxu (K, nx, m), Huu (m, m); gx, gu are the gradients.
     squares, counts: sum of squared residuals in noise units and number of samples, by channel. window_error (K,): RMS residual of
-    each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`. volume: what lagging sensors' unknown first
+    each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`. weak (nx,): weights of a weak prior that holds
+    the first state near its guess. volume: what lagging sensors' unknown first
     values add to minus twice the log evidence, see `forgotten`.
     """
 
@@ -67,6 +81,8 @@ class Linear:
     window_error: np.ndarray
     window_cost: np.ndarray
     jump_cost: np.ndarray
+    jump: np.ndarray
+    weak: np.ndarray
     volume: float = 0.0
     failed: bool = False
 
@@ -181,8 +197,8 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     moving = np.flatnonzero(columns.dynamic)
     swept = sensitivity.sweep(
         x0[None], np.zeros(1), columns.W[:, rows], data.step, float(data.time[0]), base.P, base.E,
-        columns.P[moving], columns.E[moving], columns.size[moving], columns.W_index[moving], own=columns.own[moving],
-        allowed=ACCURACY,
+        columns.P[moving], columns.E[moving], columns.size[moving], columns.W_index[moving], topology=base.topology,
+        own=columns.own[moving], allowed=ACCURACY,
     )  # fmt: skip
     X, S, status = swept.X, swept.S, swept.status
     nx, m = len(x0), len(columns.size)
@@ -198,12 +214,13 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     for j, sample in enumerate(data.samples):
         r, dr = (sample.values - sample.taken(Z[:, j])) / sample.noise, sample.taken(dZ[:, j]) / sample.noise
         if window.start > 0 and j in lags:
-            both, own = forgotten(np.column_stack([r, dr]), sample, data.step, lags[j])
+            rate = RATE[base.crane.layout.sensors[sample.channel].unit]
+            both, own = forgotten(np.column_stack([r, dr]), sample, data.step, lags[j], rate)
             r, dr, volume = both[:, 0], both[:, 1:], volume + own
         residuals.append(r)
         jacobians.append(dr)
     r, J = np.concatenate(residuals), np.concatenate(jacobians)
-    J[:, :nx] *= JUMP[:nx]
+    J[:, :nx] *= jump_of(base.crane.layout)[:nx]
     Jr = J.T @ r
     failed = status != 0 or not (np.isfinite(X[-1]).all() and np.isfinite(Jr).all())
     return Swept(
@@ -212,13 +229,12 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     )  # fmt: skip
 
 
-def forgotten(columns: np.ndarray, sample: Samples, step: float, tau: float) -> tuple[np.ndarray, float]:
+def forgotten(columns: np.ndarray, sample: Samples, step: float, tau: float, rate: float) -> tuple[np.ndarray, float]:
     """Return columns (n, m) of a sensor, in noise units, without what its unknown first value in a window may have done, and the cost of that.
 
-    A sensor that lags (by tau, s) remembers what was before the window. Its first value is one more unknown, of which only a size is known,
+    A sensor that lags (by tau, s) remembers what was before the window. Its first value is one more unknown, of which only a size is known, tau times `rate`,
     and dies out as exp(-t / tau); it is integrated out. The cost is minus twice the log of the share that is left of its prior volume.
     """
-    rate = PRESSURE_RATE if SENSORS[sample.channel].unit == "Pa" else ANGLE_RATE
     shape = np.exp(-step * (sample.index + sample.fraction) / tau) * (tau * rate / sample.noise)
     size = 1.0 + float(shape @ shape)
     # the root of the inverse of 1 + shape shape' takes this share of the shape out
@@ -245,13 +261,14 @@ def normal_equations(
         windows: K windows, held together where one follows the other.
         knots: first states (K, nx) in SI.
         base, columns: the model and its perturbed kin.
-        stiffness: how many times smaller than JUMP a jump between two windows is expected to be.
+        stiffness: how many times smaller than `jump_of` says a jump between two windows is expected to be.
     """
     K, nx, m = len(windows), knots.shape[1], len(columns.size)
-    scale = JUMP[:nx]
+    scale = jump_of(base.crane.layout)[:nx]
+    weak = (scale / _guess_of(base.crane.layout)[:nx]) ** 2
     linear = Linear(
         np.zeros((K, nx, nx)), np.zeros((max(K - 1, 0), nx, nx)), np.zeros((K, nx, m)), np.zeros((m, m)),
-        np.zeros((K, nx)), np.zeros(m), {}, {}, np.zeros(K), np.zeros(K), np.zeros(max(K - 1, 0)),
+        np.zeros((K, nx)), np.zeros(m), {}, {}, np.zeros(K), np.zeros(K), np.zeros(max(K - 1, 0)), scale, weak,
     )  # fmt: skip
     channels = windows[0].data.channels
     for k, part in enumerate(_swept(windows, knots, base, columns, channels)):

@@ -20,13 +20,18 @@ from .data import FitData
 
 @dataclass(frozen=True)
 class Model:
-    """Vectors of one crane for one recording: P, E, the inputs W (N, 4) on the recording's grid; and the commands' lateness, s."""
+    """Vectors of one crane for one recording: P, E, the inputs W (N, valves + 2) on the recording's grid; and the commands' lateness, s."""
 
     crane: Crane
     P: np.ndarray
     E: np.ndarray
     W: np.ndarray
     late: float = 0.0
+
+    @property
+    def topology(self) -> np.ndarray:
+        """The machine's table of integers for compiled code."""
+        return self.crane.machine.topology
 
     @property
     def nx(self) -> int:
@@ -36,7 +41,7 @@ class Model:
 
     def measurement(self, channels: Sequence[str]) -> Measurement:
         """Return what the crane's sensors of some channels show."""
-        return Measurement(channels, self.P, self.E)
+        return Measurement(channels, self.crane.machine, self.P, self.E)
 
 
 def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None = None) -> Model:
@@ -54,7 +59,7 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None 
 
 
 def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:
-    """Return spool positions (N, 2) on the grid of a recording."""
+    """Return spool positions (N, valves) on the grid of a recording."""
     return _paths(crane, crane.parameter_vector(), crane.effect_vector(), data, late)
 
 
@@ -71,7 +76,7 @@ _NEAR, _QUOTIENT = 1e-2, 1e-4
 def _extrapolated(
     near: Model, crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: float
 ) -> np.ndarray | None:
-    """Return spool positions (N, 2) from those of a model nearby, or None if more than the time constants differ."""
+    """Return spool positions (N, valves) from those of a model nearby, or None if more than the time constants differ."""
     if late != near.late or _commanded(crane) != _commanded(near.crane):
         return None
     spool = near.W[:, crane.layout.spools].copy()

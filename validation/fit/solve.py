@@ -15,7 +15,7 @@ from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
 from .data import ACCURACY, FitData
-from .linear import JUMP, Columns, Linear, Window, columns_of, follows, model_at, normal_equations
+from .linear import Columns, Linear, Window, columns_of, follows, model_at, normal_equations
 from .model import Model
 from .variables import Variable, lateness, with_variables
 
@@ -76,18 +76,11 @@ class Fit:
         return float(math.sqrt(max(self.cov[i, i], 0.0)))
 
 
-def prior_start(knots: np.ndarray) -> np.ndarray:
-    """Return weights (nx,) of a weak prior that holds the first state near its guess (in units of JUMP)."""
-    wide = np.array([0.1, 0.1, 0.1, 0.1, 50e5, 50e5, 50e5, 50e5, 0.3, 0.3])[: knots.shape[1]]
-    return (JUMP[: knots.shape[1]] / wide) ** 2
-
-
 def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
     """Eliminate the knots of the normal equations by block elimination along time."""
     K, nx, m = linear.Hxu.shape
-    weak = prior_start(knots)
-    H = linear.Hxx + np.diag(weak)
-    g = linear.gx + weak * (knots - guess) / JUMP[:nx]
+    H = linear.Hxx + np.diag(linear.weak)
+    g = linear.gx + linear.weak * (knots - guess) / linear.jump
     right = np.concatenate([linear.Hxu, g[:, :, None]], axis=2)
     factors: list[Any] = []
     off = linear.Hxo
@@ -237,8 +230,8 @@ def _cost(point: _Point, variables: Sequence[Variable], guess: np.ndarray) -> fl
         return math.inf
     prior = sum((x / v.prior) ** 2 for x, v in zip(point.u, variables, strict=True) if math.isfinite(v.prior))
     guess = _widened(guess, point.knots)
-    away = (point.knots - guess) / JUMP[: guess.shape[1]]
-    weak = float((prior_start(guess) * away**2).sum())
+    away = (point.knots - guess) / point.linear.jump
+    weak = float((point.linear.weak * away**2).sum())
     return 0.5 * (point.linear.cost + weak + prior)
 
 
@@ -250,7 +243,7 @@ def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffne
         du = bounded_step(H, g, point.u, *bounds, damping) if len(point.u) else np.zeros(0)
         dx = reduced.knots_step + reduced.knots_by_u @ du
         share = 1.0 / (1.0 + damping)
-        knots = point.knots + share * dx * JUMP[: dx.shape[1]]
+        knots = point.knots + share * dx * point.linear.jump
         p = crane.layout.pressures
         knots[:, p] = np.maximum(knots[:, p], EMPTIEST)
         trial = _evaluate(crane, data, windows, knots, variables, point.u + share * du, stiffness)
@@ -310,7 +303,7 @@ def _states(window: Window, x0: np.ndarray, model: Model, times: np.ndarray) -> 
     """Return states (n, nx) at times in a window that begins with x0; NaN where the run does not reach."""
     data = window.data
     W = model.W[window.start : window.start + len(data.time)]
-    X, _, _, _ = kernel.simulate(x0, W, data.time, data.step, model.P, model.E, ACCURACY)
+    X, _, _, _ = kernel.simulate(x0, W, data.time, data.step, model.P, model.E, model.topology, ACCURACY)
     index = np.round((times - data.time[0]) / data.step).astype(int)
     inside = index < len(X)
     found = np.full((len(times), len(x0)), math.nan)

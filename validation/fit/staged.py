@@ -103,7 +103,7 @@ def residuals(
         crane, data: the model and what it is held against.
         starts: first state (nx,), or (S, nx) of each stretch with known commands; where there are fewer, the others begin as measured.
         late: seconds by which the commands come after their stamps.
-        simulate: (x0, time (n,), inputs (n, 4)) -> states (n, nx); by default the semi-recursive engine.
+        simulate: (x0, time (n,), inputs (n, valves + 2)) -> states (n, nx); by default the semi-recursive engine.
     """
     model = model_of(crane, data, late)
     X = _states(
@@ -133,7 +133,7 @@ def _simulated(model: Model, step: float) -> Simulate:
     """Return the semi-recursive engine's run; where it leaves what the crane can do it stands still."""
 
     def simulate(x0: np.ndarray, time: np.ndarray, W: np.ndarray) -> np.ndarray:
-        X, status, last, _ = kernel.simulate(x0, W, time, step, model.P, model.E, ACCURACY)
+        X, status, last, _ = kernel.simulate(x0, W, time, step, model.P, model.E, model.topology, ACCURACY)
         if status != kernel.OK:
             X[last + 1 :] = X[last]
         return np.asarray(X)

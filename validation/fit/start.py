@@ -17,9 +17,9 @@ _ANGLE_SPAN, _PRESSURE_SPAN = 0.12, 0.03
 
 
 def knots_of(crane: Crane, data: FitData, windows: Sequence[Window]) -> np.ndarray:
-    """Return guessed states (K, 8) at the start of each window.
+    """Return guessed states (K, nx) at the start of each window.
 
-    Angles and rates come from a straight line through the samples around, pressures from their mean; a pressure that is not
+    Coordinates and rates come from a straight line through the samples around, pressures from their mean; a pressure that is not
     measured is the one that balances the load at rest.
     """
     samples = {s.channel: s for s in data.samples}
@@ -33,7 +33,7 @@ def _state(
     lay = crane.layout
     z, dz = np.array(crane.initial.pose), np.zeros(len(lay.rates))
     for i, name in enumerate(lay.coordinates):
-        carriers = [lay.index(n) for n in lay.absolute(name)[:-1]]
+        carriers = [lay.index(n) for n in lay.carriers(name)]
         if name in samples:
             z[i], dz[i] = _line(data, samples[name], t)
         elif f"{name}_abs" in samples:

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import Parameter
-from crane_exudyn.sensors import SENSORS
+from crane_exudyn.layout import Layout
 
 #: scale of a parameter of which only a range is known: this share of the range
 _RANGE_SHARE = 0.15
@@ -73,9 +74,7 @@ class EffectParameter:
     @property
     def scale(self) -> float:
         """Size of the value at which u has moved by one."""
-        return (
-            sensor_scale(self.key) if self.parameter.unit == "channel" else abs(self.parameter.typical - self._origin)
-        )
+        return abs(self.parameter.typical - self._origin)
 
     @property
     def _origin(self) -> float:
@@ -111,7 +110,7 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Timing:
-    """Lateness of the recorded commands against the sensors, common to both valves; one is `scale` seconds.
+    """Lateness of the recorded commands against the sensors, common to all valves; one is `scale` seconds.
 
     A recorder's clocks agree no better than its sampling, and a command is held for a part of a control step: this is no
     property of the crane.
@@ -133,17 +132,21 @@ def lateness(variables: Sequence[Variable], u: np.ndarray) -> float:
     return sum(v.scale * float(x) for v, x in zip(variables, u, strict=True) if isinstance(v, Timing))
 
 
-def sensor_scale(key: str) -> float:
-    """Return a telling size of a bias of the sensor at which an effect acts: one degree, or one bar."""
-    return SENSORS[key.rsplit("@", 1)[-1]].sizes.telling
+def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
+    """Return a parameter of an effect at a place: what has the unit of the sensor there gets it, and that sensor's telling size."""
+    if parameter.unit != "channel":
+        return parameter
+    telling = layout.sensors[place].sizes.telling
+    return replace(parameter, unit=unit_at(parameter.unit, place, layout), typical=parameter.neutral + telling)
 
 
-def effect_variables(key: str, start: Mapping[str, float]) -> list[EffectParameter]:
-    """Return the variables of the effect "name@place" with starting values (SI); others start neutral."""
-    effect, _ = registry.split_key(key)
+def effect_variables(key: str, start: Mapping[str, float], layout: Layout) -> list[EffectParameter]:
+    """Return the variables of the effect "name@place" of a machine with starting values (SI); others start neutral."""
+    effect, place = registry.split_key(key, layout)
+    parameters = [at_place(p, place, layout) for p in effect.parameters]
     return [
         EffectParameter(key, p, float(start.get(p.name, p.neutral)), _MOMENT / abs(p.typical) if is_moment(p) else 1e-4)
-        for p in effect.parameters
+        for p in parameters
     ]
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.base import Effect, Parameter
-from crane_exudyn.sensors import PLACES, SENSORS
+from crane_exudyn.effects.base import SENSORS, Effect, Parameter
+from crane_exudyn.layout import Layout
 
 from ..fit.data import FitData
-from ..fit.variables import is_moment, sensor_scale
+from ..fit.variables import at_place, is_moment
 
 #: seconds between the moments at which an effect with a time of its own is tried
 _MOMENTS = 0.5
@@ -33,20 +33,20 @@ class Start:
 
 def starts(crane: Crane, data: FitData, *, moments: float = _MOMENTS) -> list[Start]:
     """Return the starts of every effect at every place that the recording could show and the crane does not have yet."""
-    found = []
+    found, lay = [], crane.layout
     for effect in registry.known():
-        for place in effect.places:
-            key = f"{effect.name}@{place}" if place else effect.name
-            if crane.effect(key) is None and _can_show(effect, place, data):
-                found += [Start(key, values, _two_sided(effect)) for values in _values(effect, key, data, moments)]
+        for key, place in zip(effect.keys(lay), lay.places(effect.places), strict=True):
+            if crane.effect(key) is None and _can_show(effect, place, data, lay):
+                first = at_place(effect.parameters[0], place, lay)
+                found += [Start(key, values, _two_sided(effect)) for values in _values(effect, first, data, moments)]
     return found
 
 
-def _can_show(effect: type[Effect], place: str, data: FitData) -> bool:
+def _can_show(effect: type[Effect], place: str, data: FitData, layout: Layout) -> bool:
     """Whether a sensor's effect stands at a sensor that was recorded; other effects always may show."""
-    if not set(effect.hooks()) <= {"measurement", "lag"} or place not in PLACES:
+    if effect.places != SENSORS or not set(effect.hooks()) <= {"measurement", "lag"}:
         return True
-    return any(SENSORS[name].place == place for name in data.channels)
+    return any(layout.sensors[name].place == place for name in data.channels)
 
 
 def _two_sided(effect: type[Effect]) -> bool:
@@ -54,11 +54,11 @@ def _two_sided(effect: type[Effect]) -> bool:
     return math.isfinite(first.neutral) and first.lower < first.neutral
 
 
-def _values(effect: type[Effect], key: str, data: FitData, moments: float) -> list[dict[str, float]]:
+def _values(effect: type[Effect], first: Parameter, data: FitData, moments: float) -> list[dict[str, float]]:
+    """Return the values to begin from; `first` is the effect's first parameter at its place."""
     if effect.probes:
         return [dict(p) for p in effect.probes]
-    first = effect.parameters[0]
-    size = sensor_scale(key) * 0.5 if first.unit == "channel" else first.typical
+    size = first.typical * (0.5 if effect.parameters[0].unit == "channel" else 1.0)
     timed = _moment_of(effect)
     if timed is None:
         return [{first.name: size}]

@@ -35,7 +35,7 @@ def fitted_effect(
     Raises:
         CraneError: no such effect, the crane has it already, or the recording cannot be true.
     """
-    registry.split_key(key)
+    registry.split_key(key, crane.layout)
     if crane.effect(key) is not None:
         raise CraneError(
             f"{crane.name} has {key!r} already. Remove it first, or fit everything anew with `patu improve`."
@@ -43,7 +43,7 @@ def fitted_effect(
     recording = vetted(recording, crane)
     data = FitData.of(recording, crane)
     base = all_parameters(crane, data)
-    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
+    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
     shared = [*informed_directions(base), *own]
     begins = [
         scaled(s.start, s.amplitude) for s in screen(base, [s for s in starts(crane, data) if s.key == key], 1.0)[:2]

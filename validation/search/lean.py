@@ -26,7 +26,7 @@ _WORTH, _MOST = 2.0, 10
 
 def leaner(crane: Crane, data: FitData, full: Weighed) -> Weighed:
     """Return the explanation with the fewest moved parameters, or `full` where moving everything is better supported."""
-    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters)]
+    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
     held: list[Variable] = [timing_of(data), *own]
     bare = weigh(crane, data, held, full.fit, full.hypothesis, (STIFF,))
     tried = [full, bare]

@@ -64,7 +64,7 @@ def weigh(
 ) -> Weighed:
     """Return a hypothesis fitted through the stages, from the knots (and where it has them the values) of an earlier fit."""
     own: list[EffectParameter] = [
-        v for key, values in hypothesis.effects.items() for v in effect_variables(key, values)
+        v for key, values in hypothesis.effects.items() for v in effect_variables(key, values, crane.layout)
     ]
     known = {v.name: x for v, x in zip(before.variables, before.u, strict=True)}
     shared = np.array([known.get(v.name, 0.0 if own else projected(v, before, known)) for v in variables])
