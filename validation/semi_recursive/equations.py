@@ -66,7 +66,7 @@ from crane_exudyn.machine import (
 
 def njit(function=None, **options):
     """Compile a part of a term: it is cached within what calls it, not on its own."""
-    return compiled.njit(function, cache=False, **options) if function else lambda f: njit(f, **options)
+    return compiled.njit(function, cache=False, _nrt=False, **options) if function else lambda f: njit(f, **options)
 
 
 #: a part that becomes one with what calls it
@@ -154,7 +154,7 @@ class Chambers(NamedTuple):
     b: Oil
 
 
-@njit
+@compiled.njit(cache=False)
 def sheet(topology):
     """Return an empty Sheet of a machine."""
     rows, n = topology.shape[0], topology[0, CYLINDERS]
@@ -1031,7 +1031,7 @@ def amounts(s, N):
         N[2 * c], N[2 * c + 1] = s.numbers[first + c, OIL_A + AMOUNT], s.numbers[first + c, OIL_B + AMOUNT]
 
 
-@njit
+@compiled.njit(cache=False)
 def at_rest(x, P, E, s):
     """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, and the force on the payload's point."""
     n = s.topology[0, CYLINDERS]
