@@ -65,7 +65,10 @@ from crane_exudyn.machine import (
 
 
 def njit(function=None, **options):
-    """Compile a part of a term: it is cached within what calls it, not on its own."""
+    """Compile a part of a term or a step: it is cached within what calls it, not on its own.
+
+    It makes no arrays, so it need not count references to those it is given: that would take most of its time.
+    """
     return compiled.njit(function, cache=False, _nrt=False, **options) if function else lambda f: njit(f, **options)
 
 

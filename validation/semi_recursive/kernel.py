@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crane_exudyn.compiled import njit
+from crane_exudyn import compiled
 from crane_exudyn.step_control import MOST_HALVINGS, POSITION_ERROR, PRESSURE_ERROR, RATE_ERROR, limit, next_level
 
 from .equations import (
@@ -30,6 +30,8 @@ from .equations import (
     at_amounts,
     at_pressures,
     balance,
+    njit,
+    part,
     rates,
     read_amounts,
     settle_pressures,
@@ -86,7 +88,7 @@ HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE = range(7)
 PATIENT = 3.0
 
 
-@njit(cache=False)
+@compiled.njit(cache=False)
 def places_of(nx, n):
     """Return where positions (the coordinates, the pendulum's angle) and their rates stand in x; the other primary variables are amounts."""
     places = np.empty((n + (nx - 4 * n) // 2, 2), np.int64)
@@ -95,13 +97,13 @@ def places_of(nx, n):
     return places
 
 
-@njit(cache=False)
+@compiled.njit(cache=False)
 def point(nx, n):
     """Return an empty Point."""
     return Point(np.empty(nx), np.empty(2 * n), np.empty(nx))
 
 
-@njit(cache=False)
+@compiled.njit(cache=False)
 def workspace(topology, nx, n_inputs):
     """Return the Work of a machine with nx states and n_inputs inputs."""
     n, levels = topology[0, CYLINDERS], MOST_HALVINGS + 1
@@ -114,7 +116,13 @@ def workspace(topology, nx, n_inputs):
     )  # fmt: skip
 
 
-@njit(cache=False)
+@part
+def copy(source, target):
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@njit
 def factorise(A, pivot):
     """Replace A by its LU factors with row exchanges `pivot`; False if A is singular or not finite."""
     n = A.shape[0]
@@ -136,7 +144,7 @@ def factorise(A, pivot):
     return True
 
 
-@njit(cache=False)
+@njit
 def solve_factorised(A, pivot, b):
     """Replace b by the solution of the system whose factors `factorise` left in A."""
     n = A.shape[0]
@@ -152,7 +160,7 @@ def solve_factorised(A, pivot, b):
         b[k] /= A[k, k]
 
 
-@njit(cache=False)
+@njit
 def begin(p, w, t, P, E, s):
     """Fill amounts and rates of a Point from its state."""
     at_pressures(p.x, w, t, P, E, s)
@@ -160,7 +168,7 @@ def begin(p, w, t, P, E, s):
     rates(p.x, s, p.g)
 
 
-@njit(cache=False)
+@njit
 def settle(p, w, t, P, E, s):
     """Fill pressures and rates of a Point from its positions, rates and amounts; then the amounts as the pressures have them."""
     at_amounts(p.x, p.N, w, t, P, E, s)
@@ -168,7 +176,7 @@ def settle(p, w, t, P, E, s):
     rates(p.x, s, p.g)
 
 
-@njit(cache=False)
+@njit
 def end_rates(start, end, h, places):
     """Write the rates at the end of a step that its positions ask for (22)."""
     for i in range(places.shape[0]):
@@ -176,7 +184,7 @@ def end_rates(start, end, h, places):
         end.x[r] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[r]
 
 
-@njit(cache=False)
+@njit
 def residual(start, end, w1, t1, h, P, E, work, r):
     """Write the residual (23) of the step to r, completing the end from its positions and amounts.
 
@@ -187,7 +195,7 @@ def residual(start, end, w1, t1, h, P, E, work, r):
     defects(start, end, h, work, r)
 
 
-@njit(cache=False)
+@njit
 def residual_of_amounts(start, end, w1, t1, h, P, E, work, r):
     """Write the residual (23) to r where only amounts differ from what was evaluated last: positions and mass matrix stand."""
     read_amounts(end.x, end.N, P, E, work.sheet)
@@ -195,7 +203,7 @@ def residual_of_amounts(start, end, w1, t1, h, P, E, work, r):
     defects(start, end, h, work, r)
 
 
-@njit(cache=False)
+@njit
 def defects(start, end, h, work, r):
     """Write what the sheet's rates leave of the residual (23) to r."""
     places = work.places
@@ -208,21 +216,21 @@ def defects(start, end, h, work, r):
         r[n + i] = (end.N[i] - start.N[i] - 0.5 * h * (start.g[first + i] + end.g[first + i])) / AMOUNT
 
 
-@njit(cache=False)
+@njit
 def tangent(start, base, w1, t1, h, P, E, work, level):
     """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step, whose residual, the last evaluated,
     is `base`; False if it is singular.
     """
     moved, to, A = work.rows[1], work.moved, work.A[level]
     m, n = base.size, work.places.shape[0]
-    to.x[:] = work.end.x
+    copy(work.end.x, to.x)
     for j in range(m - 1, -1, -1):  # amounts first: for them the mechanics of the base stand
-        to.N[:] = work.end.N
+        copy(work.end.N, to.N)
         if j >= n:
             to.N[j - n] += AMOUNT_EPSILON * AMOUNT
             residual_of_amounts(start, to, w1, t1, h, P, E, work, moved)
         else:
-            to.x[:] = work.end.x
+            copy(work.end.x, to.x)
             to.x[work.places[j, 0]] += POSITION_EPSILON
             residual(start, to, w1, t1, h, P, E, work, moved)
         step = AMOUNT_EPSILON if j >= n else POSITION_EPSILON
@@ -233,13 +241,13 @@ def tangent(start, base, w1, t1, h, P, E, work, level):
     return good
 
 
-@njit(cache=False)
+@njit
 def predict(start, h, work):
     """Write a first guess of the primary variables to the end of the step: rates go on as they changed in the part before."""
     end, bend, first = work.end, 0.0, 2 * work.sheet.topology[0, CYLINDERS]
     if 0.0 < h <= 2.0 * work.said[BEFORE]:
         bend = h / work.said[BEFORE]
-    end.x[:] = start.x
+    copy(start.x, end.x)
     for i in range(work.places.shape[0]):
         k, r = work.places[i, 0], work.places[i, 1]
         end.x[k] = start.x[k] + h * (start.x[r] + 0.5 * h * (start.g[r] + bend / 3.0 * (start.g[r] - work.past[r])))
@@ -248,7 +256,7 @@ def predict(start, h, work):
         end.N[i] = start.N[i] + h * (start.g[k] + 0.5 * bend * (start.g[k] - work.past[k]))
 
 
-@njit(cache=False)
+@njit
 def change_size(n, r, h):
     """Return the largest change, n of positions and then of amounts, in units of its tolerance in a step h; NaN if any is not a number."""
     largest, tolerance = 0.0, max(RATE_TOLERANCE * h, ROUNDING)
@@ -261,7 +269,7 @@ def change_size(n, r, h):
     return largest
 
 
-@njit(cache=False)
+@njit
 def newton(start, w1, t1, h, P, E, work, level):
     """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not converge."""
     r, end, made, rate, n = work.rows[0], work.end, work.made, work.rate, work.places.shape[0]
@@ -294,7 +302,7 @@ def newton(start, w1, t1, h, P, E, work, level):
     return False
 
 
-@njit(cache=False)
+@njit
 def local_error(start, w0, w1, t0, h, P, E, work, level):
     """Return the local error of the step from `start` to `work.end` in units of `step_control.*_ERROR`.
 
@@ -338,20 +346,20 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
     return worst if worst == worst else math.inf
 
 
-@njit(inline="always")
+@part
 def place_of_rate(i, work):
     """Return where what residual i is about stands in g: the acceleration of a position, or the rate of an amount."""
     n = work.places.shape[0]
     return work.places[i, 1] if i < n else 2 * work.sheet.topology[0, CYLINDERS] + i - n
 
 
-@njit(inline="always")
+@part
 def of_position(start, end, rate, h):
     """Return the defect h/3 (z0' + z1' - 2 zm') of a position, the rate in the middle being Hermite's."""
     return -h * h / 12.0 * (start.g[rate] - end.g[rate])
 
 
-@njit(cache=False)
+@njit
 def middle_rates(start, w0, w1, t0, h, P, E, work):
     """Fill `work.moved` with the state in the middle of the step, by Hermite's interpolation, and its rates."""
     end, middle, w, first = work.end, work.moved, work.w[2], 2 * work.sheet.topology[0, CYLINDERS]
@@ -369,7 +377,7 @@ def middle_rates(start, w0, w1, t0, h, P, E, work):
     rates(middle.x, work.sheet, middle.g)
 
 
-@njit(cache=False)
+@njit
 def defect_size(defect, h, start, end, P, work):
     """Return the largest of the defects of rates and amounts, and of those of the positions, in units of `step_control.*_ERROR`.
 
@@ -388,13 +396,13 @@ def defect_size(defect, h, start, end, P, work):
     return worst
 
 
-@njit(cache=False)
+@njit
 def between(w0, w1, share, w):
     for k in range(w.size):
         w[k] = w0[k] if share == 0.0 else (w1[k] if share == 1.0 else w0[k] + share * (w1[k] - w0[k]))
 
 
-@njit(cache=False)
+@njit
 def try_step(now, wa, wb, t, h, P, E, work, level):
     """Take one step from `now` to `work.end`, pressures left out; return OK or why it has to be halved."""
     if not newton(now, wb, t + h, h, P, E, work, level):
@@ -404,19 +412,20 @@ def try_step(now, wa, wb, t, h, P, E, work, level):
     return OK if work.said[ERROR] <= work.said[LIMIT] else TOO_COARSE
 
 
-@njit(inline="always")
+@part
 def remember(start, h, work):
     """Keep the rates at the start of a part of length h that was good, for the first guess and the error of the next."""
-    work.past[:], work.said[BEFORE] = start.g, h
+    copy(start.g, work.past)
+    work.said[BEFORE] = h
 
 
-@njit(inline="always")
+@part
 def forget(work):
     """Begin anew: no part lies before the next."""
     work.said[LEVEL], work.said[BEFORE] = 0.0, 0.0
 
 
-@njit(cache=False)
+@njit
 def advance(now, w0, w1, t0, h, P, E, work, last):
     """Move the Point `now` by h in place; a step that fails is halved, and its halves again. Return a status.
 
@@ -433,7 +442,8 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
         if status == OK:
             done += part
             remember(now, part * h, work)
-            now.x[:], now.N[:] = work.end.x, work.end.N
+            copy(work.end.x, now.x)
+            copy(work.end.N, now.N)
             if done < 1.0 or not last:
                 settle(now, wb, t0 + done * h, P, E, work.sheet)
             else:
@@ -448,7 +458,7 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
     return OK
 
 
-@njit
+@compiled.njit
 def simulate(x0, W, time, step, P, E, topology, allowed=1.0):
     """Return states X (N, nx) at increasing times (N,), the status, the sample before the step that failed, and halved steps.
 
@@ -482,7 +492,7 @@ def simulate(x0, W, time, step, P, E, topology, allowed=1.0):
     return X, OK, -1, int(work.said[HALVED])
 
 
-@njit
+@compiled.njit
 def propagate_batch(states, W0, W1, t0, dt, n, P, E, topology, allowed=1.0):
     """Return states (rows, nx) one dt later, in n equal steps, the status and the row that failed, and how many steps were halved.
 
