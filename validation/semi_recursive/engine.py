@@ -8,52 +8,87 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from crane_exudyn import faulty_laws
-from crane_exudyn import parameters as names
 from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import hooks, registry
 from crane_exudyn.errors import CraneError, listed, nearest
-from crane_exudyn.layout import Layout
+from crane_exudyn.machine import Joint, Machine
 from crane_exudyn.step_control import MOST_HALVINGS
 
 from . import equations, kernel
-from .terms import TERM_NAMES, terms
+from .terms import point_rows, term_names, terms
+
+#: a chamber that is shorter than nothing by this (m) shows whether anything pushes back
+_BEYOND = 1e-3
+#: a cylinder that moves by less than this (m per rad or m) for any motion of its machine has no leverage
+_LEAST_LEVERAGE = 1e-6
 
 
 @njit
-def _chamber_lengths(X, P, E):
-    out = np.empty((X.shape[0], 4))
+def _chamber_lengths(X, P, E, topology):
+    out, s = np.empty((X.shape[0], X.shape[1] // 4 * 2)), equations.sheet(topology)
     for i in range(X.shape[0]):
-        equations.chamber_lengths(X[i], P, E, out[i])
+        equations.chamber_lengths(X[i], P, E, s, out[i])
     return out
 
 
 @njit
-def _held(z1, z4, less_loaded, P, E, x):
-    F1, F2, s1, s2 = equations.static_forces(z1, z4, P, E)
-    x[4], x[5] = equations.held_pressures(0, s1, F1, less_loaded[0], P, E)
-    x[6], x[7] = equations.held_pressures(1, s2, F2, less_loaded[1], P, E)
-    gx, gy = equations.hooks.gravity(E, 0.0, -1.0)
+def _rest(x, P, E, topology):
+    """Return generalised forces (n,) of all but cylinders at rest, those of a unit force in each cylinder (n, n), and the lengths (n,)."""
+    s = equations.sheet(topology)
+    equations.at_rest(x, P, E, s)
+    n, first = topology[0, equations.CYLINDERS], equations.first_cylinder(s)
+    units = s.numbers[first : first + n, equations.BY : equations.BY + n].copy()
+    return (
+        s.general[equations.WEIGHT] + s.general[equations.JOINTS],
+        units,
+        s.numbers[first : first + n, equations.LENGTH].copy(),
+    )
+
+
+@njit
+def _held(lengths, forces, less_loaded, P, E, pressures):
+    for c in range(forces.size):
+        pressures[2 * c], pressures[2 * c + 1] = equations.held_pressures(
+            c, lengths[c], forces[c], less_loaded[c], P, E
+        )
+    gx, gy = hooks.gravity(E, 0.0, -1.0)
     return math.atan2(gx, -gy)
 
 
-def _find_column(layout: Layout, name: str) -> tuple[str, int]:
+@njit
+def _asked(P, E, n):
+    """Return the length of the pendulum, and of each chamber (2n,) whether something stops the piston at its end."""
+    stopped = np.empty(2 * n, np.bool_)
+    for c in range(n):
+        whole = P[equations.CYLINDER + equations.N_CYLINDER * c + equations.RANGE]
+        for side in range(2):
+            sign, beyond, end = 1.0 - 2.0 * side, -_BEYOND, 0.0
+            if side == 1:
+                beyond, end = whole + _BEYOND, whole
+            push = hooks.cylinder_force(E, c, 0.0, 0.0, 0.0, beyond, whole - beyond)
+            stopped[2 * c + side] = sign * (push - hooks.cylinder_force(E, c, 0.0, 0.0, 0.0, end, whole - end)) > 0.0
+    return hooks.pendulum(E)[0], stopped
+
+
+def _find_column(machine: Machine, name: str) -> tuple[str, int]:
+    layout = machine.layout
     if name in layout.disturbances:
         return "w", layout.all_inputs.index(name)
-    if name in names.INDEX:
-        return "P", names.INDEX[name]
+    if name in machine.index:
+        return "P", machine.index[name]
     key, _, last = name.rpartition(".")
     if "@" in key or key in {e.name for e in registry.known()}:
-        effect, place = registry.split_key(key)
+        effect, place = registry.split_key(key, layout)
         for i, parameter in enumerate(effect.parameters):
             if parameter.name == last:
-                return "E", registry.slot(effect.name, place) + i
-    known = [*names.NAMES, *layout.disturbances]
+                return "E", registry.slot(effect.name, place, layout) + i
+    known = [*machine.names, *layout.disturbances]
     raise CraneError(f"Semi-recursive engine: no parameter {name!r} can differ from row to row.{nearest(name, known)}")
 
 
 class SemiRecursiveEngine:
-    """The crane by the double-step semi-recursive method; states in, states out, no hidden state.
+    """A crane, whatever its machine, by the double-step semi-recursive method; states in, states out, no hidden state.
 
     Args:
         crane: the crane, with its effects.
@@ -64,29 +99,46 @@ class SemiRecursiveEngine:
     def __init__(self, crane: Crane, *, step: float = 1e-3, accuracy: float = 1.0):
         self.crane, self.step, self.accuracy = crane, float(step), float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
+        self._topology = crane.machine.topology
         self._columns: dict[str, tuple[str, int]] = {}
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
         self.halved = 0
-        self._layout, swings = crane.layout, hooks.pendulum(self._E)[0] > 0.0
-        self.state_names = self._layout.all_states if swings else self._layout.states
+        self._layout = crane.layout
+        length, self._stopped = _asked(self._P, self._E, len(self._layout.cylinders))
+        self.state_names = self._layout.all_states if length > 0.0 else self._layout.states
 
-    def static_start(self, z1: float, z4: float, less_loaded: float | Sequence[float] = 20e5) -> np.ndarray:
-        """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded` (Pa).
+    def static_start(self, *pose: float, less_loaded: float | Sequence[float] | None = None) -> np.ndarray:
+        """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded` (20 bar).
+
+        Args:
+            pose: the independent coordinates, rad or m; `less_loaded` may stand behind them.
+            less_loaded: Pa, one for all cylinders or one each.
 
         Raises:
-            CraneError: the loop cannot be closed at z1, z4 (rad), or a cylinder would be beyond its stroke.
+            CraneError: a loop cannot be closed there, no pressures balance the load, or a cylinder would be beyond its stroke.
         """
-        x = self.at_rest(z1, z4, less_loaded)
+        x = self.at_rest(*pose, less_loaded=less_loaded)
         self._refuse_stroke_end(x[None], np.zeros(1))
         return x
 
-    def at_rest(self, z1: float, z4: float, less_loaded: float | Sequence[float] = 20e5) -> np.ndarray:
-        """Return the same state wherever the loop can be closed: a measured pose may lie a little beyond the file's stroke."""
-        x = np.zeros(len(self.state_names))
-        x[self._layout.positions] = z1, z4
-        angle = _held(
-            float(z1), float(z4), np.broadcast_to(np.asarray(less_loaded, dtype=float), 2).copy(), self._P, self._E, x
-        )
+    def at_rest(self, *pose: float, less_loaded: float | Sequence[float] | None = None) -> np.ndarray:
+        """Return the same state wherever loops can be closed: a measured pose may lie a little beyond the file's stroke."""
+        n, x = len(self._layout.coordinates), np.zeros(len(self.state_names))
+        given = [v for v in (*pose[n:], less_loaded) if v is not None]
+        if len(pose) < n or len(given) > 1:
+            raise CraneError(
+                f"A static start wants {n} numbers, {', '.join(self._layout.coordinates)}, and the less loaded pressure; found {len(pose)}."
+            )
+        low = np.broadcast_to(np.asarray(given[0] if given else 20e5, dtype=float), n).copy()
+        x[self._layout.positions] = pose[:n]
+        load, units, lengths = _rest(x, self._P, self._E, self._topology)
+        if np.isfinite(units).all() and np.linalg.svd(units, compute_uv=False)[-1] < _LEAST_LEVERAGE:
+            raise CraneError(
+                f"Semi-recursive engine: the cylinders of {self.crane.name} have no leverage at {self._pose(x)}, so no pressures balance "
+                "the load. Start at another pose."
+            )
+        forces = np.linalg.solve(units.T, -load)
+        angle = _held(lengths, forces, low, self._P, self._E, x[self._layout.pressures])
         x[self._layout.extra][:1] = angle
         if not np.all(np.isfinite(x)):
             raise faulty_laws.where_start_failed(self.crane, x) or CraneError(
@@ -106,7 +158,7 @@ class SemiRecursiveEngine:
 
         Args:
             states: (n, nx).
-            inputs: w = [U1 U2 pp pt] at the start and the end of the step, (2, 4) or (2, n, 4).
+            inputs: w = [U pp pt] at the start and the end of the step, (2, m) or (2, n, m).
             time: time at the start of the step, s.
             parameters: {name: (n,)}, what differs from row to row (SI): nominal parameters such as "payload.mass",
                 parameters of effects such as "internal_leakage@lift.k", and the disturbances of the layout.
@@ -126,7 +178,9 @@ class SemiRecursiveEngine:
         if parameters:
             w, P, E = self._by_row(len(x), w, parameters)
         n = max(1, math.ceil(dt / self.step - 1e-6))
-        out, status, row, halved = kernel.propagate_batch(x, w[0], w[1], float(time), float(dt), n, P, E, self.accuracy)
+        out, status, row, halved = kernel.propagate_batch(
+            x, w[0], w[1], float(time), float(dt), n, P, E, self._topology, self.accuracy
+        )
         self.halved += halved
         if status != kernel.OK:
             raise faulty_laws.where_run_failed(
@@ -137,7 +191,7 @@ class SemiRecursiveEngine:
     def _by_row(
         self, rows: int, w: np.ndarray, parameters: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return inputs (2, rows, 12), P (rows, .) and E (rows, .) with what differs from row to row."""
+        """Return inputs with disturbances (2, rows, .), P (rows, .) and E (rows, .) with what differs from row to row."""
         wide = np.zeros((2, rows, len(self._layout.all_inputs)))
         wide[:, :, self._layout.driving] = w
         P, E = np.tile(self._P, (rows, 1)), np.tile(self._E, (rows, 1))
@@ -152,13 +206,13 @@ class SemiRecursiveEngine:
     def _column(self, name: str) -> tuple[str, int]:
         """Return where a quantity that may differ from row to row stands: "w", "P" or "E", and the column."""
         if name not in self._columns:
-            self._columns[name] = _find_column(self._layout, name)
+            self._columns[name] = _find_column(self.crane.machine, name)
         return self._columns[name]
 
     def simulate(
         self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float | None = None
     ) -> np.ndarray:
-        """Return states (N, nx) at `time` (N,) s, from x0 (nx,), with inputs (N, 4) linear between.
+        """Return states (N, nx) at `time` (N,) s, from x0 (nx,), with inputs (N, m) linear between.
 
         Raises:
             CraneError: wrong shapes, a step that does not converge, or a cylinder that reaches the end of its stroke.
@@ -166,7 +220,7 @@ class SemiRecursiveEngine:
         x, t, w = (np.ascontiguousarray(a, dtype=float) for a in (x0, time, inputs))
         self._check_run(x, t, w)
         h = self.step if step is None else float(step)
-        X, status, k, halved = kernel.simulate(x, w, t, h, self._P, self._E, self.accuracy)
+        X, status, k, halved = kernel.simulate(x, w, t, h, self._P, self._E, self._topology, self.accuracy)
         self.halved += halved
         self._refuse_stroke_end(X[: k + 1] if status != kernel.OK else X, t)
         if status != kernel.OK:
@@ -177,14 +231,16 @@ class SemiRecursiveEngine:
         return X
 
     def terms(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
-        """Return every term of the balances by name at a state (nx,) and inputs w (4,); SI."""
+        """Return every term of the balances by name at a state (nx,) and inputs w (m,); SI."""
         values = self.terms_along(np.asarray(state)[None], np.asarray(w)[None], np.array([time]))
         return {name: float(v[0]) for name, v in values.items()}
 
     def terms_along(self, states: np.ndarray, inputs: np.ndarray, time: np.ndarray) -> dict[str, np.ndarray]:
-        """Return every term by name along states (N, nx), inputs (N, 4) and times (N,)."""
+        """Return every term by name along states (N, nx), inputs (N, m) and times (N,)."""
         x, w, t = (np.ascontiguousarray(a, dtype=float) for a in (states, inputs, time))
-        return dict(zip(TERM_NAMES, terms(x, w, t, self._P, self._E).T, strict=True))
+        names = term_names(self.crane.machine)
+        values = terms(x, w, t, self._P, self._E, self._topology, point_rows(self.crane.machine), len(names))
+        return dict(zip(names, values.T, strict=True))
 
     # -- refusals --------------------------------------------------------------------------------------------------
 
@@ -211,10 +267,8 @@ class SemiRecursiveEngine:
             )
 
     def _refuse_stroke_end(self, states: np.ndarray, time: np.ndarray) -> None:
-        lengths = _chamber_lengths(np.ascontiguousarray(states), self._P, self._E)
-        for c, name in enumerate(self._layout.cylinders):
-            if self.crane.effect(f"end_stop@{name}") is not None:
-                lengths[:, self._layout.chambers_of(c)] = 1.0
+        lengths = _chamber_lengths(np.ascontiguousarray(states), self._P, self._E, self._topology)
+        lengths[:, self._stopped] = 1.0
         if not (lengths < 0.0).any():
             return
         k, chamber = np.argwhere(lengths < 0.0)[0]
@@ -227,7 +281,7 @@ class SemiRecursiveEngine:
     def _failure(self, status: int, x: np.ndarray, time: float, h: float, where: str) -> str:
         if not np.all(np.isfinite(x)):
             return f"Semi-recursive engine: at t = {time:.4f} s ({where}) the state is not finite: {self._told(x)}."
-        lengths = _chamber_lengths(x[None], self._P, self._E)[0]
+        lengths = _chamber_lengths(x[None], self._P, self._E, self._topology)[0]
         if np.isnan(lengths).any():
             return self._unreachable(x) + f" It was met at t = {time:.4f} s ({where})."
         chamber = int(np.argmin(lengths))
@@ -235,19 +289,49 @@ class SemiRecursiveEngine:
         return (
             f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) {what}, neither with {h:g} s nor "
             f"halved up to {MOST_HALVINGS} times. State: {self._told(x)}. Shortest chamber: "
-            f"{self._chamber(chamber)}, {1e3 * lengths[chamber]:.1f} mm. Look for a pose near the limit of the "
-            "loop A-B-C-D, a chamber near its end, or parameters out of proportion."
+            f"{self._chamber(chamber)}, {1e3 * lengths[chamber]:.1f} mm. Look for "
+            f"{self._near_limits()}a chamber near its end, or parameters out of proportion."
         )
 
+    def _near_limits(self) -> str:
+        loops = " or ".join(_around(self.crane.machine, joint) for joint in self.crane.machine.loops)
+        return f"a pose near the limit of the loop {loops}, " if loops else ""
+
     def _unreachable(self, x: np.ndarray) -> str:
-        pose = listed(self._layout.coordinates, np.degrees(x[self._layout.positions]), "{:.2f} deg")
-        return f"Semi-recursive engine: the loop A-B-C-D of {self.crane.name} cannot be closed at {pose}: D is out of reach of the brackets. Mend z4 or the joints B, C, D."
+        machine, terms = self.crane.machine, self.terms(x, np.array(self._layout.closed))
+        for joint in machine.loops:
+            inner, outer = machine.carriers[machine.carriers[joint.carrier].carrier], machine.carriers[joint.carrier]
+            if math.isnan(terms[f"phi_{joint.carrier}"]):
+                return (
+                    f"Semi-recursive engine: the loop {_around(machine, joint)} of {self.crane.name} cannot be closed at {self._pose(x)}: "
+                    f"{joint.name} is out of reach of {inner.body} and {outer.body}. "
+                    f"Mend the pose or the joints {inner.name}, {outer.name}, {joint.name}."
+                )
+        return f"Semi-recursive engine: the forces of {self.crane.name} at {self._pose(x)} are not finite."
 
     def _chamber(self, k: int) -> str:
         return self._layout.side_of(self._layout.chambers[k])
 
+    def _pose(self, x: np.ndarray, form: str = ".2f") -> str:
+        names, slides = (
+            self._layout.coordinates,
+            [self._layout.unit_of(name) == "m" for name in self._layout.coordinates],
+        )
+        values = zip(names, slides, x[self._layout.positions], strict=True)
+        return ", ".join(
+            f"{n} = {v:{form}} m" if slide else f"{n} = {math.degrees(v):{form}} deg" for n, slide, v in values
+        )
+
     def _told(self, x: np.ndarray) -> str:
         lay = self._layout
-        angles = listed(lay.coordinates, np.degrees(x[lay.positions]), "{:.3f} deg")
-        rates = listed(lay.rates, x[lay.velocities], "{:.4g} rad/s")
-        return f"{angles}, {rates}, {listed(lay.chambers, x[lay.pressures] / 1e5, '{:.2f} bar')}"
+        rates = zip(lay.rates, x[lay.velocities], strict=True)
+        told = ", ".join(f"{name} = {value:.4g} {lay.unit_of(name)}" for name, value in rates)
+        return f"{self._pose(x, '.3f')}, {told}, {listed(lay.chambers, x[lay.pressures] / 1e5, '{:.2f} bar')}"
+
+
+def _around(machine: Machine, closing: Joint) -> str:
+    """Return the joints of a loop in their order, such as "A-B-C-D", the closing one last."""
+    there, here = machine.path(closing.carrier), machine.path(closing.body)
+    common = sum(a == b for a, b in zip(there, here, strict=False))
+    bodies = (*reversed(here[common:]), *there[common:])
+    return "-".join([*(machine.carriers[b].name for b in bodies), closing.name])

@@ -1,16 +1,17 @@
-"""The crane's equations by the double-step semi-recursive method and lumped fluids, compiled.
+"""A machine's equations by the double-step semi-recursive method and lumped fluids, compiled.
 
-Written from the paper, (1)-(20) and (34)-(41), for planar bodies. A point or a force in the plane is one complex number x + iy,
-so that turning a vector by an angle is a product with exp(i angle). Products needed below, for vectors a and b:
+Written from the paper, (1)-(20) and (34)-(41), for planar bodies: a tree of turning and sliding joints, loops cut at a joint. A point or
+a force in the plane is one complex number x + iy, so that turning a vector by an angle is a product with exp(i angle). Products
+needed below, for vectors a and b:
 
     dot(a, b) = a.b        cross(a, b) = a x b (its component along the axis of rotation)
 
-Coordinates z = [z1 z2 z3 z4] of the open-loop tree, the loop A-B-C-D being cut at D:
+Every body has one joint, to its carrier. The path matrix T (row j: the joints between the ground and body j) is applied without
+storing it: from the ground up the tree (positions, Z_j, d_j), or down to the ground (forces, inertias). For the PATU, whose
+loop A-B-C-D is cut at D,
 
     pillar --O, z1-- lift boom (1) --B, z2-- bracket 1 (2) --C, z3-- bracket 2 (3)
                               \\--A, z4-- outer boom with payload (4)
-
-Path matrix T (row j: the joints between the ground and body j), which `down` and `up` below apply without storing it:
 
         | 1 0 0 0 |
     T = | 1 1 0 0 |     times 3 x 3 identity matrices
@@ -19,7 +20,9 @@ Path matrix T (row j: the joints between the ground and body j), which `down` an
 
 The reference point of every body is the point that at this instant coincides with the origin, so its velocity is
 Z_j = (s', Omega): two translations (one complex number) and a rotation. Signs: angles counter-clockwise positive, cylinder
-forces and rates positive in extension, flows Q1, Q3 into and Q2, Q4 out of their chamber.
+forces and rates positive in extension, flows Qa into the piston side, Qb out of the rod side.
+
+One code is for all machines: `Machine.topology` says what is joined to what, and all terms of one state stand in a `Sheet`.
 """
 
 from __future__ import annotations
@@ -27,92 +30,112 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from crane_exudyn import compiled
 from crane_exudyn import parameters as par
 from crane_exudyn.effects import hooks
+from crane_exudyn.machine import (
+    BASE,
+    BASE_BODY,
+    BODIES,
+    CARRIER,
+    COORDINATE,
+    CUT_PIN,
+    CYLINDERS,
+    DEPENDENT,
+    DIRECTION,
+    FIRST_OF_LOOP,
+    KIND,
+    LAST,
+    LAST_PIN,
+    LOADED,
+    LOOPS,
+    NUMBERS,
+    OWN_PIN,
+    PIN,
+    ROD_BODY,
+    ROD_END,
+    SECOND_OF_LOOP,
+    SIDE,
+    SLIDES,
+    TIP_BODY,
+    TIP_POINT,
+)
 
 
 def njit(function=None, **options):
-    """Compile a part of `rhs`: it is cached within what calls it, not on its own."""
-    return compiled.njit(function, cache=False, **options) if function else lambda f: njit(f, **options)
+    """Compile a part of a term or a step: it is cached within what calls it, not on its own.
+
+    It makes no arrays, so it need not count references to those it is given: that would take most of its time.
+    """
+    return compiled.njit(function, cache=False, _nrt=False, **options) if function else lambda f: njit(f, **options)
+
+
+#: a part that becomes one with what calls it
+part = njit(forceinline=True)
 
 
 # Places in P. They stand here as plain integers because compiled code reads globals as constants.
-BODY, N_BODY = par.BODY, par.N_BODY
-PAYLOAD, POINT, CYLINDER, N_CYLINDER = par.PAYLOAD, par.POINT, par.CYLINDER, par.N_CYLINDER
-VALVE, N_VALVE, FLUID, SUPPLY, GRAVITY = par.VALVE, par.N_VALVE, par.FLUID, par.SUPPLY, par.GRAVITY
-P_O, P_F, P_G, P_H, P_B, P_A, P_C, P_D_BRACKET, P_D, P_E = range(POINT, POINT + 2 * len(par.POINT_NAMES), 2)
-BORE, ROD, EMPTY, RANGE, HOSE_A, HOSE_B, COULOMB, STATIC, STRIBECK, VISCOUS = range(N_CYLINDER)
+PAYLOAD, FLUID, SUPPLY, GRAVITY = par.PAYLOAD, par.FLUID, par.SUPPLY, par.GRAVITY
+CYLINDER, N_CYLINDER, VALVE, N_VALVE = par.CYLINDER, par.N_CYLINDER, par.VALVE, par.N_VALVE
+BORE, ROD, EMPTY, RANGE, HOSE_A, HOSE_B, COULOMB, STATIC, STRIBECK, VISCOUS = range(VALVE - CYLINDER)
+PUMP_TO_A, PUMP_TO_B, A_TO_TANK, B_TO_TANK = range(N_VALVE - (VALVE - CYLINDER) - 4, N_VALVE - (VALVE - CYLINDER))
 OIL, STEEL, HOSE, VAPOUR, LAMINAR = range(FLUID, FLUID + 5)
 AIR, REFERENCE = SUPPLY + 2, SUPPLY + 3
 TANH4 = math.tanh(4.0)
 
-
-class Pose(NamedTuple):
-    """Positions of the joints and the orientations e_j = exp(i angle) of the four bodies."""
-
-    O: complex
-    F: complex
-    G: complex
-    H: complex
-    B: complex
-    A: complex
-    C: complex
-    D_bracket: complex
-    D: complex
-    E: complex
-    e1: complex
-    e2: complex
-    e3: complex
-    e4: complex
-
-
-class Motion(NamedTuple):
-    """Joint rates, loop Jacobian and velocity products of the tree."""
-
-    R2: float  # R_z: dz2/dz4
-    R3: float  # dz3/dz4
-    dz2: float
-    dz3: float
-    v1: complex  # Z_j = (v_j, w_j)
-    w1: float
-    v2: complex
-    w2: float
-    v3: complex
-    w3: float
-    v4: complex
-    w4: float
-    d1: complex  # (T R_d)' z', its translations (its rotations vanish in the plane)
-    d2: complex
-    d3: complex
-    d4: complex
-    a2: float  # R_z' z_i': accelerations of z2 and z3 while z1 and z4 have none
-    a3: float
+# -- the sheet: row k of `vectors` and `numbers` belongs to row k of the topology. Row 0 is the ground, and what is not a body's.
+# a body: its orientation exp(i angle), the origin of its frame, its joint's pin (or direction, where it slides), v and d of Z_j and (3), m g of
+# the bodies that its joint carries, and the force on them
+TURN, FRAME, AXIS, SPEED, PRODUCT, MOMENT, FORCE = range(7)
+# row 0: ground, with the payload's point
+TIP_AT = 2
+# a loop: where it is cut, and Phi_z' z' of dependent joints on its paths
+CUT, NESTED = range(2)
+# a cylinder: its pins and its direction
+BASE_AT, ROD_AT, ALONG = range(3)
+# a body: w of Z_j, its joint's rate, mass and moment of inertia that its joint carries, moment of the force, and R_z' z_i'
+OMEGA, RATE, MASS, INERTIA, COUPLE, FOLLOWED = range(6)
+# a cylinder: length and rate of the line between its pins, opening of its valve, flows over the edges to pump and tank, length and rate of the
+# piston-side chamber, flows of valve and leakages, friction, force, rates of the amounts, and the Oil of both sides
+LENGTH, SPEED_S, OPENING, DRAWN, RETURNED, LA, SPEED_LA, QA, QB, LEAK_A, LEAK_B, FMU, F, GA, GB = range(15)
+OIL_A, OIL_B = 15, 21
+PRESSURE, AMOUNT, BY_PRESSURE, BY_VOLUME, DENSITY = range(1, 6)
+# row 0: pressures at the valves' ports, length of a pendulum, what accelerates it without the coordinates' accelerations, and its angle's acceleration
+PUMP, TANK, PENDULUM, OWN, SWINGING = range(6, 11)
+# every row, from here on: what it is by each independent coordinate. A body: its row of R_z, and behind it of M R_z; a cylinder: generalised
+# force of a unit force; two rows behind all others: the velocity of the payload's point
+BY = 27
+# rows of `general`, numbers by independent coordinate
+WEIGHT, VELOCITY, HYDRAULIC, JOINTS, ACCELERATION, PIVOT, ACROSS, DOWN = range(8)
+MATRIX = 8
 
 
-class Inertia(NamedTuple):
-    """M of a planar body about the origin (7): mass, first moment m g, second moment J + m |g|^2."""
+class Sheet(NamedTuple):
+    """A machine, and room for all terms of one state of it.
 
-    m: float
-    mg: complex
-    J: float
+    Attributes:
+        topology: of the machine.
+        vectors, numbers: terms of the ground, the bodies, loops and cylinders, a row each.
+        general: generalised forces and accelerations, and below them the mass matrix M, its factors above the diagonal.
+    """
 
-
-class Line(NamedTuple):
-    """A cylinder as a line between two pins: length, rate, direction."""
-
-    s: float
-    v: float
-    u: complex
+    topology: np.ndarray
+    vectors: np.ndarray
+    numbers: np.ndarray
+    general: np.ndarray
 
 
 class Fluid(NamedTuple):
-    """Numbers of the crane that all chambers share."""
+    """Numbers of the machine that all chambers share."""
 
     soft: float  # 1/B = 1/Bo + 1/Bc
     wall: float  # 1/Bh - 1/Bc
     least: float  # vapour pressure, and
-    zero: float  # what is to be added for an absolute pressure, as the crane's gauges read them
+    zero: float  # what is to be added for an absolute pressure, as the machine's gauges read them
+    share: float  # free gas at vapour pressure, and
+    gas: float  # its compliance
 
 
 class Oil(NamedTuple):
@@ -134,280 +157,497 @@ class Chambers(NamedTuple):
     b: Oil
 
 
-class Cylinder(NamedTuple):
-    """Everything hydraulic about one cylinder. a: piston side, b: rod side."""
-
-    la: float
-    lb: float
-    Qa: float
-    Qb: float
-    leak_a: float
-    leak_b: float
-    Fmu: float
-    F: float
-    a: Oil
-    b: Oil
-    Ga: float  # rates of the amounts of oil
-    Gb: float
-    v: float
+@compiled.njit(cache=False)
+def sheet(topology):
+    """Return an empty Sheet of a machine."""
+    rows, n = topology.shape[0], topology[0, CYLINDERS]
+    return Sheet(
+        topology, np.zeros((rows, 7), np.complex128), np.zeros((rows + 2, BY + 2 * n)), np.zeros((MATRIX + n, n))
+    )  # fmt: skip
 
 
-@njit(inline="always")
+# ------------------------------------------------------------------------------------------------ vectors
+
+
+@part
 def dot(a, b):
     return a.real * b.real + a.imag * b.imag
 
 
-@njit(inline="always")
+@part
 def cross(a, b):
     return a.real * b.imag - a.imag * b.real
 
 
-@njit(inline="always")
+@part
 def square(a):
     return a.real * a.real + a.imag * a.imag
 
 
-@njit(inline="always")
+@part
+def turned(a):
+    """i a, without a product."""
+    return complex(-a.imag, a.real)
+
+
+@part
 def point(P, k):
-    return complex(P[k], P[k + 1])
+    """Return the point at k in P; the origin of its frame where k is -1."""
+    return complex(P[k], P[k + 1]) if k >= 0 else complex(0.0, 0.0)
 
 
-@njit(inline="always")
+@part
 def turn(angle):
     return complex(math.cos(angle), math.sin(angle))
+
+
+@part
+def placed(body, k, P, s):
+    """Return where the point at k in P of a body is."""
+    return s.vectors[body, FRAME] + s.vectors[body, TURN] * point(P, k)
+
+
+@part
+def moved(body, r, s):
+    """Return the velocity of the point at r of a body with Z = (v, w)."""
+    return s.vectors[body, SPEED] + s.numbers[body, OMEGA] * turned(r)
+
+
+# ------------------------------------------------------------------------------------------------- joints
+
+
+@part
+def carrier(j, s):
+    return s.topology[j, CARRIER] + 1
+
+
+@part
+def lever(j, r, s):
+    """Return the velocity of a point at r per rate of joint j; at the origin it is the translation of b_j (2)."""
+    axis = s.vectors[j, AXIS]
+    return axis if s.topology[j, KIND] == SLIDES else turned(r - axis)
+
+
+@part
+def joint_force(j, f, n, s):
+    """R_d^T: generalised force on joint j of a force f with moment n about the origin."""
+    axis = s.vectors[j, AXIS]
+    return dot(axis, f) if s.topology[j, KIND] == SLIDES else n - cross(axis, f)
+
+
+@part
+def add_rate(row, column, j, amount, s):
+    """Add an amount per rate of joint j to the numbers of a row by independent coordinate: R_z (11)."""
+    i = s.topology[j, COORDINATE]
+    if i >= 0:
+        s.numbers[row, column + i] += amount
+    else:
+        for i in range(s.topology[0, CYLINDERS]):
+            s.numbers[row, column + i] += amount * s.numbers[j, BY + i]
+
+
+@part
+def clear(row, s):
+    for i in range(s.topology[0, CYLINDERS]):
+        s.numbers[row, BY + i] = 0.0
 
 
 # ---------------------------------------------------------------------------------------------- positions
 
 
-@njit
-def third_corner(B, D, BC, CD):
-    """Return C left of the line from B to D, at the distances BC and CD from them; NaN if the loop cannot be closed."""
+@part
+def third_corner(B, D, BC, CD, side):
+    """Return C left (side 1) or right (-1) of the line from B to D, at the distances of BC and CD; NaN if the loop cannot be closed."""
     along = D - B
     d2 = square(along)
     share = 0.5 * (square(BC) - square(CD) + d2) / d2
     height2 = square(BC) / d2 - share * share
-    return B + along * complex(share, math.sqrt(height2) if height2 >= 0.0 else math.nan)
+    return B + along * complex(share, side * math.sqrt(height2) if height2 >= 0.0 else math.nan)
+
+
+@part
+def loop_of(first, s):
+    """Return the row of the loop whose first dependent body is in a row."""
+    k = 1 + s.topology[0, BODIES]
+    while s.topology[k, DEPENDENT] + 1 != first:
+        k += 1
+    return k
+
+
+@part
+def close_loop(a, P, s):
+    """Place the two dependent bodies of a loop, a and the next, between its first pin and where it is cut."""
+    b, k = a + 1, loop_of(a, s)
+    own_a, own_b = point(P, s.topology[a, OWN_PIN]), point(P, s.topology[b, OWN_PIN])
+    B = placed(carrier(a, s), s.topology[a, PIN], P, s)
+    D = placed(s.topology[k, LAST] + 1, s.topology[k, LAST_PIN], P, s)
+    BC, CD = point(P, s.topology[b, PIN]) - own_a, point(P, s.topology[k, CUT_PIN]) - own_b
+    C = third_corner(B, D, BC, CD, s.topology[k, SIDE])
+    s.vectors[k, CUT], s.vectors[a, AXIS], s.vectors[b, AXIS] = D, B, C
+    s.vectors[a, TURN] = (C - B) * BC.conjugate() / square(BC)
+    s.vectors[b, TURN] = (D - C) * CD.conjugate() / square(CD)
+    s.vectors[a, FRAME] = B - s.vectors[a, TURN] * own_a
+    s.vectors[b, FRAME] = C - s.vectors[b, TURN] * own_b
+
+
+@part
+def place_joint(j, q, P, s):
+    """Place a body whose joint has the coordinate q."""
+    c = carrier(j, s)
+    e, r = s.vectors[c, TURN], placed(c, s.topology[j, PIN], P, s)
+    if s.topology[j, KIND] == SLIDES:
+        s.vectors[j, AXIS] = e * turn(P[s.topology[j, DIRECTION]])
+        r += q * s.vectors[j, AXIS]
+    else:
+        s.vectors[j, AXIS] = r
+        e *= turn(q)
+    s.vectors[j, TURN], s.vectors[j, FRAME] = e, r - e * point(P, s.topology[j, OWN_PIN])
+
+
+@part
+def place_lines(P, s):
+    """Write pins, directions and lengths of the cylinders (35)."""
+    first = 1 + s.topology[0, BODIES] + s.topology[0, LOOPS]
+    for k in range(first, first + s.topology[0, CYLINDERS]):
+        base = placed(s.topology[k, BASE_BODY] + 1, s.topology[k, BASE], P, s)
+        end = placed(s.topology[k, ROD_BODY] + 1, s.topology[k, ROD_END], P, s)
+        length = math.sqrt(square(end - base))
+        s.vectors[k, BASE_AT], s.vectors[k, ROD_AT], s.vectors[k, ALONG] = base, end, (end - base) / length
+        s.numbers[k, LENGTH] = length
 
 
 @njit
-def positions(z1, z4, P):
-    """Return the Pose at the independent coordinates z1, z4 (rad), the loop A-B-C-D being closed."""
-    e1 = turn(z1)
-    e4 = e1 * turn(z4)
-    O = point(P, P_O)
-    A = O + e1 * point(P, P_A)
-    B = O + e1 * point(P, P_B)
-    D = A + e4 * point(P, P_D)
-    BC, CD = point(P, P_C), point(P, P_D_BRACKET)
-    C = third_corner(B, D, BC, CD)
-    e2 = (C - B) * BC.conjugate() / square(BC)
-    e3 = (D - C) * CD.conjugate() / square(CD)
-    G, H, E = O + e1 * point(P, P_G), O + e1 * point(P, P_H), A + e4 * point(P, P_E)
-    return Pose(O, point(P, P_F), G, H, B, A, C, C + e3 * CD, D, E, e1, e2, e3, e4)
+def place(x, P, s):
+    """Write the positions of all bodies and cylinders at a state x, loops being closed."""
+    s.vectors[0, TURN], s.vectors[0, FRAME] = 1.0, 0.0
+    for j in range(1, 1 + s.topology[0, BODIES]):
+        kind = s.topology[j, KIND]
+        if kind == FIRST_OF_LOOP:
+            close_loop(j, P, s)
+        elif kind != SECOND_OF_LOOP:
+            place_joint(j, x[s.topology[j, COORDINATE]], P, s)
+    place_lines(P, s)
 
 
 # --------------------------------------------------------------------------------------------- velocities
 
 
-@njit(inline="always")
-def b_of(r):
-    """Translation of b_j (2) of a revolute joint at r; its rotation is 1."""
-    return complex(r.imag, -r.real)
-
-
-@njit(inline="always")
-def point_velocity(v, w, r):
-    """Velocity of the point at r on a body with Z = (v, w)."""
-    return v + complex(-w * r.imag, w * r.real)
-
-
-@njit(inline="always")
+@part
 def solve_joints(first, second, r):
     """Return x, y with x (i first) + y (i second) = i r, for the columns i first, i second of Phi_z^d."""
     determinant = cross(first, second)
     return cross(r, second) / determinant, cross(first, r) / determinant
 
 
-@njit
-def motion(z, dz1, dz4):
-    """Return rates, Z_j (2), velocity products (3) and the partition of Phi_z (10) at a Pose and the independent rates.
+@part
+def add_column(a, k, j, sign, s):
+    """Add what joint j, on a path of the loop in row k, contributes to R_z of the dependent bodies a and the next, and to Phi_z' z'."""
+    D = s.vectors[k, CUT]
+    column = sign * lever(j, D, s)
+    x, y = solve_joints(D - s.vectors[a, AXIS], D - s.vectors[a + 1, AXIS], turned(column))  # i r = -column
+    add_rate(a, BY, j, x, s)
+    add_rate(a + 1, BY, j, y, s)
+    if s.topology[j, COORDINATE] < 0:
+        s.vectors[k, NESTED] += s.numbers[j, FOLLOWED] * column
 
-    Phi(z) is D reached over the brackets minus D reached over the outer boom, so the columns of Phi_z are
-    i (D - B) for z2, i (D - C) for z3 (together Phi_z^d), and 0 for z1, -i (D - A) for z4 (together Phi_z^i).
+
+@part
+def partition(a, s):
+    """Write the rows of R_z of the dependent bodies a and the next by the partition of Phi_z (10), -Phi_z^d \\ Phi_z^i.
+
+    Phi(z) is the cut pin reached over the dependent bodies minus the same reached over the body that the loop ends on. Its columns
+    are i (D - B), i (D - C) for the dependent joints at B and C (together Phi_z^d), and the levers of D for the other joints (Phi_z^i):
+    positive on the path to B, negative on the other path; those on both cancel out.
     """
-    R2, R3 = solve_joints(z.D - z.B, z.D - z.C, z.D - z.A)
-    dz2, dz3 = R2 * dz4, R3 * dz4
-    w1, w2, w3, w4 = dz1, dz1 + dz2, dz1 + dz2 + dz3, dz1 + dz4
-    v1 = b_of(z.O) * dz1
-    v2 = v1 + b_of(z.B) * dz2
-    v3 = v2 + b_of(z.C) * dz3
-    v4 = v1 + b_of(z.A) * dz4
-    dB, dA = point_velocity(v1, w1, z.B), point_velocity(v1, w1, z.A)
-    dC, dD = point_velocity(v2, w2, z.C), point_velocity(v4, w4, z.D)
-    # d_j of (3) for a joint at r: both bodies give r the same acceleration, d - w^2 r
-    d1 = w1 * w1 * z.O
-    d2 = d1 + (w2 * w2 - w1 * w1) * z.B
-    d3 = d2 + (w3 * w3 - w2 * w2) * z.C
-    d4 = d1 + (w4 * w4 - w1 * w1) * z.A
-    # Phi_z' z' = i [(D-B)' z2' + (D-C)' z3' - (D-A)' z4'], and Phi_z^d a = -Phi_z' z'
-    a2, a3 = solve_joints(z.D - z.B, z.D - z.C, -((dD - dB) * dz2 + (dD - dC) * dz3 - (dD - dA) * dz4))
-    return Motion(R2, R3, dz2, dz3, v1, w1, v2, w2, v3, w3, v4, w4, d1, d2, d3, d4, a2, a3)
+    k = loop_of(a, s)
+    clear(a, s)
+    clear(a + 1, s)
+    s.vectors[k, NESTED] = 0.0
+    p, q = carrier(a, s), s.topology[k, LAST] + 1
+    while p != q:
+        if p > q:
+            add_column(a, k, p, 1.0, s)
+            p = carrier(p, s)
+        else:
+            add_column(a, k, q, -1.0, s)
+            q = carrier(q, s)
 
 
-@njit
-def line(base, base_velocity, end, end_velocity):
-    """Return length, rate and direction of the line from base to end, (35) and (36)."""
-    along = end - base
-    s = math.sqrt(square(along))
-    u = along / s
-    return Line(s, dot(end_velocity - base_velocity, u), u)
+@part
+def follow(b, s):
+    """Write R_z' z_i' of the dependent bodies b and the one before: their accelerations while independent coordinates have none.
+
+    Phi_z^d a = -Phi_z' z', and Phi_z' z' is by how much the velocity products let the pin run apart.
+    """
+    a, k = b - 1, loop_of(b - 1, s)
+    last, D = s.topology[k, LAST] + 1, s.vectors[k, CUT]
+    w, w_last = s.numbers[b, OMEGA], s.numbers[last, OMEGA]
+    apart = s.vectors[b, PRODUCT] - s.vectors[last, PRODUCT] - (w * w - w_last * w_last) * D + s.vectors[k, NESTED]
+    s.numbers[a, FOLLOWED], s.numbers[b, FOLLOWED] = solve_joints(
+        D - s.vectors[a, AXIS], D - s.vectors[b, AXIS], turned(apart)
+    )
 
 
-@njit
-def lines(z, m):
-    """Return the Lines of the lift and the tilt cylinder."""
-    lift = line(z.F, complex(0.0, 0.0), z.G, point_velocity(m.v1, m.w1, z.G))
-    tilt = line(z.H, point_velocity(m.v1, m.w1, z.H), z.C, point_velocity(m.v2, m.w2, z.C))
-    return lift, tilt
+@part
+def joint_rate(j, x, s):
+    """Return the rate of joint j: R_z z_i'."""
+    n, i = s.topology[0, CYLINDERS], s.topology[j, COORDINATE]
+    if i >= 0:
+        return x[n + i]
+    rate = 0.0
+    for i in range(n):
+        rate += s.numbers[j, BY + i] * x[n + i]
+    return rate
+
+
+@part
+def move_joint(j, rate, s):
+    """Write Z_j (2) and the velocity product d_j (3), (T R_d)' z', of a body whose joint has a rate.
+
+    A pin has the same acceleration d - w^2 r on both its bodies; along a slide there is Coriolis' instead. Its rotation vanishes.
+    """
+    c = carrier(j, s)
+    w, axis = s.numbers[c, OMEGA], s.vectors[j, AXIS]
+    s.vectors[j, SPEED] = s.vectors[c, SPEED] + rate * lever(j, 0j, s)
+    if s.topology[j, KIND] == SLIDES:
+        s.numbers[j, OMEGA] = w
+        s.vectors[j, PRODUCT] = s.vectors[c, PRODUCT] + 2.0 * w * rate * turned(axis)
+    else:
+        turning = w + rate
+        s.numbers[j, OMEGA] = turning
+        s.vectors[j, PRODUCT] = s.vectors[c, PRODUCT] + (turning * turning - w * w) * axis
+    s.numbers[j, RATE] = rate
+
+
+@part
+def move(x, s):
+    """Write the motions of all bodies at a state x that is placed."""
+    for j in range(1, 1 + s.topology[0, BODIES]):
+        kind = s.topology[j, KIND]
+        if kind == FIRST_OF_LOOP:
+            partition(j, s)
+        move_joint(j, joint_rate(j, x, s), s)
+        if kind == SECOND_OF_LOOP:
+            follow(j, s)
+
+
+@part
+def add_unit_force(k, j, sign, n, s):
+    add_rate(k, BY, j, sign * joint_force(j, s.vectors[k, ALONG], n, s), s)
+
+
+@part
+def move_lines(s):
+    """Write the rates of the cylinders (36), and R_z^T R_d^T T^T of unit forces that push their pins apart."""
+    first = 1 + s.topology[0, BODIES] + s.topology[0, LOOPS]
+    for k in range(first, first + s.topology[0, CYLINDERS]):
+        p, q = s.topology[k, ROD_BODY] + 1, s.topology[k, BASE_BODY] + 1
+        base, end, u = s.vectors[k, BASE_AT], s.vectors[k, ROD_AT], s.vectors[k, ALONG]
+        s.numbers[k, SPEED_S] = dot(moved(p, end, s) - moved(q, base, s), u)
+        clear(k, s)
+        n = cross(base, u)
+        while p != q:  # joints that carry both bodies feel nothing
+            if p > q:
+                add_unit_force(k, p, 1.0, n, s)
+                p = carrier(p, s)
+            else:
+                add_unit_force(k, q, -1.0, n, s)
+                q = carrier(q, s)
+
+
+@part
+def move_tip(s):
+    """Write the velocity of the payload's point by independent coordinate; return what accelerates it while these have no acceleration."""
+    tip, row, E = s.topology[0, TIP_BODY] + 1, s.topology.shape[0], s.vectors[0, TIP_AT]
+    clear(row, s)
+    clear(row + 1, s)
+    w = s.numbers[tip, OMEGA]
+    product = s.vectors[tip, PRODUCT] - w * w * E
+    j = tip
+    while j > 0:
+        arm = lever(j, E, s)
+        add_rate(row, BY, j, arm.real, s)
+        add_rate(row + 1, BY, j, arm.imag, s)
+        if s.topology[j, COORDINATE] < 0:
+            product += s.numbers[j, FOLLOWED] * arm
+        j = carrier(j, s)
+    return product
 
 
 # -------------------------------------------------------------------------------------- the tree's dynamics
 
 
-@njit(inline="always")
-def body_inertia(P, k, r, e):
-    """M of body k (0..3) whose joint is at r, oriented along e (7)."""
-    i = BODY + N_BODY * k
-    g = r + e * point(P, i + 1)
-    return Inertia(P[i], P[i] * g, P[i + 3] + P[i] * square(g))
+@part
+def weigh(j, mass, P, s):
+    """Write M of a body about the origin (7), mass, first moment m g and second moment J + m |g|^2, and Q - M d of it.
 
-
-@njit(inline="always")
-def joined(M, N):
-    """M of two bodies that move as one."""
-    return Inertia(M.m + N.m, M.mg + N.mg, M.J + N.J)
-
-
-@njit(inline="always")
-def velocity_force(M, w, d):
-    """Q - M d of one body: the centrifugal force w^2 m g of (8) less the inertia of the velocity products (9).
-
-    The centrifugal force passes through the origin, so it has no moment there.
+    Q is the centrifugal force w^2 m g of (8), which passes through the origin, and M d the inertia of the velocity products (9).
+    The payload, a block of the file's width and height, is a part of the body that carries it.
     """
-    return w * w * M.mg - M.m * d, -cross(M.mg, d)
+    k = s.topology[j, NUMBERS]
+    m, g = P[k], s.vectors[j, FRAME] + s.vectors[j, TURN] * point(P, k + 1)
+    mg, J = m * g, P[k + 3] + m * square(g)
+    if j == s.topology[0, TIP_BODY] + 1:
+        E = s.vectors[0, TIP_AT]
+        J += mass * (P[PAYLOAD + 1] * P[PAYLOAD + 1] + P[PAYLOAD + 2] * P[PAYLOAD + 2]) / 12.0 + mass * square(E)
+        m, mg = m + mass, mg + mass * E
+    w, d = s.numbers[j, OMEGA], s.vectors[j, PRODUCT]
+    s.numbers[j, MASS], s.vectors[j, MOMENT], s.numbers[j, INERTIA] = m, mg, J
+    s.vectors[j, FORCE], s.numbers[j, COUPLE] = w * w * mg - m * d, -cross(mg, d)
 
 
-@njit(inline="always")
-def joint_force(r, f, n):
-    """R_d^T: generalised force on a revolute joint at r of a force f with moment n about the origin."""
-    return n - cross(r, f)
+@part
+def collect(j, s):
+    """Add what joint j carries to what the joint of its carrier carries: T^T."""
+    c = carrier(j, s)
+    if c > 0:
+        s.numbers[c, MASS] += s.numbers[j, MASS]
+        s.vectors[c, MOMENT] += s.vectors[j, MOMENT]
+        s.numbers[c, INERTIA] += s.numbers[j, INERTIA]
+        s.vectors[c, FORCE] += s.vectors[j, FORCE]
+        s.numbers[c, COUPLE] += s.numbers[j, COUPLE]
 
 
-@njit(inline="always")
-def joint_inertia(r, M, q):
-    """b(r)^T M b(q): entry of the tree's mass matrix for joints at r and q that both carry the bodies in M."""
-    v = b_of(q)
-    momentum = M.m * v + complex(-M.mg.imag, M.mg.real)
-    return joint_force(r, momentum, M.J + cross(M.mg, v))
+@part
+def add_row(j, s):
+    """Add row j of the tree's mass matrix R_d^T T^T M T R_d (9), on both sides of its diagonal, to the rows of its product with R_z."""
+    n, m, mg = s.topology[0, CYLINDERS], s.numbers[j, MASS], s.vectors[j, MOMENT]
+    b = lever(j, 0j, s)
+    momentum, spin = m * b, cross(mg, b)
+    if s.topology[j, KIND] != SLIDES:
+        momentum, spin = momentum + turned(mg), spin + s.numbers[j, INERTIA]
+    add_rate(j, BY + n, j, joint_force(j, momentum, spin, s), s)
+    k = carrier(j, s)
+    while k > 0:
+        entry = joint_force(k, momentum, spin, s)
+        add_rate(j, BY + n, k, entry, s)
+        add_rate(k, BY + n, j, entry, s)
+        k = carrier(k, s)
 
 
-class Tree(NamedTuple):
-    """M of the composite bodies that each joint carries (T^T M T), and the tree's mass matrix, upper triangle."""
-
-    M1: Inertia
-    M2: Inertia
-    M3: Inertia
-    M4: Inertia
-    m22: float
-    m23: float
-    m33: float
-    reduced11: float
-    reduced14: float
-    reduced44: float
-    m12: float
-    m13: float
-
-
-@njit
-def payload_inertia(P, m, E):
-    """M of a payload of mass m that is fixed at E: a block of the crane file's width and height."""
-    J = m * (P[PAYLOAD + 1] * P[PAYLOAD + 1] + P[PAYLOAD + 2] * P[PAYLOAD + 2]) / 12.0
-    return Inertia(m, m * E, J + m * square(E))
+@part
+def reduce(j, g, s):
+    """Add what joint j contributes to R_z^T (.) R_z and to the generalised forces of weights and velocities (12); g is gravity."""
+    n, i = s.topology[0, CYLINDERS], s.topology[j, COORDINATE]
+    weight = joint_force(j, s.numbers[j, MASS] * g, cross(s.vectors[j, MOMENT], g), s)
+    velocity = joint_force(j, s.vectors[j, FORCE], s.numbers[j, COUPLE], s)
+    if i >= 0:
+        s.general[WEIGHT, i] += weight
+        s.general[VELOCITY, i] += velocity
+        for k in range(i + 1):
+            s.general[MATRIX + i, k] += s.numbers[j, BY + n + k]
+        return
+    for i in range(n):
+        by = s.numbers[j, BY + i]
+        s.general[WEIGHT, i] += by * weight
+        s.general[VELOCITY, i] += by * velocity - s.numbers[j, BY + n + i] * s.numbers[j, FOLLOWED]
+        for k in range(i + 1):
+            s.general[MATRIX + i, k] += by * s.numbers[j, BY + n + k]
 
 
-@njit
-def tree(z, m, P, payload):
-    """Return R_d^T T^T M T R_d (9), and after it R_z^T (.) R_z (12) for [z1 z4].
+@part
+def gather(mass, g, P, s):
+    """Write the mass matrix M and the generalised forces of weights and velocities on the independent coordinates.
 
-    First step: the bodies as Cartesian ones, then collected along the paths. Second step: z2 and z3 follow z4.
+    First step: the bodies as Cartesian ones, then collected along the paths. Second step: dependent joints follow.
     """
-    M4 = joined(body_inertia(P, 3, z.A, z.e4), payload)
-    M3 = body_inertia(P, 2, z.C, z.e3)
-    M2 = body_inertia(P, 1, z.B, z.e2)
-    C2 = joined(M2, M3)
-    M1 = body_inertia(P, 0, z.O, z.e1)
-    C1 = joined(joined(M1, C2), M4)
-    m11, m12, m13, m14 = (
-        joint_inertia(z.O, C1, z.O), joint_inertia(z.O, C2, z.B), joint_inertia(z.O, M3, z.C), joint_inertia(z.O, M4, z.A)
-    )  # fmt: skip
-    m22, m23, m33 = joint_inertia(z.B, C2, z.B), joint_inertia(z.B, M3, z.C), joint_inertia(z.C, M3, z.C)
-    m44 = joint_inertia(z.A, M4, z.A)
-    r14 = m14 + m12 * m.R2 + m13 * m.R3
-    r44 = m44 + m22 * m.R2 * m.R2 + 2.0 * m23 * m.R2 * m.R3 + m33 * m.R3 * m.R3
-    return Tree(M1, M2, M3, M4, m22, m23, m33, m11, r14, r44, m12, m13)
+    n = s.topology[0, CYLINDERS]
+    for i in range(n):
+        s.general[WEIGHT, i], s.general[VELOCITY, i] = 0.0, 0.0
+        for k in range(i + 1):
+            s.general[MATRIX + i, k] = 0.0
+    for j in range(1, 1 + s.topology[0, BODIES]):
+        weigh(j, mass, P, s)
+        for i in range(n):
+            s.numbers[j, BY + n + i] = 0.0
+    for j in range(s.topology[0, BODIES], 0, -1):
+        add_row(j, s)
+        reduce(j, g, s)
+        collect(j, s)
 
 
-@njit(inline="always")
-def up(z, m, f1, n1, f2, n2, f3, n3, f4, n4):
-    """R_z^T R_d^T T^T: generalised forces on [z1 z4] of one force and moment about the origin for each body."""
-    Q1 = joint_force(z.O, f1 + f2 + f3 + f4, n1 + n2 + n3 + n4)
-    Q2 = joint_force(z.B, f2 + f3, n2 + n3)
-    Q3 = joint_force(z.C, f3, n3)
-    Q4 = joint_force(z.A, f4, n4)
-    return Q1, Q4 + m.R2 * Q2 + m.R3 * Q3
+@part
+def add_swing(mass, damping, g, product, theta, dtheta, s):
+    """Add what a payload on a pendulum does to the balance, and write its own balance, L theta'' = own - across . z''.
+
+    The payload is a point mass on a massless rod that hangs from E. Its angle (absolute, 0 = straight down) has the inertia
+    m L^2 and is eliminated from the system. The rod can only pull or push along itself, so what E feels is the mass along the
+    rod; the damping is a drag on the mass, -d theta' / L across the rod, whose moment about E is -d theta'.
+
+    product: what accelerates E while the coordinates have no acceleration.
+    """
+    n, tip, length = s.topology[0, CYLINDERS], s.topology.shape[0], s.numbers[0, PENDULUM]
+    across, down = turn(theta), complex(math.sin(theta), -math.cos(theta))
+    product -= length * dtheta * dtheta * down  # of the mass
+    drag = damping * dtheta / length
+    s.numbers[0, OWN] = dot(g - product, across) - (drag / mass if mass > 0.0 else 0.0)
+    for i in range(n):
+        J = complex(s.numbers[tip, BY + i], s.numbers[tip + 1, BY + i])
+        s.general[ACROSS, i], s.general[DOWN, i] = dot(J, across), dot(J, down)
+        s.general[WEIGHT, i] += s.general[DOWN, i] * mass * dot(g, down)
+        s.general[VELOCITY, i] -= s.general[DOWN, i] * mass * dot(product, down)
+        for k in range(i + 1):
+            s.general[MATRIX + i, k] += mass * s.general[DOWN, i] * s.general[DOWN, k]
+
+
+@part
+def factorise(s):
+    """Write V above the diagonal of M, and 1 over its diagonal to PIVOT, with M = V^T diag(PIVOT) V."""
+    for j in range(s.topology[0, CYLINDERS]):
+        for i in range(j, s.topology[0, CYLINDERS]):
+            entry = s.general[MATRIX + i, j]
+            for k in range(j):
+                entry -= s.general[MATRIX + k, i] * s.general[MATRIX + k, j] * s.general[PIVOT, k]
+            if i == j:
+                s.general[PIVOT, j] = 1.0 / entry
+            else:
+                s.general[MATRIX + j, i] = entry
+
+
+@part
+def solve(s):
+    """Replace what stands in ACCELERATION, the sum of all forces, by the accelerations."""
+    n = s.topology[0, CYLINDERS]
+    for i in range(n):
+        force = s.general[ACCELERATION, i]
+        for k in range(i):
+            force -= s.general[MATRIX + k, i] * s.general[ACCELERATION, k]
+        s.general[ACCELERATION, i] = force * s.general[PIVOT, i]
+    for i in range(n - 2, -1, -1):
+        force = 0.0
+        for k in range(i + 1, n):
+            force += s.general[MATRIX + i, k] * s.general[ACCELERATION, k]
+        s.general[ACCELERATION, i] -= force * s.general[PIVOT, i]
 
 
 @njit
-def weight_forces(z, m, t, g):
-    """Generalised gravity Qg on [z1 z4]; g is the gravity vector."""
-    return up(
-        z, m,
-        t.M1.m * g, cross(t.M1.mg, g), t.M2.m * g, cross(t.M2.mg, g),
-        t.M3.m * g, cross(t.M3.mg, g), t.M4.m * g, cross(t.M4.mg, g),
-    )  # fmt: skip
-
-
-@njit
-def velocity_forces(z, m, t):
-    """Generalised velocity-dependent forces Qv on [z1 z4]: the last terms of (9) and (12)."""
-    f1, n1 = velocity_force(t.M1, m.w1, m.d1)
-    f2, n2 = velocity_force(t.M2, m.w2, m.d2)
-    f3, n3 = velocity_force(t.M3, m.w3, m.d3)
-    f4, n4 = velocity_force(t.M4, m.w4, m.d4)
-    Q1, Q4 = up(z, m, f1, n1, f2, n2, f3, n3, f4, n4)
-    dependent2, dependent3 = t.m22 * m.a2 + t.m23 * m.a3, t.m23 * m.a2 + t.m33 * m.a3
-    return Q1 - t.m12 * m.a2 - t.m13 * m.a3, Q4 - m.R2 * dependent2 - m.R3 * dependent3
-
-
-@njit
-def cylinder_forces(z, m, lift, tilt, F1, F2):
-    """Generalised hydraulic forces Qh on [z1 z4] of the cylinder forces (39), which push their pins apart."""
-    f, h, o = F1 * lift.u, F2 * tilt.u, complex(0.0, 0.0)
-    return up(z, m, f - h, cross(z.G, f) - cross(z.H, h), h, cross(z.C, h), o, 0.0, o, 0.0)
-
-
-@njit
-def point_forces(z, m, E_force):
-    """Generalised forces on [z1 z4] of a force on the outer boom at E."""
-    o = complex(0.0, 0.0)
-    return up(z, m, o, 0.0, o, 0.0, o, 0.0, E_force, cross(z.E, E_force))
+def mechanics(x, t, P, E, s):
+    """Write everything that does not depend on pressures and inputs at a state x that is placed: motions, M, weights, velocities."""
+    move(x, s)
+    move_lines(s)
+    first = 4 * s.topology[0, CYLINDERS]
+    gx, gy = hooks.gravity(E, 0.0, -P[GRAVITY])
+    g, mass, product = complex(gx, gy), 0.0, 0j
+    s.numbers[0, PENDULUM] = 0.0
+    if s.topology[0, TIP_BODY] < 0:
+        gather(0.0, g, P, s)
+    else:
+        s.vectors[0, TIP_AT] = placed(s.topology[0, TIP_BODY] + 1, s.topology[0, TIP_POINT], P, s)
+        product, mass = move_tip(s), hooks.payload_mass(E, t, P[PAYLOAD])
+        length, damping = hooks.pendulum(E)
+        if length > 0.0 and x.shape[0] > first:
+            s.numbers[0, PENDULUM] = length
+            gather(0.0, g, P, s)
+            add_swing(mass, damping, g, product, x[first], x[first + 1], s)
+        else:
+            gather(mass, g, P, s)
+    factorise(s)
 
 
 # --------------------------------------------------------------------------------------------- hydraulics
 
 
-@njit(inline="always")
+@part
 def root_flow(dp, laminar):
     """q(dp) of (15): sgn(dp) sqrt|dp|, and linear below the laminar pressure."""
     if dp > laminar:
@@ -417,59 +657,70 @@ def root_flow(dp, laminar):
     return dp / math.sqrt(laminar)
 
 
-@njit
-def pump_edge(c, u, pa, pb, pp, P, E):
-    """Flow from the pump through valve c at the opening u: into the piston side (u > 0) or the rod side."""
-    own = pa if u > 0.0 else pb
-    return P[VALVE + N_VALVE * c] * abs(u) * root_flow(hooks.supply_drop(E, c, pp - own), P[LAMINAR])
+@part
+def first_cylinder(s):
+    return 1 + s.topology[0, BODIES] + s.topology[0, LOOPS]
 
 
 @njit
-def tank_edge(c, u, pa, pb, pt, P, E):
-    """Flow to the tank through valve c at the opening u: out of the rod side (u > 0) or the piston side."""
-    own, other, load = (pb, pa, 1.0 * c) if u > 0.0 else (pa, pb, 1.0 - c)
-    gain = hooks.return_gain(E, c, own, other, load)
-    return gain * P[VALVE + N_VALVE * c] * abs(u) * root_flow(own - pt, P[LAMINAR])
+def pump_edge(c, pp, P, E, s):
+    """Flow from the pump through valve c: into the piston side where it is open that way (u > 0), or into the rod side."""
+    k, i = first_cylinder(s) + c, VALVE + N_VALVE * c
+    u = s.numbers[k, OPENING]
+    own, edge = (
+        (s.numbers[k, OIL_A + PRESSURE], P[i + PUMP_TO_A])
+        if u > 0.0
+        else (s.numbers[k, OIL_B + PRESSURE], P[i + PUMP_TO_B])
+    )
+    return P[i] * edge * abs(u) * root_flow(hooks.supply_drop(E, c, pp - own), P[LAMINAR])
 
 
 @njit
-def drawn(u1, u2, p1, p2, p3, p4, pp, P, E):
-    return pump_edge(0, u1, p1, p2, pp, P, E) + pump_edge(1, u2, p3, p4, pp, P, E)
+def tank_edge(c, pt, P, E, s):
+    """Flow to the tank through valve c: out of the rod side where it is open that way (u > 0), or out of the piston side."""
+    k, i = first_cylinder(s) + c, VALVE + N_VALVE * c
+    u, pa, pb = s.numbers[k, OPENING], s.numbers[k, OIL_A + PRESSURE], s.numbers[k, OIL_B + PRESSURE]
+    own, other, edge, side = (pb, pa, P[i + B_TO_TANK], 1) if u > 0.0 else (pa, pb, P[i + A_TO_TANK], 0)
+    gain = hooks.return_gain(E, c, own, other, 1.0 if s.topology[k, LOADED] == side else 0.0)
+    return gain * P[i] * edge * abs(u) * root_flow(own - pt, P[LAMINAR])
 
 
 @njit
-def returned(u1, u2, p1, p2, p3, p4, pt, P, E):
-    return tank_edge(0, u1, p1, p2, pt, P, E) + tank_edge(1, u2, p3, p4, pt, P, E)
+def pump_gap(p, nominal, P, E, s):
+    """How far the pressure p is above what the supply gives at the flow that p drives; the flows remain in the sheet."""
+    first, total = first_cylinder(s), 0.0
+    for c in range(s.topology[0, CYLINDERS]):
+        s.numbers[first + c, DRAWN] = pump_edge(c, p, P, E, s)
+        total += s.numbers[first + c, DRAWN]
+    return p - hooks.supply_pressure(E, nominal, total)
 
 
 @njit
-def pump_gap(p, pp, u1, u2, p1, p2, p3, p4, P, E):
-    """How far the pressure p is above what the supply gives at the flow that p drives."""
-    return p - hooks.supply_pressure(E, pp, drawn(u1, u2, p1, p2, p3, p4, p, P, E))
-
-
-@njit
-def tank_gap(p, pt, u1, u2, p1, p2, p3, p4, P, E):
-    return p - hooks.tank_pressure(E, pt, returned(u1, u2, p1, p2, p3, p4, p, P, E))
+def tank_gap(p, nominal, P, E, s):
+    first, total = first_cylinder(s), 0.0
+    for c in range(s.topology[0, CYLINDERS]):
+        s.numbers[first + c, RETURNED] = tank_edge(c, p, P, E, s)
+        total += s.numbers[first + c, RETURNED]
+    return p - hooks.tank_pressure(E, nominal, total)
 
 
 def _balanced(gap, doc):
-    """Return a solver of gap(p) = 0 by regula falsi (Illinois), begun at the pressure without any flow."""
+    """Return a solver of gap(p) = 0 by regula falsi (Illinois), begun at the pressure without any flow; what it returns it tried last."""
 
     @njit
-    def solve(nominal, u1, u2, p1, p2, p3, p4, P, E):
-        a, fa = nominal, gap(nominal, nominal, u1, u2, p1, p2, p3, p4, P, E)
+    def balanced(nominal, P, E, s):
+        a, fa = nominal, gap(nominal, nominal, P, E, s)
         if fa == 0.0:
             return nominal
         # The flow weakens with the drop it causes, so the root lies between the nominal pressure and one full drop.
         b = a - fa
-        fb = gap(b, nominal, u1, u2, p1, p2, p3, p4, P, E)
+        fb = gap(b, nominal, P, E, s)
         tolerance = 4e-16 * max(abs(nominal), 1e5)
         for _ in range(100):
             if abs(fb) <= tolerance or abs(b - a) <= tolerance:
                 return b
             p = b - fb * (b - a) / (fb - fa)
-            f = gap(p, nominal, u1, u2, p1, p2, p3, p4, P, E)
+            f = gap(p, nominal, P, E, s)
             if f * fb < 0.0:
                 a, fa = b, fb
             else:
@@ -477,22 +728,25 @@ def _balanced(gap, doc):
             b, fb = p, f
         return b
 
-    solve.__doc__ = doc
-    return solve
+    balanced.__doc__ = doc
+    return balanced
 
 
 pump_pressure = _balanced(pump_gap, "Return the pressure at the valves' pump ports, in balance with the flow drawn.")
 tank_pressure = _balanced(tank_gap, "Return the pressure at the valves' tank ports, in balance with the flow returned.")
 
 
-@njit(inline="always")
-def fluid(P):
-    """Return the Fluid of a crane."""
+@part
+def fluid(P, E):
+    """Return the Fluid of a machine."""
     zero = P[REFERENCE] * P[AIR]
-    return Fluid(1.0 / P[OIL] + 1.0 / P[STEEL], 1.0 / P[HOSE] - 1.0 / P[STEEL], P[VAPOUR] - zero, zero)
+    share, gas = hooks.free_gas(E, P[VAPOUR])
+    return Fluid(
+        1.0 / P[OIL] + 1.0 / P[STEEL], 1.0 / P[HOSE] - 1.0 / P[STEEL], P[VAPOUR] - zero, zero, share, gas
+    )  # fmt: skip
 
 
-@njit(inline="always")
+@part
 def pressed_oil(y, pressed, share, gas, Al, Vh, f):
     """Return the Oil at a pressure y that is not below vapour pressure; pressed = exp(y/B) - 1, share and gas: see `oil_at`.
 
@@ -506,7 +760,7 @@ def pressed_oil(y, pressed, share, gas, Al, Vh, f):
     return Oil(y, y, V * k + wall / f.soft * pressed, V * k * (f.soft + gas) + wall * (1.0 + pressed), k, k)
 
 
-@njit(inline="always")
+@part
 def pulled_oil(y, empty, Al, Vh, f):
     """Return the Oil at a state y below vapour pressure, `empty` being the Oil there."""
     k, soft = empty.density, (Al + Vh) * f.soft + Vh * f.wall
@@ -537,13 +791,12 @@ def oil_of(N, Al, Vh, guess, f, E):
 
     With gas N(p) is concave, so that Newton's method climbs to the root from below without a bracket.
     """
-    share, gas = hooks.free_gas(E, f.least + f.zero)
-    if share == 0.0:
+    if f.share == 0.0:
         pressed = (N - (Al + Vh)) / (Al + Vh + Vh * f.wall / f.soft)
         y = math.log1p(pressed) / f.soft
         if y >= f.least:
             return pressed_oil(y, pressed, 0.0, 0.0, Al, Vh, f)
-    empty = pressed_oil(f.least, math.expm1(f.least * f.soft), share, gas, Al, Vh, f)
+    empty = pressed_oil(f.least, math.expm1(f.least * f.soft), f.share, f.gas, Al, Vh, f)
     if not N > empty.amount:
         pull = (N - empty.amount) / (empty.density * ((Al + Vh) * f.soft + Vh * f.wall))
         return pulled_oil(f.least + pull, empty, Al, Vh, f)
@@ -601,7 +854,7 @@ def chambers_of(c, s, Na, Nb, ya, yb, f, P, E):
     return Chambers(la, a, b)
 
 
-@njit(inline="always")
+@part
 def piston_areas(i, P):
     """Return the areas of piston side and rod side of the cylinder whose block begins at i."""
     Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
@@ -617,229 +870,181 @@ def friction(P, i, v):
     return P[i + COULOMB] * math.tanh(4.0 * x) + stribeck + P[i + VISCOUS] * v * TANH4
 
 
+@part
+def keep(k, first, o, s):
+    """Write the Oil of a chamber to its place in row k."""
+    s.numbers[k, first], s.numbers[k, first + PRESSURE], s.numbers[k, first + AMOUNT] = o.y, o.pressure, o.amount
+    s.numbers[k, first + BY_PRESSURE], s.numbers[k, first + BY_VOLUME] = o.by_pressure, o.by_volume
+    s.numbers[k, first + DENSITY] = o.density
+
+
 @njit
-def cylinder(c, v, chambers, f, u, pp, pt, P, E, flow_a, flow_b):
-    """Return all hydraulic quantities of cylinder c at the rate v of its pin-to-pin length, (17)-(19), (34), (37), (38).
+def read_pressures(x, P, E, s):
+    """Write the oil of all chambers at the pressures of a state x that is placed."""
+    first, n, f = first_cylinder(s), s.topology[0, CYLINDERS], fluid(P, E)
+    for c in range(n):
+        ya, yb = x[2 * n + 2 * c], x[2 * n + 2 * c + 1]
+        s.numbers[first + c, LA], a, b = chambers_at(c, s.numbers[first + c, LENGTH], ya, yb, f, P, E)
+        keep(first + c, OIL_A, a, s)
+        keep(first + c, OIL_B, b, s)
+
+
+@njit
+def read_amounts(x, N, P, E, s):
+    """Write the oil of all chambers that hold the amounts N (2n,) at a state x that is placed, and its pressures to x."""
+    first, n, f = first_cylinder(s), s.topology[0, CYLINDERS], fluid(P, E)
+    for c in range(n):
+        i = 2 * n + 2 * c
+        la, a, b = chambers_of(c, s.numbers[first + c, LENGTH], N[2 * c], N[2 * c + 1], x[i], x[i + 1], f, P, E)
+        s.numbers[first + c, LA] = la
+        keep(first + c, OIL_A, a, s)
+        keep(first + c, OIL_B, b, s)
+        x[i], x[i + 1] = a.y, b.y
+
+
+@part
+def cylinder(c, flow_a, flow_b, P, E, s):
+    """Write all hydraulic quantities of cylinder c, (17)-(19), (34), (37), (38).
 
     flow_a, flow_b: flows into the chambers that no law explains (disturbances). Air presses on the rod's cross-section.
 
     With a spring of compliance k' in series the rate of the hydraulic length follows from both chambers' pressure rates, which
     depend on it linearly, so it is found without iteration. A chamber that holds a void has a constant pressure.
     """
-    i = CYLINDER + N_CYLINDER * c
+    k, i = first_cylinder(s) + c, CYLINDER + N_CYLINDER * c
     Aa, Ab = piston_areas(i, P)
-    compliance = hooks.series_compliance(E, c)
-    la, a, b = chambers
-    pa, pb, lb = a.pressure, b.pressure, P[i + RANGE] - la
-    pump, tank = pump_edge(c, u, pa, pb, pp, P, E), tank_edge(c, u, pa, pb, pt, P, E)
-    Qa, Qb = (pump, tank) if u > 0.0 else (-tank, -pump)
+    v, pa, pb = s.numbers[k, SPEED_S], s.numbers[k, OIL_A + PRESSURE], s.numbers[k, OIL_B + PRESSURE]
+    pump, tank = s.numbers[k, DRAWN], s.numbers[k, RETURNED]
+    Qa, Qb = (pump, tank) if s.numbers[k, OPENING] > 0.0 else (-tank, -pump)
     leak_a, leak_b = hooks.leakage(E, c, pa, pb)
     leak_a, leak_b = leak_a + flow_a, leak_b + flow_b
-    Ga, Gb = a.density * (Qa + leak_a), b.density * (leak_b - Qb)
+    Ga, Gb = s.numbers[k, OIL_A + DENSITY] * (Qa + leak_a), s.numbers[k, OIL_B + DENSITY] * (leak_b - Qb)
+    compliance = hooks.series_compliance(E, c)
     if compliance != 0.0:
-        ka, kb = (1.0 / a.by_pressure if a.y > f.least else 0.0), (1.0 / b.by_pressure if b.y > f.least else 0.0)
+        least = P[VAPOUR] - P[REFERENCE] * P[AIR]
+        ka = 1.0 / s.numbers[k, OIL_A + BY_PRESSURE] if s.numbers[k, OIL_A] > least else 0.0
+        kb = 1.0 / s.numbers[k, OIL_B + BY_PRESSURE] if s.numbers[k, OIL_B] > least else 0.0
         v += compliance * (Aa * ka * Ga - Ab * kb * Gb)
-        v /= 1.0 + compliance * (Aa * Aa * ka * a.by_volume + Ab * Ab * kb * b.by_volume)
-    Fmu = friction(P, i, v)
-    air = (1.0 - P[REFERENCE]) * P[AIR] * (Aa - Ab)
-    F = pa * Aa - pb * Ab - air - Fmu + hooks.cylinder_force(E, c, v, pa, pb, la, lb)
-    return Cylinder(la, lb, Qa, Qb, leak_a, leak_b, Fmu, F, a, b, Ga, Gb, v)
+        v /= 1.0 + compliance * (
+            Aa * Aa * ka * s.numbers[k, OIL_A + BY_VOLUME] + Ab * Ab * kb * s.numbers[k, OIL_B + BY_VOLUME]
+        )
+    la = s.numbers[k, LA]
+    Fmu, air = friction(P, i, v), (1.0 - P[REFERENCE]) * P[AIR] * (Aa - Ab)
+    s.numbers[k, F] = pa * Aa - pb * Ab - air - Fmu + hooks.cylinder_force(E, c, v, pa, pb, la, P[i + RANGE] - la)
+    s.numbers[k, QA], s.numbers[k, QB], s.numbers[k, LEAK_A], s.numbers[k, LEAK_B] = Qa, Qb, leak_a, leak_b
+    s.numbers[k, FMU], s.numbers[k, SPEED_LA], s.numbers[k, GA], s.numbers[k, GB] = Fmu, v, Ga, Gb
 
 
 # -------------------------------------------------------------------------------------------- all together
 
 
-@njit(inline="always")
-def supply(w, k, P):
-    """Measured pump (k = 0) or tank (k = 1) pressure, or the crane's own where it is not measured."""
-    return P[SUPPLY + k] if math.isnan(w[2 + k]) else w[2 + k]
+@part
+def supply(w, k, P, s):
+    """Measured pump (k = 0) or tank (k = 1) pressure, or the machine's own where it is not measured."""
+    given = w[s.topology[0, CYLINDERS] + k]
+    return P[SUPPLY + k] if math.isnan(given) else given
 
 
-@njit(inline="always")
-def disturbance(w, k):
-    """Unknown input k of [torque O, torque A, force x, force y at E, flows into p1 p2 p3 p4]; 0 where w has but four entries."""
-    return w[4 + k] if w.shape[0] > 4 else 0.0
+@part
+def disturbance(w, k, s):
+    """Unknown input k of [torques (n), force x, force y at the payload, flows into the chambers (2n)]; 0 where w has but n + 2 entries."""
+    n = s.topology[0, CYLINDERS]
+    return w[n + 2 + k] if w.shape[0] > n + 2 else 0.0
 
 
-class Swing(NamedTuple):
-    """What a payload on a pendulum adds to the balance of [z1 z4], and its own balance.
-
-    The payload is a point mass on a massless rod that hangs from E. Its angle (absolute, 0 = straight down) has the inertia
-    m L^2 and is eliminated from the 3 x 3 system. The rod can only pull or push along itself, so what E feels is the mass along
-    the rod; the damping is a drag on the mass, -d theta' / L across the rod, whose moment about E is -d theta'.
-    """
-
-    M11: float
-    M14: float
-    M44: float
-    g1: float
-    g4: float
-    v1: float
-    v4: float
-    across1: float
-    across4: float
-    own: float
+@part
+def add_joint_forces(x, w, t, E, s):
+    """Write the generalised forces Qj: on the joints themselves, and of the force on the payload's point."""
+    n, tip, force = s.topology[0, CYLINDERS], s.topology.shape[0], 0j
+    if s.topology[0, TIP_BODY] >= 0:
+        force = complex(disturbance(w, n, s), hooks.tip_force(E, t) + disturbance(w, n + 1, s))
+    for i in range(n):
+        by = complex(s.numbers[tip, BY + i], s.numbers[tip + 1, BY + i])
+        s.general[JOINTS, i] = dot(by, force) + hooks.joint_torque(E, i, x[n + i]) + disturbance(w, i, s)
 
 
 @njit
-def swing(z, m, mass, length, damping, g, theta, dtheta):
-    """Return the Swing of a pendulum at angle theta (rad) and rate dtheta; L theta'' = own - across . [z1'' z4'']."""
-    across, down = turn(theta), complex(math.sin(theta), -math.cos(theta))
-    velocity_product = m.d4 - m.w4 * m.w4 * z.E - length * dtheta * dtheta * down  # of the mass
-    J1, J4 = (z.E - z.O) * 1j, (z.E - z.A) * 1j
-    across1, across4, down1, down4 = dot(J1, across), dot(J4, across), dot(J1, down), dot(J4, down)
-    weight, pull = mass * dot(g, down), -mass * dot(velocity_product, down)
-    drag = damping * dtheta / length
-    own = dot(g - velocity_product, across) - (drag / mass if mass > 0.0 else 0.0)
-    return Swing(
-        mass * down1 * down1, mass * down1 * down4, mass * down4 * down4, down1 * weight, down4 * weight,
-        down1 * pull, down4 * pull, across1, across4, own,
-    )  # fmt: skip
-
-
-@njit(inline="always")
-def solve2(a, b, c, x, y):
-    """Solve [[a, b], [b, c]] q = [x, y]."""
-    determinant = a * c - b * b
-    return (c * x - b * y) / determinant, (a * y - b * x) / determinant
-
-
-class Balance(NamedTuple):
-    """Every term of the equations at one state."""
-
-    z: Pose
-    m: Motion
-    lift: Line
-    tilt: Line
-    c1: Cylinder
-    c2: Cylinder
-    pp: float
-    pt: float
-    M11: float
-    M14: float
-    M44: float
-    Qg1: float
-    Qg4: float
-    Qv1: float
-    Qv4: float
-    Qh1: float
-    Qh4: float
-    Qj1: float
-    Qj4: float
-    ddz1: float
-    ddz4: float
-    ddtheta: float
-
-
-@njit(inline="always")
-def balance(x, w, t, P, E):
-    """Return all terms of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20), at a state x (nx,)."""
-    z = positions(x[0], x[1], P)
-    m = motion(z, x[2], x[3])
-    lift, tilt = lines(z, m)
-    f = fluid(P)
-    first, second = chambers_at(0, lift.s, x[4], x[5], f, P, E), chambers_at(1, tilt.s, x[6], x[7], f, P, E)
-    return balance_at(z, m, lift, tilt, first, second, f, x, w, t, P, E)
-
-
-@njit(inline="always")
-def balance_of_amounts(x, N, w, t, P, E):
-    """Return the same for amounts of oil N (4,) instead of the pressures in x, which are replaced by what follows from N."""
-    z = positions(x[0], x[1], P)
-    m = motion(z, x[2], x[3])
-    lift, tilt = lines(z, m)
-    f = fluid(P)
-    first, second = fill_pressures(lift.s, tilt.s, x, N, f, P, E)
-    return balance_at(z, m, lift, tilt, first, second, f, x, w, t, P, E)
+def balance(x, w, t, P, E, s):
+    """Write the rest of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20), where mechanics and oil are in the sheet."""
+    first, n = first_cylinder(s), s.topology[0, CYLINDERS]
+    for c in range(n):
+        s.numbers[first + c, OPENING] = hooks.opening(E, c, w[c])
+    s.numbers[0, PUMP] = pump_pressure(supply(w, 0, P, s), P, E, s)
+    s.numbers[0, TANK] = tank_pressure(supply(w, 1, P, s), P, E, s)
+    for c in range(n):
+        cylinder(c, disturbance(w, n + 2 + 2 * c, s), disturbance(w, n + 3 + 2 * c, s), P, E, s)
+    add_joint_forces(x, w, t, E, s)
+    for i in range(n):
+        force = 0.0
+        for c in range(n):
+            force += s.numbers[first + c, F] * s.numbers[first + c, BY + i]
+        s.general[HYDRAULIC, i] = force
+        s.general[ACCELERATION, i] = s.general[WEIGHT, i] + s.general[VELOCITY, i] + force + s.general[JOINTS, i]
+    solve(s)
+    s.numbers[0, SWINGING] = 0.0
+    if s.numbers[0, PENDULUM] > 0.0:
+        own = s.numbers[0, OWN]
+        for i in range(n):
+            own -= s.general[ACROSS, i] * s.general[ACCELERATION, i]
+        s.numbers[0, SWINGING] = own / s.numbers[0, PENDULUM]
 
 
 @njit
-def fill_pressures(s1, s2, x, N, f, P, E):
-    """Write the pressures that follow from the amounts of oil N (4,) at pin-to-pin lengths s1, s2 to x; return both Chambers."""
-    first = chambers_of(0, s1, N[0], N[1], x[4], x[5], f, P, E)
-    second = chambers_of(1, s2, N[2], N[3], x[6], x[7], f, P, E)
-    x[4], x[5], x[6], x[7] = first.a.y, first.b.y, second.a.y, second.b.y
-    return first, second
+def at_pressures(x, w, t, P, E, s):
+    """Write all terms at a state x (nx,)."""
+    place(x, P, s)
+    mechanics(x, t, P, E, s)
+    read_pressures(x, P, E, s)
+    balance(x, w, t, P, E, s)
 
 
 @njit
-def settle_pressures(x, N, P, E):
-    """Write the pressures that follow from the amounts of oil N (4,) at the pose in x to x."""
-    z = positions(x[0], x[1], P)
-    fill_pressures(math.sqrt(square(z.G - z.F)), math.sqrt(square(z.C - z.H)), x, N, fluid(P), P, E)
+def at_amounts(x, N, w, t, P, E, s):
+    """Write the same for amounts of oil N (2n,) instead of the pressures in x, which are replaced by what follows from N."""
+    place(x, P, s)
+    mechanics(x, t, P, E, s)
+    read_amounts(x, N, P, E, s)
+    balance(x, w, t, P, E, s)
 
 
 @njit
-def balance_at(z, m, lift, tilt, first, second, f, x, w, t, P, E):
-    """Return all terms at a Pose, Motion, Lines and Chambers."""
-    u1, u2 = hooks.opening(E, 0, w[0]), hooks.opening(E, 1, w[1])
-    p1, p2, p3, p4 = first.a.pressure, first.b.pressure, second.a.pressure, second.b.pressure
-    pp = pump_pressure(supply(w, 0, P), u1, u2, p1, p2, p3, p4, P, E)
-    pt = tank_pressure(supply(w, 1, P), u1, u2, p1, p2, p3, p4, P, E)
-    c1 = cylinder(0, lift.v, first, f, u1, pp, pt, P, E, disturbance(w, 4), disturbance(w, 5))
-    c2 = cylinder(1, tilt.v, second, f, u2, pp, pt, P, E, disturbance(w, 6), disturbance(w, 7))
-    mass = hooks.payload_mass(E, t, P[PAYLOAD])
-    length, damping = hooks.pendulum(E)
-    swings = length > 0.0 and x.shape[0] > 8
-    tr = tree(z, m, P, payload_inertia(P, 0.0 if swings else mass, z.E))
-    gx, gy = hooks.gravity(E, 0.0, -P[GRAVITY])
-    g = complex(gx, gy)
-    g1, g4 = weight_forces(z, m, tr, g)
-    v1, v4 = velocity_forces(z, m, tr)
-    h1, h4 = cylinder_forces(z, m, lift, tilt, c1.F, c2.F)
-    j1, j4 = point_forces(z, m, complex(disturbance(w, 2), hooks.tip_force(E, t) + disturbance(w, 3)))
-    j1 += hooks.joint_torque(E, 0, x[2]) + disturbance(w, 0)
-    j4 += hooks.joint_torque(E, 1, x[3]) + disturbance(w, 1)
-    M11, M14, M44, ddtheta = tr.reduced11, tr.reduced14, tr.reduced44, 0.0
-    if swings:
-        p = swing(z, m, mass, length, damping, g, x[8], x[9])
-        M11, M14, M44 = M11 + p.M11, M14 + p.M14, M44 + p.M44
-        g1, g4, v1, v4 = g1 + p.g1, g4 + p.g4, v1 + p.v1, v4 + p.v4
-    dd1, dd4 = solve2(M11, M14, M44, g1 + v1 + h1 + j1, g4 + v4 + h4 + j4)
-    if swings:
-        ddtheta = (p.own - p.across1 * dd1 - p.across4 * dd4) / length
-    return Balance(
-        z, m, lift, tilt, c1, c2, pp, pt, M11, M14, M44, g1, g4, v1, v4, h1, h4, j1, j4, dd1, dd4, ddtheta
-    )  # fmt: skip
+def settle_pressures(x, N, P, E, s):
+    """Write the pressures that follow from the amounts of oil N (2n,) at the pose in x to x."""
+    place(x, P, s)
+    read_amounts(x, N, P, E, s)
 
 
-@njit(inline="always")
-def rates(b, x, E, out):
-    """Write the rates of [z1 z4 z1' z4' N1 N2 N3 N4 (theta theta')] to out: amounts of oil in the place of pressures."""
-    out[0], out[1], out[2], out[3] = x[2], x[3], b.ddz1, b.ddz4
-    out[4], out[5], out[6], out[7] = b.c1.Ga, b.c1.Gb, b.c2.Ga, b.c2.Gb
-    if x.shape[0] > 8:
-        out[8], out[9] = (x[9], b.ddtheta) if hooks.pendulum(E)[0] > 0.0 else (0.0, 0.0)
+@part
+def rates(x, s, out):
+    """Write the rates of [z z' N (theta theta')] to out: amounts of oil in the place of pressures."""
+    first, n = first_cylinder(s), s.topology[0, CYLINDERS]
+    for i in range(n):
+        out[i], out[n + i] = x[n + i], s.general[ACCELERATION, i]
+        out[2 * n + 2 * i], out[2 * n + 2 * i + 1] = s.numbers[first + i, GA], s.numbers[first + i, GB]
+    if x.shape[0] > 4 * n:
+        swings = s.numbers[0, PENDULUM] > 0.0
+        out[4 * n], out[4 * n + 1] = (x[4 * n + 1], s.numbers[0, SWINGING]) if swings else (0.0, 0.0)
 
 
-@njit(inline="always")
-def amounts(b, N):
-    """Write the amounts of oil in the four chambers to N."""
-    N[0], N[1], N[2], N[3] = b.c1.a.amount, b.c1.b.amount, b.c2.a.amount, b.c2.b.amount
+@part
+def amounts(s, N):
+    """Write the amounts of oil in all chambers to N."""
+    first = first_cylinder(s)
+    for c in range(s.topology[0, CYLINDERS]):
+        N[2 * c], N[2 * c + 1] = s.numbers[first + c, OIL_A + AMOUNT], s.numbers[first + c, OIL_B + AMOUNT]
 
 
-@njit
-def pressure_rate(o, G, area, v):
-    """Return the rate of a state's pressure, (34): N_p y' = G - N_V A v, A v being the growth of the volume."""
-    return (G - o.by_volume * area * v) / o.by_pressure
-
-
-@njit
-def static_forces(z1, z4, P, E):
-    """Return cylinder forces F1, F2 (N) that hold the crane at rest at z1, z4 at time 0, and their hydraulic lengths' s."""
-    z = positions(z1, z4, P)
-    m = motion(z, 0.0, 0.0)
-    lift, tilt = lines(z, m)
-    tr = tree(z, m, P, payload_inertia(P, hooks.payload_mass(E, 0.0, P[PAYLOAD]), z.E))
-    gx, gy = hooks.gravity(E, 0.0, -P[GRAVITY])
-    g1, g4 = weight_forces(z, m, tr, complex(gx, gy))
-    j1, j4 = point_forces(z, m, complex(0.0, hooks.tip_force(E, 0.0)))
-    # columns: generalised forces of a unit force in the lift and in the tilt cylinder
-    a11, a41 = cylinder_forces(z, m, lift, tilt, 1.0, 0.0)
-    a14, a44 = cylinder_forces(z, m, lift, tilt, 0.0, 1.0)
-    determinant = a11 * a44 - a14 * a41
-    Q1, Q4 = -(g1 + j1), -(g4 + j4)
-    return (a44 * Q1 - a14 * Q4) / determinant, (a11 * Q4 - a41 * Q1) / determinant, lift.s, tilt.s
+@compiled.njit(cache=False)
+def at_rest(x, P, E, s):
+    """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, and the force on the payload's point."""
+    n = s.topology[0, CYLINDERS]
+    still = np.zeros(4 * n)
+    still[:n] = x[:n]
+    place(still, P, s)
+    mechanics(still, 0.0, P, E, s)
+    tip = s.topology.shape[0]
+    for i in range(n):
+        s.general[JOINTS, i] = hooks.tip_force(E, 0.0) * s.numbers[tip + 1, BY + i]
 
 
 @njit
@@ -868,18 +1073,11 @@ def held_pressures(c, s, F, less_loaded, P, E):
 
 
 @njit
-def pin_to_pin(cylinder, angle, P):
-    """Return the length of the lift cylinder (0) at z1 or of the tilt cylinder (1) at z4; each depends on its angle alone."""
-    z = positions(angle, 0.0, P) if cylinder == 0 else positions(0.0, angle, P)
-    along = z.G - z.F if cylinder == 0 else z.C - z.H
-    return math.sqrt(square(along))
-
-
-@njit
-def chamber_lengths(x, P, E, out):
-    """Write the chamber lengths la, lb of the lift and the tilt cylinder (4,) to out; negative: beyond the stroke's end."""
-    z = positions(x[0], x[1], P)
-    f = fluid(P)
-    out[0] = chambers_at(0, math.sqrt(square(z.G - z.F)), x[4], x[5], f, P, E).la
-    out[2] = chambers_at(1, math.sqrt(square(z.C - z.H)), x[6], x[7], f, P, E).la
-    out[1], out[3] = P[CYLINDER + RANGE] - out[0], P[CYLINDER + N_CYLINDER + RANGE] - out[2]
+def chamber_lengths(x, P, E, s, out):
+    """Write the lengths of all chambers (2n,) at a state x to out; negative: beyond the stroke's end."""
+    place(x, P, s)
+    read_pressures(x, P, E, s)
+    first = first_cylinder(s)
+    for c in range(s.topology[0, CYLINDERS]):
+        la = s.numbers[first + c, LA]
+        out[2 * c], out[2 * c + 1] = la, P[CYLINDER + N_CYLINDER * c + RANGE] - la

@@ -1,4 +1,4 @@
-"""Implicit trapezoidal rule (21)-(26) on the equations of the crane, compiled: one step, a run, a batch.
+"""Implicit trapezoidal rule (21)-(26) on the equations of a machine, compiled: one step, a run, a batch.
 
 The primary variables of a step are positions and amounts of oil; rates and accelerations follow from them by (22), pressures
 by the equation of state. So what flows into a chamber is what is in it more at the end, whatever the pressure does between:
@@ -19,12 +19,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crane_exudyn.compiled import njit
+from crane_exudyn import compiled
 from crane_exudyn.step_control import MOST_HALVINGS, POSITION_ERROR, PRESSURE_ERROR, RATE_ERROR, limit, next_level
 
-from .equations import OIL, amounts, balance, balance_of_amounts, pin_to_pin, rates, settle_pressures
+from .equations import (
+    CYLINDERS,
+    OIL,
+    Sheet,
+    amounts,
+    at_amounts,
+    at_pressures,
+    balance,
+    njit,
+    part,
+    rates,
+    read_amounts,
+    settle_pressures,
+    sheet,
+)
 
-__all__ = ["NOT_CONVERGED", "OK", "TOO_COARSE", "cylinder_lengths", "propagate_batch", "simulate"]
+__all__ = ["NOT_CONVERGED", "OK", "TOO_COARSE", "propagate_batch", "simulate"]
 
 #: status of a run
 OK, NOT_CONVERGED, TOO_COARSE = 0, 1, 2
@@ -39,7 +53,7 @@ POSITION_EPSILON, AMOUNT_EPSILON = 1e-7, 1e2
 
 
 class Point(NamedTuple):
-    """A crane at one instant: state x (nx,), amounts of oil N (4,), and g (nx,) the rates of positions, rates and amounts."""
+    """A machine at one instant: state x (nx,), amounts of oil N (2n,), and g (nx,) the rates of positions, rates and amounts."""
 
     x: np.ndarray
     N: np.ndarray
@@ -47,7 +61,7 @@ class Point(NamedTuple):
 
 
 class Work(NamedTuple):
-    """What stepping needs: places of the `primary` variables, tangents, scratch, and what it says.
+    """What stepping needs: the machine's sheet, where positions and their rates stand in x (n or n + 1, 2), tangents, scratch, and what it says.
 
     Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the step size `made`
     for which it was made (0: there is none), and the contraction `rate` that Newton's method had with it.
@@ -55,7 +69,8 @@ class Work(NamedTuple):
     the PATIENCE: after a step of more iterations the next one has a new tangent; and how often the next step is halved at once.
     """
 
-    primary: np.ndarray
+    sheet: Sheet
+    places: np.ndarray
     A: np.ndarray
     pivot: np.ndarray
     made: np.ndarray
@@ -73,33 +88,41 @@ HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE = range(7)
 PATIENT = 3.0
 
 
-@njit(cache=False)
-def primary_indices(nx):
-    """Return the places of the primary variables in x: positions (z1, z4, the pendulum's angle), then amounts."""
-    if nx == 8:
-        return np.array([0, 1, 4, 5, 6, 7])
-    return np.array([0, 1, 8, 4, 5, 6, 7])
+@compiled.njit(cache=False)
+def places_of(nx, n):
+    """Return where positions (the coordinates, the pendulum's angle) and their rates stand in x; the other primary variables are amounts."""
+    places = np.empty((n + (nx - 4 * n) // 2, 2), np.int64)
+    for i in range(places.shape[0]):
+        places[i, 0], places[i, 1] = (i, n + i) if i < n else (4 * n, 4 * n + 1)
+    return places
 
 
-@njit(cache=False)
-def point(nx):
+@compiled.njit(cache=False)
+def point(nx, n):
     """Return an empty Point."""
-    return Point(np.empty(nx), np.empty(4), np.empty(nx))
+    return Point(np.empty(nx), np.empty(2 * n), np.empty(nx))
 
 
-@njit(cache=False)
-def workspace(nx, n_inputs):
-    """Return the Work of a crane with nx states and n_inputs inputs."""
-    index, levels = primary_indices(nx), MOST_HALVINGS + 1
-    n = index.size
+@compiled.njit(cache=False)
+def workspace(topology, nx, n_inputs):
+    """Return the Work of a machine with nx states and n_inputs inputs."""
+    n, levels = topology[0, CYLINDERS], MOST_HALVINGS + 1
+    places = places_of(nx, n)
+    m = places.shape[0] + 2 * n
     return Work(
-        index, np.empty((levels, n, n)), np.empty((levels, n), np.int64), np.zeros(levels), np.ones(levels),
-        np.empty((3, n)), point(nx), point(nx), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0]),
+        sheet(topology), places, np.empty((levels, m, m)), np.empty((levels, m), np.int64), np.zeros(levels), np.ones(levels),
+        np.empty((3, m)), point(nx, n), point(nx, n), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0]),
         np.zeros(nx),
     )  # fmt: skip
 
 
-@njit(cache=False)
+@part
+def copy(source, target):
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@njit
 def factorise(A, pivot):
     """Replace A by its LU factors with row exchanges `pivot`; False if A is singular or not finite."""
     n = A.shape[0]
@@ -121,7 +144,7 @@ def factorise(A, pivot):
     return True
 
 
-@njit(cache=False)
+@njit
 def solve_factorised(A, pivot, b):
     """Replace b by the solution of the system whose factors `factorise` left in A."""
     n = A.shape[0]
@@ -137,92 +160,108 @@ def solve_factorised(A, pivot, b):
         b[k] /= A[k, k]
 
 
-@njit(inline="always")
-def rate_of(k):
-    """Return where the rate of position k stands."""
-    return k + 2 if k < 2 else k + 1
-
-
-@njit(cache=False)
-def begin(p, w, t, P, E):
+@njit
+def begin(p, w, t, P, E, s):
     """Fill amounts and rates of a Point from its state."""
-    b = balance(p.x, w, t, P, E)
-    amounts(b, p.N)
-    rates(b, p.x, E, p.g)
+    at_pressures(p.x, w, t, P, E, s)
+    amounts(s, p.N)
+    rates(p.x, s, p.g)
 
 
-@njit(cache=False)
-def settle(p, w, t, P, E):
+@njit
+def settle(p, w, t, P, E, s):
     """Fill pressures and rates of a Point from its positions, rates and amounts; then the amounts as the pressures have them."""
-    b = balance_of_amounts(p.x, p.N, w, t, P, E)
-    amounts(b, p.N)
-    rates(b, p.x, E, p.g)
+    at_amounts(p.x, p.N, w, t, P, E, s)
+    amounts(s, p.N)
+    rates(p.x, s, p.g)
 
 
-@njit(cache=False)
-def residual(start, end, w1, t1, h, P, E, index, r):
+@njit
+def end_rates(start, end, h, places):
+    """Write the rates at the end of a step that its positions ask for (22)."""
+    for i in range(places.shape[0]):
+        k, r = places[i, 0], places[i, 1]
+        end.x[r] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[r]
+
+
+@njit
+def residual(start, end, w1, t1, h, P, E, work, r):
     """Write the residual (23) of the step to r, completing the end from its positions and amounts.
 
     Positions: h/2 times the defect of the rates, which is (23) multiplied by the inverse mass matrix. Amounts in AMOUNT.
     """
-    for i in range(index.size - 4):  # (22)
-        k = index[i]
-        end.x[rate_of(k)] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[rate_of(k)]
-    b = balance_of_amounts(end.x, end.N, w1, t1, P, E)
-    rates(b, end.x, E, end.g)
-    for i in range(index.size):
-        k = index[i]
-        if 4 <= k < 8:
-            r[i] = (end.N[k - 4] - start.N[k - 4] - 0.5 * h * (start.g[k] + end.g[k])) / AMOUNT
-        else:
-            rate = rate_of(k)
-            r[i] = 0.5 * h * (end.x[rate] - start.x[rate] - 0.5 * h * (start.g[rate] + end.g[rate]))
+    end_rates(start, end, h, work.places)
+    at_amounts(end.x, end.N, w1, t1, P, E, work.sheet)
+    defects(start, end, h, work, r)
 
 
-@njit(cache=False)
-def tangent(start, w1, t1, h, P, E, work, level):
-    """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step; False if it is singular."""
-    base, moved, to = work.rows[1], work.rows[2], work.moved
-    to.x[:], to.N[:] = work.end.x, work.end.N
-    residual(start, to, w1, t1, h, P, E, work.primary, base)
-    for j in range(work.primary.size):
-        k = work.primary[j]
-        to.x[:], to.N[:] = work.end.x, work.end.N
-        if 4 <= k < 8:
-            to.N[k - 4] += AMOUNT_EPSILON * AMOUNT
+@njit
+def residual_of_amounts(start, end, w1, t1, h, P, E, work, r):
+    """Write the residual (23) to r where only amounts differ from what was evaluated last: positions and mass matrix stand."""
+    read_amounts(end.x, end.N, P, E, work.sheet)
+    balance(end.x, w1, t1, P, E, work.sheet)
+    defects(start, end, h, work, r)
+
+
+@njit
+def defects(start, end, h, work, r):
+    """Write what the sheet's rates leave of the residual (23) to r."""
+    places = work.places
+    n, first = places.shape[0], 2 * work.sheet.topology[0, CYLINDERS]
+    rates(end.x, work.sheet, end.g)
+    for i in range(n):
+        k = places[i, 1]
+        r[i] = 0.5 * h * (end.x[k] - start.x[k] - 0.5 * h * (start.g[k] + end.g[k]))
+    for i in range(end.N.size):
+        r[n + i] = (end.N[i] - start.N[i] - 0.5 * h * (start.g[first + i] + end.g[first + i])) / AMOUNT
+
+
+@njit
+def tangent(start, base, w1, t1, h, P, E, work, level):
+    """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step, whose residual, the last evaluated,
+    is `base`; False if it is singular.
+    """
+    moved, to, A = work.rows[1], work.moved, work.A[level]
+    m, n = base.size, work.places.shape[0]
+    copy(work.end.x, to.x)
+    for j in range(m - 1, -1, -1):  # amounts first: for them the mechanics of the base stand
+        copy(work.end.N, to.N)
+        if j >= n:
+            to.N[j - n] += AMOUNT_EPSILON * AMOUNT
+            residual_of_amounts(start, to, w1, t1, h, P, E, work, moved)
         else:
-            to.x[k] += POSITION_EPSILON
-        residual(start, to, w1, t1, h, P, E, work.primary, moved)
-        step = AMOUNT_EPSILON if 4 <= k < 8 else POSITION_EPSILON
-        for i in range(work.primary.size):
-            work.A[level, i, j] = (moved[i] - base[i]) / step
-    good = factorise(work.A[level], work.pivot[level])
+            copy(work.end.x, to.x)
+            to.x[work.places[j, 0]] += POSITION_EPSILON
+            residual(start, to, w1, t1, h, P, E, work, moved)
+        step = AMOUNT_EPSILON if j >= n else POSITION_EPSILON
+        for i in range(m):
+            A[i, j] = (moved[i] - base[i]) / step
+    good = factorise(A, work.pivot[level])
     work.made[level], work.rate[level] = (h if good else 0.0), 1.0
     return good
 
 
-@njit(cache=False)
+@njit
 def predict(start, h, work):
     """Write a first guess of the primary variables to the end of the step: rates go on as they changed in the part before."""
-    end, bend = work.end, 0.0
+    end, bend, first = work.end, 0.0, 2 * work.sheet.topology[0, CYLINDERS]
     if 0.0 < h <= 2.0 * work.said[BEFORE]:
         bend = h / work.said[BEFORE]
-    end.x[:] = start.x
-    for i in range(work.primary.size):
-        k = work.primary[i]
-        if 4 <= k < 8:
-            end.N[k - 4] = start.N[k - 4] + h * (start.g[k] + 0.5 * bend * (start.g[k] - work.past[k]))
-        else:
-            r = rate_of(k)
-            end.x[k] = start.x[k] + h * (start.x[r] + 0.5 * h * (start.g[r] + bend / 3.0 * (start.g[r] - work.past[r])))
+    copy(start.x, end.x)
+    for i in range(work.places.shape[0]):
+        k, r = work.places[i, 0], work.places[i, 1]
+        end.x[k] = start.x[k] + h * (start.x[r] + 0.5 * h * (start.g[r] + bend / 3.0 * (start.g[r] - work.past[r])))
+    for i in range(end.N.size):
+        k = first + i
+        end.N[i] = start.N[i] + h * (start.g[k] + 0.5 * bend * (start.g[k] - work.past[k]))
 
 
-@njit(cache=False)
-def change_size(index, r, h):
-    """Return the largest change in units of its tolerance in a step h; NaN if any is not a number."""
+@njit
+def change_size(n, r, h):
+    """Return the largest change, n of positions and then of amounts, in units of its tolerance in a step h; NaN if any is not a number."""
     largest, tolerance = 0.0, max(RATE_TOLERANCE * h, ROUNDING)
-    for i in range(index.size):
-        size = abs(r[i]) / (AMOUNT_TOLERANCE if 4 <= index[i] < 8 else tolerance)
+    for i in range(r.size):
+        size = abs(r[i]) / (tolerance if i < n else AMOUNT_TOLERANCE)
         if not size <= largest:
             largest = size
         if math.isnan(size):
@@ -230,18 +269,18 @@ def change_size(index, r, h):
     return largest
 
 
-@njit(cache=False)
+@njit
 def newton(start, w1, t1, h, P, E, work, level):
     """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not converge."""
-    index, r, end, made, rate = work.primary, work.rows[0], work.end, work.made, work.rate
+    r, end, made, rate, n = work.rows[0], work.end, work.made, work.rate, work.places.shape[0]
     predict(start, h, work)
     before = math.inf
     for iteration in range(MAX_ITERATIONS):
-        if not abs(made[level] - h) <= 1e-6 * h and not tangent(start, w1, t1, h, P, E, work, level):
+        residual(start, end, w1, t1, h, P, E, work, r)
+        if not abs(made[level] - h) <= 1e-6 * h and not tangent(start, r, w1, t1, h, P, E, work, level):
             return False
-        residual(start, end, w1, t1, h, P, E, index, r)
         solve_factorised(work.A[level], work.pivot[level], r)
-        size = change_size(index, r, h)
+        size = change_size(n, r, h)
         if not size < 1e15:  # a pose that cannot be reached, or far out: smaller steps
             made[level] = 0.0
             return False
@@ -249,15 +288,12 @@ def newton(start, w1, t1, h, P, E, work, level):
             rate[level] = max(0.3 * rate[level], size / before)
             if size > 0.3 * before and size > 1.0:
                 made[level] = 0.0  # too slow: a new tangent for the next iteration
-        for i in range(index.size):
-            if 4 <= index[i] < 8:
-                end.N[index[i] - 4] -= r[i] * AMOUNT
-            else:
-                end.x[index[i]] -= r[i]
+        for i in range(n):
+            end.x[work.places[i, 0]] -= r[i]
+        for i in range(end.N.size):
+            end.N[i] -= r[n + i] * AMOUNT
         if size * min(rate[level], 1.0) <= 1.0:  # what is left is the size of the last change times the contraction
-            for i in range(index.size - 4):
-                k = index[i]
-                end.x[rate_of(k)] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[rate_of(k)]
+            end_rates(start, end, h, work.places)
             if iteration >= work.said[PATIENCE]:
                 made[level] = 0.0
             return True
@@ -266,7 +302,7 @@ def newton(start, w1, t1, h, P, E, work, level):
     return False
 
 
-@njit(cache=False)
+@njit
 def local_error(start, w0, w1, t0, h, P, E, work, level):
     """Return the local error of the step from `start` to `work.end` in units of `step_control.*_ERROR`.
 
@@ -274,82 +310,85 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
     enough: by the change of the rates over the step, which bounds the defect of rates that change one way; by the rates in the
     middle; and after what the system's own stiffness makes of the defect, by one iteration of Newton's method.
     """
-    index, end, middle, r = work.primary, work.end, work.moved, work.rows[1]
-    for i in range(index.size):
-        k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
-        work.rows[2][i] = h / 3.0 * abs(start.g[k] - end.g[k])
-    worst = defect_size(work.rows[2], index, h, start, end, P)
+    places, end, middle, r, defect = work.places, work.end, work.moved, work.rows[1], work.rows[2]
+    n, m = places.shape[0], r.size
+    for i in range(m):
+        k = place_of_rate(i, work)
+        defect[i] = h / 3.0 * abs(start.g[k] - end.g[k])
+    worst = defect_size(defect, h, start, end, P, work)
     if worst <= work.said[LIMIT]:
         return worst
     back = work.said[BEFORE]
     if 0.5 * h <= back <= 2.0 * h:
-        for i in range(index.size):
-            k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
+        for i in range(m):
+            k = place_of_rate(i, work)
             bend = ((end.g[k] - start.g[k]) / h - (start.g[k] - work.past[k]) / back) / (h + back)
-            work.rows[2][i] = h**3 / 6.0 * abs(bend)
-        worst = defect_size(work.rows[2], index, h, start, end, P)
+            defect[i] = h**3 / 6.0 * abs(bend)
+        worst = defect_size(defect, h, start, end, P, work)
         if worst <= work.said[LIMIT]:
             return worst
     middle_rates(start, w0, w1, t0, h, P, E, work)
-    for i in range(index.size):
-        k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
-        work.rows[2][i] = h / 3.0 * abs(start.g[k] + end.g[k] - 2.0 * middle.g[k])
-    worst = defect_size(work.rows[2], index, h, start, end, P)
+    for i in range(m):
+        k = place_of_rate(i, work)
+        r[i] = h / 3.0 * (start.g[k] + end.g[k] - 2.0 * middle.g[k])
+        defect[i] = abs(r[i])
+    worst = defect_size(defect, h, start, end, P, work)
     if not worst > work.said[LIMIT]:
         return worst if worst == worst else math.inf
-    for i in range(index.size):
-        k = index[i] if 4 <= index[i] < 8 else rate_of(index[i])
-        defect = h / 3.0 * (start.g[k] + end.g[k] - 2.0 * middle.g[k])
-        r[i] = defect / AMOUNT if 4 <= k < 8 and index[i] == k else of_position(start, end, k, h) + 0.5 * h * defect
+    for i in range(m):
+        r[i] = of_position(start, end, places[i, 1], h) + 0.5 * h * r[i] if i < n else r[i] / AMOUNT
     solve_factorised(work.A[level], work.pivot[level], r)
-    for i in range(index.size):
-        k = index[i]
-        work.rows[2][i] = (
-            abs(r[i]) * AMOUNT if 4 <= k < 8 else 2.0 / h * abs(r[i] - of_position(start, end, rate_of(k), h))
-        )
-    worst = defect_size(work.rows[2], index, h, start, end, P)
-    for i in range(index.size - 4):
+    for i in range(m):
+        defect[i] = 2.0 / h * abs(r[i] - of_position(start, end, places[i, 1], h)) if i < n else abs(r[i]) * AMOUNT
+    worst = defect_size(defect, h, start, end, P, work)
+    for i in range(n):
         worst = max(worst, abs(r[i]) / POSITION_ERROR)
     return worst if worst == worst else math.inf
 
 
-@njit(inline="always")
+@part
+def place_of_rate(i, work):
+    """Return where what residual i is about stands in g: the acceleration of a position, or the rate of an amount."""
+    n = work.places.shape[0]
+    return work.places[i, 1] if i < n else 2 * work.sheet.topology[0, CYLINDERS] + i - n
+
+
+@part
 def of_position(start, end, rate, h):
     """Return the defect h/3 (z0' + z1' - 2 zm') of a position, the rate in the middle being Hermite's."""
     return -h * h / 12.0 * (start.g[rate] - end.g[rate])
 
 
-@njit(cache=False)
+@njit
 def middle_rates(start, w0, w1, t0, h, P, E, work):
     """Fill `work.moved` with the state in the middle of the step, by Hermite's interpolation, and its rates."""
-    index, end, middle, w = work.primary, work.end, work.moved, work.w[2]
+    end, middle, w, first = work.end, work.moved, work.w[2], 2 * work.sheet.topology[0, CYLINDERS]
     for i in range(w.size):
         w[i] = 0.5 * (w0[i] + w1[i])
     for i in range(middle.x.size):
         middle.x[i] = 0.5 * (start.x[i] + end.x[i])
-    for k in range(4):
-        middle.N[k] = 0.5 * (start.N[k] + end.N[k]) + 0.125 * h * (start.g[4 + k] - end.g[4 + k])
-    for i in range(index.size - 4):
-        k, rate = index[i], rate_of(index[i])
+    for i in range(middle.N.size):
+        middle.N[i] = 0.5 * (start.N[i] + end.N[i]) + 0.125 * h * (start.g[first + i] - end.g[first + i])
+    for i in range(work.places.shape[0]):
+        k, rate = work.places[i, 0], work.places[i, 1]
         middle.x[k] += 0.125 * h * (start.x[rate] - end.x[rate])
         middle.x[rate] += 0.125 * h * (start.g[rate] - end.g[rate])
-    b = balance_of_amounts(middle.x, middle.N, w, t0 + 0.5 * h, P, E)
-    rates(b, middle.x, E, middle.g)
+    at_amounts(middle.x, middle.N, w, t0 + 0.5 * h, P, E, work.sheet)
+    rates(middle.x, work.sheet, middle.g)
 
 
-@njit(cache=False)
-def defect_size(defects, index, h, start, end, P):
+@njit
+def defect_size(defect, h, start, end, P, work):
     """Return the largest of the defects of rates and amounts, and of those of the positions, in units of `step_control.*_ERROR`.
 
     An amount may be wrong by what PRESSURE_ERROR presses into the oil of its chamber.
     """
-    worst = 0.0
-    for i in range(index.size):
-        k = index[i]
-        if 4 <= k < 8:
-            size = defects[i] * P[OIL] / (start.N[k - 4] * PRESSURE_ERROR)
+    worst, n = 0.0, work.places.shape[0]
+    for i in range(defect.size):
+        if i < n:
+            size = max(defect[i] / RATE_ERROR, abs(of_position(start, end, work.places[i, 1], h)) / POSITION_ERROR)
         else:
-            size = max(defects[i] / RATE_ERROR, abs(of_position(start, end, rate_of(k), h)) / POSITION_ERROR)
+            size = defect[i] * P[OIL] / (start.N[i - n] * PRESSURE_ERROR)
         if not size <= worst:
             worst = size
         if math.isnan(size):
@@ -357,13 +396,13 @@ def defect_size(defects, index, h, start, end, P):
     return worst
 
 
-@njit(cache=False)
+@njit
 def between(w0, w1, share, w):
     for k in range(w.size):
         w[k] = w0[k] if share == 0.0 else (w1[k] if share == 1.0 else w0[k] + share * (w1[k] - w0[k]))
 
 
-@njit(cache=False)
+@njit
 def try_step(now, wa, wb, t, h, P, E, work, level):
     """Take one step from `now` to `work.end`, pressures left out; return OK or why it has to be halved."""
     if not newton(now, wb, t + h, h, P, E, work, level):
@@ -373,19 +412,20 @@ def try_step(now, wa, wb, t, h, P, E, work, level):
     return OK if work.said[ERROR] <= work.said[LIMIT] else TOO_COARSE
 
 
-@njit(inline="always")
+@part
 def remember(start, h, work):
     """Keep the rates at the start of a part of length h that was good, for the first guess and the error of the next."""
-    work.past[:], work.said[BEFORE] = start.g, h
+    copy(start.g, work.past)
+    work.said[BEFORE] = h
 
 
-@njit(inline="always")
+@part
 def forget(work):
     """Begin anew: no part lies before the next."""
     work.said[LEVEL], work.said[BEFORE] = 0.0, 0.0
 
 
-@njit(cache=False)
+@njit
 def advance(now, w0, w1, t0, h, P, E, work, last):
     """Move the Point `now` by h in place; a step that fails is halved, and its halves again. Return a status.
 
@@ -402,11 +442,12 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
         if status == OK:
             done += part
             remember(now, part * h, work)
-            now.x[:], now.N[:] = work.end.x, work.end.N
+            copy(work.end.x, now.x)
+            copy(work.end.N, now.N)
             if done < 1.0 or not last:
-                settle(now, wb, t0 + done * h, P, E)
+                settle(now, wb, t0 + done * h, P, E, work.sheet)
             else:
-                settle_pressures(now.x, now.N, P, E)
+                settle_pressures(now.x, now.N, P, E, work.sheet)
             level = next_level(level, done, part * h, work.said[ERROR], work.said[ALLOWED])
         elif level < MOST_HALVINGS:
             level += 1
@@ -417,24 +458,25 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
     return OK
 
 
-@njit
-def simulate(x0, W, time, step, P, E, allowed=1.0):
+@compiled.njit
+def simulate(x0, W, time, step, P, E, topology, allowed=1.0):
     """Return states X (N, nx) at increasing times (N,), the status, the sample before the step that failed, and halved steps.
 
     Args:
-        x0: state (nx,) at the first time; nx is 8, or 10 with a pendulum.
-        W: inputs [U1 U2 pp pt] (N, 4) at the times, linear between; NaN in pp or pt: the crane's own.
+        x0: state (nx,) at the first time; with n coordinates nx is 4n, or 4n + 2 with a pendulum.
+        W: inputs [U pp pt] (N, n + 2) at the times, linear between; NaN in pp or pt: the machine's own.
         time, step: s; each interval is cut into equal steps of at most `step`.
         P, E: parameter and effect vectors.
+        topology: of the machine.
         allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
     """
     n_times, nx = W.shape[0], x0.size
     X = np.full((n_times, nx), math.nan)
-    work, now = workspace(nx, 4), point(nx)
+    work, now = workspace(topology, nx, W.shape[1]), point(nx, topology[0, CYLINDERS])
     work.said[ALLOWED], work.said[PATIENCE] = allowed, PATIENT
-    wa, wb = np.empty(4), np.empty(4)
+    wa, wb = np.empty(W.shape[1]), np.empty(W.shape[1])
     now.x[:] = x0
-    begin(now, W[0], time[0], P, E)
+    begin(now, W[0], time[0], P, E, work.sheet)
     X[0] = x0
     for k in range(n_times - 1):
         n = max(1, math.ceil((time[k + 1] - time[k]) / step - 1e-6))
@@ -450,16 +492,16 @@ def simulate(x0, W, time, step, P, E, allowed=1.0):
     return X, OK, -1, int(work.said[HALVED])
 
 
-@njit
-def propagate_batch(states, W0, W1, t0, dt, n, P, E, allowed=1.0):
+@compiled.njit
+def propagate_batch(states, W0, W1, t0, dt, n, P, E, topology, allowed=1.0):
     """Return states (rows, nx) one dt later, in n equal steps, the status and the row that failed, and how many steps were halved.
 
-    W0, W1 (rows or 1, 4 or 12): inputs at the start and the end; the last eight are disturbances, see `equations`.
+    W0, W1 (rows or 1, .): inputs at the start and the end, without or with the disturbances of the layout behind them.
     P, E (rows or 1, .): parameter and effect vectors. The tangent is shared by the rows: they are neighbours.
     """
     rows, nx = states.shape
     out = np.empty_like(states)
-    work, now = workspace(nx, W0.shape[1]), point(nx)
+    work, now = workspace(topology, nx, W0.shape[1]), point(nx, topology[0, CYLINDERS])
     work.said[ALLOWED] = allowed
     wa, wb = np.empty(W0.shape[1]), np.empty(W0.shape[1])
     h = dt / n
@@ -468,7 +510,7 @@ def propagate_batch(states, W0, W1, t0, dt, n, P, E, allowed=1.0):
         p, e = P[row % P.shape[0]], E[row % E.shape[0]]
         now.x[:] = states[row]
         forget(work)
-        begin(now, a, t0, p, e)
+        begin(now, a, t0, p, e, work.sheet)
         for i in range(n):
             between(a, b, i / n, wa)
             between(a, b, (i + 1) / n, wb)
@@ -478,12 +520,3 @@ def propagate_batch(states, W0, W1, t0, dt, n, P, E, allowed=1.0):
                 return out, status, row, int(work.said[HALVED])
         out[row] = now.x
     return out, OK, -1, int(work.said[HALVED])
-
-
-@njit
-def cylinder_lengths(cylinder, angles, P):
-    """Return pin-to-pin lengths (n,) m of the lift cylinder (0) at angles z1 (n,) or of the tilt cylinder (1) at angles z4 (n,)."""
-    out = np.empty(angles.size)
-    for i in range(angles.size):
-        out[i] = pin_to_pin(cylinder, angles[i], P)
-    return out

@@ -23,7 +23,7 @@ import numpy as np
 from crane_exudyn.compiled import njit
 from crane_exudyn.step_control import MOST_HALVINGS, limit, next_level
 
-from .equations import settle_pressures
+from .equations import CYLINDERS, Sheet, amounts, balance, rates, read_pressures, settle_pressures, sheet
 from .kernel import (
     ALLOWED,
     ERROR,
@@ -74,23 +74,44 @@ class Sweep(NamedTuple):
 
 
 @njit(cache=False)
-def tangents_at(here, w, t, P, E, Y, G, moved):
-    """Write Y = dN/dx (4, nx) in AMOUNT and G = dg/dx (nx, nx) around a filled Point, by forward differences."""
-    for j in range(here.x.size):
-        step = PRESSURE_EPSILON if 4 <= j < 8 else (RATE_EPSILON if j in (2, 3, 9) else POSITION_EPSILON)
+def tangents_at(here, w, t, P, E, s, Y, G, moved):
+    """Write Y = dN/dx (2n, nx) in AMOUNT and G = dg/dx (nx, nx) around the Point that was filled last, by forward differences."""
+    nx, n = here.x.size, here.N.size
+    for k in range(nx):
+        j = (n + k) % nx  # pressures first: for them the mechanics of the Point stand
+        pressure = holds_oil(j, n)
+        step = PRESSURE_EPSILON if pressure else (RATE_EPSILON if is_rate(j, n) else POSITION_EPSILON)
         moved.x[:] = here.x
         moved.x[j] += step
-        begin(moved, w, t, P, E)
-        for i in range(4):
+        if pressure:
+            read_pressures(moved.x, P, E, s)
+            balance(moved.x, w, t, P, E, s)
+            amounts(s, moved.N)
+            rates(moved.x, s, moved.g)
+        else:
+            begin(moved, w, t, P, E, s)
+        for i in range(n):
             Y[i, j] = (moved.N[i] - here.N[i]) / (step * AMOUNT)
-        for i in range(here.x.size):
-            G[i, j] = in_units(i, moved.g[i] - here.g[i]) / step
+        for i in range(nx):
+            G[i, j] = in_units(i, n, moved.g[i] - here.g[i]) / step
 
 
 @njit(inline="always")
-def in_units(i, rate):
+def holds_oil(i, n):
+    """Return whether row i of a state is that of a chamber, of which there are n: behind as many coordinates and rates."""
+    return n <= i < 2 * n
+
+
+@njit(inline="always")
+def is_rate(i, n):
+    """Return whether row i of a state is that of a rate, the pendulum's being the last."""
+    return n <= 2 * i < 2 * n or i == 2 * n + 1
+
+
+@njit(inline="always")
+def in_units(i, n, rate):
     """Return a rate in the unit of row i: amounts of oil are counted in AMOUNT."""
-    return rate / AMOUNT if 4 <= i < 8 else rate
+    return rate / AMOUNT if holds_oil(i, n) else rate
 
 
 @njit(cache=False)
@@ -121,11 +142,12 @@ def solve_columns(A, pivot, R):
 @njit(cache=False)
 def right_side(S, Y, G, h, R):
     """Write (dy/dx + h/2 G) S to R."""
+    n = Y.shape[0]
     for i in range(G.shape[0]):
-        if 4 <= i < 8:
+        if holds_oil(i, n):
             R[i] = 0.0
             for j in range(G.shape[0]):
-                add_rows(R[i], Y[i - 4, j] + 0.5 * h * G[i, j], S[j])
+                add_rows(R[i], Y[i - n, j] + 0.5 * h * G[i, j], S[j])
         else:
             R[i] = S[i]
             for j in range(G.shape[0]):
@@ -135,9 +157,10 @@ def right_side(S, Y, G, h, R):
 @njit(cache=False)
 def left_factors(Y, G, h, L, pivot):
     """Write the LU factors of dy/dx - h/2 G to L; False if singular."""
+    n = Y.shape[0]
     for i in range(G.shape[0]):
         for j in range(G.shape[0]):
-            L[i, j] = (Y[i - 4, j] if 4 <= i < 8 else (1.0 if i == j else 0.0)) - 0.5 * h * G[i, j]
+            L[i, j] = (Y[i - n, j] if holds_oil(i, n) else (1.0 if i == j else 0.0)) - 0.5 * h * G[i, j]
     return factorise(L, pivot)
 
 
@@ -159,7 +182,7 @@ class Base(NamedTuple):
 
 
 class Tangents(NamedTuple):
-    """Y (4, nx), G (nx, nx), c (4, m), b (nx, m) and the probes' own Y (n_own, 4, nx), G (n_own, nx, nx) at one instant."""
+    """Y (2n, nx), G (nx, nx), c (2n, m), b (nx, m) and the probes' own Y (n_own, 2n, nx), G (n_own, nx, nx) at one instant."""
 
     Y: np.ndarray
     G: np.ndarray
@@ -172,6 +195,7 @@ class Tangents(NamedTuple):
 class Moving(NamedTuple):
     """A Point and its sensitivities (nx, M) as they move along, tangents before and after a step, and scratch."""
 
+    sheet: Sheet
     now: Point
     S: np.ndarray
     before: Tangents
@@ -185,18 +209,20 @@ class Moving(NamedTuple):
 
 
 @njit(cache=False)
-def new_tangents(nx, m, n_own):
+def new_tangents(nx, chambers, m, n_own):
     return Tangents(
-        np.empty((4, nx)), np.empty((nx, nx)), np.zeros((4, m)), np.zeros((nx, m)), np.empty((n_own, 4, nx)), np.empty((n_own, nx, nx))
+        np.empty((chambers, nx)), np.empty((nx, nx)), np.zeros((chambers, m)), np.zeros((nx, m)), np.empty((n_own, chambers, nx)),
+        np.empty((n_own, nx, nx)),
     )  # fmt: skip
 
 
 @njit(cache=False)
-def new_moving(nx, m, n_own, columns, n_inputs):
+def new_moving(topology, nx, m, n_own, columns, n_inputs):
     """Return the arrays of a sweep with `columns` sensitivities, of which the last may be transitions."""
+    n = topology[0, CYLINDERS]
     return Moving(
-        point(nx), np.zeros((nx, columns)), new_tangents(nx, m, n_own), new_tangents(nx, m, n_own),
-        np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx), point(nx), np.empty((3, n_inputs)),
+        sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m, n_own), new_tangents(nx, 2 * n, m, n_own),
+        np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx, n), point(nx, n), np.empty((3, n_inputs)),
     )  # fmt: skip
 
 
@@ -206,28 +232,29 @@ def evaluate(base, v, k, share, t, into):
     now, w, probed = v.now, v.inputs[2], v.probed
     last = min(k + 1, base.W_all.shape[1] - 1)
     between(base.W_all[0, k], base.W_all[0, last], share, w)
-    begin(now, w, t, base.P, base.E)
-    tangents_at(now, w, t, base.P, base.E, into.Y, into.G, v.moved)
+    begin(now, w, t, base.P, base.E, v.sheet)
+    tangents_at(now, w, t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
     for j in range(base.delta.size):
         P, E, W = base.P_cols[j], base.E_cols[j], base.W_all[base.W_index[j]]
         between(W[k], W[last], share, w)
         probed.x[:] = now.x
-        begin(probed, w, t, P, E)
-        for i in range(4):
+        begin(probed, w, t, P, E, v.sheet)
+        for i in range(now.N.size):
             into.c[i, j] = (probed.N[i] - now.N[i]) / (base.delta[j] * AMOUNT)
         for i in range(now.x.size):
-            into.b[i, j] = in_units(i, probed.g[i] - now.g[i]) / base.delta[j]
+            into.b[i, j] = in_units(i, now.N.size, probed.g[i] - now.g[i]) / base.delta[j]
         if base.own[j] >= 0:
-            tangents_at(probed, w, t, P, E, into.own_Y[base.own[j]], into.own_G[base.own[j]], v.moved)
+            tangents_at(probed, w, t, P, E, v.sheet, into.own_Y[base.own[j]], into.own_G[base.own[j]], v.moved)
 
 
 @njit(cache=False)
 def add_probe(j, h, v, column):
     """Add c0 - c1 + h/2 (b0 + b1) of probe j to a column (nx,)."""
+    n = v.now.N.size
     for i in range(column.size):
         column[i] += 0.5 * h * (v.before.b[i, j] + v.after.b[i, j])
-        if 4 <= i < 8:
-            column[i] += v.before.c[i - 4, j] - v.after.c[i - 4, j]
+        if holds_oil(i, n):
+            column[i] += v.before.c[i - n, j] - v.after.c[i - n, j]
 
 
 @njit(cache=False)
@@ -284,7 +311,7 @@ def advance_sample(base, k, v, work):
         if status == OK:
             remember(v.now, h, work)
             v.now.x[:] = work.end.x
-            settle_pressures(v.now.x, work.end.N, base.P, base.E)
+            settle_pressures(v.now.x, work.end.N, base.P, base.E, v.sheet)
             evaluate(base, v, k, end, t + h, v.after)
             if not linear_step(base, h, v):
                 return NOT_CONVERGED
@@ -320,15 +347,15 @@ def set_identity(S, first):
 
 
 @njit
-def _sweep(x0_knots, knot_index, base, want_phi):
+def _sweep(x0_knots, knot_index, base, topology, want_phi):
     N, (K, nx), m = base.W_all.shape[1], x0_knots.shape, base.delta.size
     M = nx + m
     n_own = base.own.max() + 1 if m > 0 else 0
     X, S = np.full((N, nx), math.nan), np.zeros((N, nx, M))
     X_end, S_end = np.full((K, nx), math.nan), np.zeros((K, nx, M))
     Phi = np.zeros((N if want_phi else 0, nx, nx))
-    v = new_moving(nx, m, n_own, M + (nx if want_phi else 0), base.W_all.shape[2])
-    work = workspace(nx, base.W_all.shape[2])
+    v = new_moving(topology, nx, m, n_own, M + (nx if want_phi else 0), base.W_all.shape[2])
+    work = workspace(topology, nx, base.W_all.shape[2])
     work.said[ALLOWED], work.said[PATIENCE] = base.allowed, PATIENT
     status, failed, window, alive = OK, -1, -1, False
     for k in range(N):
@@ -370,6 +397,7 @@ def sweep(
     delta: np.ndarray,
     W_index: np.ndarray | None = None,
     *,
+    topology: np.ndarray,
     own: np.ndarray | None = None,
     substeps: int = 1,
     allowed: float = 1.0,
@@ -378,15 +406,16 @@ def sweep(
     """Return states and sensitivities along a run in windows; see `Sweep` for the shapes. Releases the global lock.
 
     Args:
-        x0_knots: (K, nx) state at the start of each window; nx is 8, or 10 with a pendulum in the base or a probe.
+        x0_knots: (K, nx) state at the start of each window; with n coordinates nx is 4n, or 4n + 2 with a pendulum in the base or a probe.
         knot_index: (K,) sample at which each window starts, increasing; usually begins with 0.
-        W_all: (n_W, N, 4) input signals [U1 U2 pp pt] on the sample grid, linear between; the first is the base's. With
-            (n_W, N, 12) the eight disturbances of `engine.DISTURBANCES` follow, so that unknown inputs can be probed.
+        W_all: (n_W, N, n + 2) input signals [U pp pt] on the sample grid, linear between; the first is the base's. With
+            (n_W, N, 4n + 4) the disturbances of the layout follow, so that unknown inputs can be probed.
         h, t0: sample interval and time of the first sample, s.
         P, E: the base's parameters and effects.
         P_cols, E_cols: (m, len P), (m, len E): those of each probe.
         delta: (m,) what each column is divided by: the change in its parameter, or 1.
         W_index: (m,) which input signal a probe has; the base's by default.
+        topology: of the machine.
         own: (m,) bool, which probes use the tangent of their own.
         substeps: steps of the trapezoidal rule per sample interval.
         allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
@@ -401,4 +430,4 @@ def sweep(
         np.ascontiguousarray(a, float) for a in (x0_knots, W_all, P, E, P_cols, E_cols, delta)
     )
     base = Base(P, E, P_cols, E_cols, delta, owned, W, index, float(h), float(t0), int(substeps), float(allowed))
-    return Sweep(*_sweep(x0, np.ascontiguousarray(knot_index, np.int64), base, bool(want_phi)))
+    return Sweep(*_sweep(x0, np.ascontiguousarray(knot_index, np.int64), base, topology, bool(want_phi)))

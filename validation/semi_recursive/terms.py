@@ -2,70 +2,178 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 
 from crane_exudyn.compiled import njit
-from crane_exudyn.parameters import POINT_NAMES
+from crane_exudyn.machine import GROUND, Machine
 
-from .equations import CYLINDER, HOSE_A, HOSE_B, N_CYLINDER, balance, piston_areas, pressure_rate
+from .equations import (
+    ACCELERATION,
+    AMOUNT,
+    BODIES,
+    BY,
+    BY_PRESSURE,
+    BY_VOLUME,
+    CARRIER,
+    COORDINATE,
+    CYLINDER,
+    CYLINDERS,
+    DENSITY,
+    FMU,
+    GA,
+    HOSE_A,
+    HYDRAULIC,
+    JOINTS,
+    LA,
+    LEAK_A,
+    LENGTH,
+    MATRIX,
+    N_CYLINDER,
+    OIL_A,
+    OIL_B,
+    PUMP,
+    QA,
+    RANGE,
+    SPEED_LA,
+    SPEED_S,
+    SWINGING,
+    TANK,
+    TURN,
+    VELOCITY,
+    WEIGHT,
+    F,
+    at_pressures,
+    first_cylinder,
+    piston_areas,
+    placed,
+    sheet,
+)
 
-#: names of the columns of `terms`
-TERM_NAMES: tuple[str, ...] = (
-    *(f"{axis}_{name}" for name in POINT_NAMES for axis in "xy"),
-    "phi_bracket_1", "phi_bracket_2", "z2", "z3", "dz2_dz4", "dz3_dz4", "s1", "s2", "ds1", "ds2",
-    "pp", "pt", "Q1", "Q2", "Q3", "Q4", "leak1", "leak2", "leak3", "leak4", "V1", "V2", "V3", "V4",
-    "Be1", "Be2", "Be3", "Be4", "dp1", "dp2", "dp3", "dp4", "Fmu1", "Fmu2", "F1", "F2",
-    "M11", "M12", "M22", "Qg1", "Qg4", "Qv1", "Qv4", "Qh1", "Qh4", "Qj1", "Qj4", "ddz1", "ddz4", "ddtheta",
-    "l1", "l2", "l3", "l4", "v_h1", "v_h2", "N1", "N2", "N3", "N4",
-)  # fmt: skip
-_COUNT = len(TERM_NAMES)
+
+def term_names(machine: Machine) -> tuple[str, ...]:
+    """Return the names of the columns of `terms`."""
+    z, n = machine.independent, len(machine.cylinders)
+    numbered = [f"{what}{{}}" for what in ("Q", "leak", "V", "Be", "l", "N")]
+    return (
+        *(f"{axis}_{_last(point)}" for point in machine.points for axis in "xy"),
+        *(f"phi_{body}" for body in machine.bodies),
+        *_dependent(machine),
+        *(f"{d}{c.length}" for c in machine.cylinders for d in ("", "d")),
+        *("pp", "pt"),
+        *(f"{what}{c + 1}" for c in range(n) for what in ("Fmu", "F", "v_h")),
+        *(name.format(k + 1) for k in range(2 * n) for name in numbered),
+        *(f"d{chamber}" for c in machine.cylinders for chamber in c.chambers),
+        *(f"M_{a}_{b}" for i, a in enumerate(z) for b in z[i:]),
+        *(f"{what}{name}" for name in z for what in ("Qg_", "Qv_", "Qh_", "Qj_", "dd")),
+        "ddtheta",
+    )
+
+
+def _last(point: str) -> str:
+    """Return a point as terms name it: joints.X as X, cylinders.NAME.base as NAME_base."""
+    return "_".join(point.split(".")[1:])
+
+
+def _dependent(machine: Machine) -> Iterator[str]:
+    for body in machine.bodies:
+        if body in machine.dependent:
+            name = machine.carriers[body].coordinate
+            yield name
+            yield from (f"d{name}_d{z}" for z in machine.independent)
+
+
+def point_rows(machine: Machine) -> np.ndarray:
+    """Return the body (row of the topology) and the place in P of each point (points, 2)."""
+    row = {name: k for k, name in enumerate((GROUND, *machine.bodies))}
+    return np.array([(row[body], machine.index[f"{p}.x"]) for p, body in machine.points.items()], dtype=np.int64)
 
 
 @njit(cache=False)
 def _angle(e):
-    return np.arctan2(e.imag, e.real)
+    return math.atan2(e.imag, e.real)
 
 
 @njit(cache=False)
-def bulk(oil, V):
-    """Return the effective bulk modulus Be (14), (41) of a chamber of volume V: V dp = Be dN / k."""
-    return oil.density * V / oil.by_pressure
+def _fill_motion(P, points, s, out, k):
+    """Write points, angles and dependent coordinates to out from place k on; return the place behind them."""
+    for i in range(points.shape[0]):
+        r = placed(points[i, 0], points[i, 1], P, s)
+        out[k], out[k + 1], k = r.real, r.imag, k + 2
+    for j in range(1, 1 + s.topology[0, BODIES]):
+        out[k], k = _angle(s.vectors[j, TURN]), k + 1
+    for j in range(1, 1 + s.topology[0, BODIES]):
+        if s.topology[j, COORDINATE] < 0:
+            carrier = s.topology[j, CARRIER] + 1
+            out[k], k = _angle(s.vectors[j, TURN] * s.vectors[carrier, TURN].conjugate()), k + 1
+            for i in range(s.topology[0, CYLINDERS]):
+                out[k], k = s.numbers[j, BY + i], k + 1
+    return k
 
 
 @njit(cache=False)
-def _fill(b, P, out):
-    z, m, c, d = b.z, b.m, b.c1, b.c2
-    A1, A2 = piston_areas(CYLINDER, P)
-    A3, A4 = piston_areas(CYLINDER + N_CYLINDER, P)
-    V1, V2 = P[CYLINDER + HOSE_A] + A1 * c.la, P[CYLINDER + HOSE_B] + A2 * c.lb
-    V3, V4 = P[CYLINDER + N_CYLINDER + HOSE_A] + A3 * d.la, P[CYLINDER + N_CYLINDER + HOSE_B] + A4 * d.lb
-    k = 0
-    for r in (z.O, z.F, z.G, z.H, z.B, z.A, z.C, z.D_bracket, z.D, z.E):
-        out[k], out[k + 1] = r.real, r.imag
-        k += 2
-    for value in (
-        _angle(z.e2), _angle(z.e3), _angle(z.e2 * z.e1.conjugate()), _angle(z.e3 * z.e2.conjugate()),
-        m.R2, m.R3, b.lift.s, b.tilt.s, b.lift.v, b.tilt.v,
-        b.pp, b.pt, c.Qa, c.Qb, d.Qa, d.Qb, c.leak_a, c.leak_b, d.leak_a, d.leak_b, V1, V2, V3, V4,
-        bulk(c.a, V1), bulk(c.b, V2), bulk(d.a, V3), bulk(d.b, V4),
-        pressure_rate(c.a, c.Ga, A1, c.v), pressure_rate(c.b, c.Gb, -A2, c.v),
-        pressure_rate(d.a, d.Ga, A3, d.v), pressure_rate(d.b, d.Gb, -A4, d.v), c.Fmu, d.Fmu, c.F, d.F,
-        b.M11, b.M14, b.M44, b.Qg1, b.Qg4, b.Qv1, b.Qv4, b.Qh1, b.Qh4, b.Qj1, b.Qj4, b.ddz1, b.ddz4, b.ddtheta,
-        c.la, c.lb, d.la, d.lb, c.v, d.v, c.a.amount, c.b.amount, d.a.amount, d.b.amount,
-    ):  # fmt: skip
-        out[k] = value
-        k += 1
+def _fill_cylinders(P, s, out, k):
+    first, n = first_cylinder(s), s.topology[0, CYLINDERS]
+    for row in range(first, first + n):
+        out[k], out[k + 1], k = s.numbers[row, LENGTH], s.numbers[row, SPEED_S], k + 2
+    out[k], out[k + 1], k = s.numbers[0, PUMP], s.numbers[0, TANK], k + 2
+    for row in range(first, first + n):
+        for what in (FMU, F, SPEED_LA):
+            out[k], k = s.numbers[row, what], k + 1
+    for c in range(n):
+        for side in range(2):
+            k = _fill_chamber(c, side, P, s, out, k)
+    for c in range(n):
+        for side in range(2):
+            out[k], k = pressure_rate(c, side, P, s), k + 1
+    return k
+
+
+@njit(cache=False)
+def _fill_chamber(c, side, P, s, out, k):
+    row, i, oil = first_cylinder(s) + c, CYLINDER + N_CYLINDER * c, OIL_A if side == 0 else OIL_B
+    length = s.numbers[row, LA] if side == 0 else P[i + RANGE] - s.numbers[row, LA]
+    V = P[i + HOSE_A + side] + piston_areas(i, P)[side] * length
+    out[k], out[k + 1], out[k + 2] = s.numbers[row, QA + side], s.numbers[row, LEAK_A + side], V
+    out[k + 3] = s.numbers[row, oil + DENSITY] * V / s.numbers[row, oil + BY_PRESSURE]  # (14), (41): V dp = Be dN / k
+    out[k + 4], out[k + 5] = length, s.numbers[row, oil + AMOUNT]
+    return k + 6
+
+
+@njit(cache=False)
+def pressure_rate(c, side, P, s):
+    """Return the rate of a state's pressure, (34): N_p y' = G - N_V A v, A v being the growth of the volume."""
+    row, oil = first_cylinder(s) + c, OIL_A if side == 0 else OIL_B
+    growth = piston_areas(CYLINDER + N_CYLINDER * c, P)[side] * s.numbers[row, SPEED_LA] * (1.0 - 2.0 * side)
+    return (s.numbers[row, GA + side] - s.numbers[row, oil + BY_VOLUME] * growth) / s.numbers[row, oil + BY_PRESSURE]
+
+
+@njit(cache=False)
+def _fill_balance(s, out, k):
+    n = s.topology[0, CYLINDERS]
+    for i in range(n):
+        for j in range(i, n):
+            out[k], k = s.general[MATRIX + j, i], k + 1
+    for i in range(n):
+        for what in (WEIGHT, VELOCITY, HYDRAULIC, JOINTS, ACCELERATION):
+            out[k], k = s.general[what, i], k + 1
+    out[k] = s.numbers[0, SWINGING]
 
 
 @njit
-def terms(X, W, time, P, E):
-    """Return all terms (N, len(TERM_NAMES)) at states X (N, nx), inputs W (N, 4) and times (N,).
+def terms(X, W, time, P, E, topology, points, count):
+    """Return all terms (N, count) at states X (N, nx), inputs W (N, n + 2) and times (N,); points: those of `point_rows`.
 
-    Forces on the joints: M zdd = Qg + Qv + Qh + Qj for [z1 z4], where Qh holds the cylinder forces with their friction and
-    Qj the joints' own torques and the force on the tip. Be are effective bulk moduli, v_h hydraulic cylinder rates.
+    Forces on the joints: M zdd = Qg + Qv + Qh + Qj, where Qh holds the cylinder forces with their friction and
+    Qj the joints' own torques and the force on the payload's point. Be are effective bulk moduli, v_h hydraulic cylinder rates.
     N are amounts of oil; pressures and their rates are those of the state, which go on below vapour pressure where a void opens.
     """
-    out = np.empty((X.shape[0], _COUNT))
+    out, s = np.empty((X.shape[0], count)), sheet(topology)
     for i in range(X.shape[0]):
-        _fill(balance(X[i], W[i], time[i], P, E), P, out[i])
+        at_pressures(X[i], W[i], time[i], P, E, s)
+        k = _fill_motion(P, points, s, out[i], 0)
+        k = _fill_cylinders(P, s, out[i], k)
+        _fill_balance(s, out[i], k)
     return out
