@@ -269,7 +269,11 @@ def _joint_lines(crane: Crane) -> list[str]:
             lines.append(f"on = {_text(joint.own_pin.removeprefix('joints.'))}")
         if joint.kind == PRISMATIC:
             lines += [f"kind = {_text(PRISMATIC)}", f"direction = {_number(crane[f'slides.{joint.name}.direction'])}"]
-        lines.append(f'bend = "{"left" if joint.side > 0 else "right"}"' if joint.closes else f"coordinate = {_text(joint.coordinate)}")
+        lines.append(
+            f'bend = "{"left" if joint.side > 0 else "right"}"'
+            if joint.closes
+            else f"coordinate = {_text(joint.coordinate)}"
+        )
         lines.append("")
     return lines
 
@@ -292,8 +296,19 @@ def _value_lines(crane: Crane) -> list[str]:
     if body:
         sections["payload"] += [f"body = {_text(body)}", f"at = {_text(point.removeprefix('joints.'))}"]
     for c in crane.machine.cylinders:
-        about = {"bodies": c.bodies, "chambers": c.chambers, "loaded": c.loaded, "length": c.length, "command": c.command, "voltage": c.voltage}
-        about |= {key: p.removeprefix("joints.") for key, p in zip(("base", "rod_end"), c.points, strict=True) if p.startswith("joints.")}
+        about = {
+            "bodies": c.bodies,
+            "chambers": c.chambers,
+            "loaded": c.loaded,
+            "length": c.length,
+            "command": c.command,
+            "voltage": c.voltage,
+        }
+        about |= {
+            key: p.removeprefix("joints.")
+            for key, p in zip(("base", "rod_end"), c.points, strict=True)
+            if p.startswith("joints.")
+        }
         sections[f"cylinders.{c.name}"] += [f"{key} = {_any(value)}" for key, value in about.items()]
     for valve, v in crane.voltage.items():
         numbers = ", ".join(f"{k} = {_number(getattr(v, k))}" for k in ("neutral", "extend", "retract"))

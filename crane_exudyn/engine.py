@@ -123,7 +123,10 @@ class ExudynEngine:
         t, w = np.asarray(time, dtype=float), np.asarray(inputs, dtype=float)
         _check_grid(self.crane.layout.inputs, t, w, step)
         driving = self.crane.layout.driving
-        x, rows = np.ascontiguousarray(x0, dtype=float)[None].copy(), np.zeros((2, 1, len(self.crane.layout.all_inputs)))
+        x, rows = (
+            np.ascontiguousarray(x0, dtype=float)[None].copy(),
+            np.zeros((2, 1, len(self.crane.layout.all_inputs))),
+        )
         if x.shape[1] != len(self.state_names):
             raise CraneError(f"simulate: x0 has {x.shape[1]} numbers, expected {len(self.state_names)}.")
         out = np.empty((t.size, x.shape[1]))
@@ -314,7 +317,10 @@ class _System:
         width, chambers = self.plant.coordinates, len(crane.layout.chambers)
         self._q, self._v, self._a = np.zeros((size, width)), np.zeros((size, width)), np.zeros((size, width))
         self._p, self._dp = np.zeros((size, chambers)), np.zeros((size, chambers))
-        self._held, self._udd = np.zeros((size, trapezoidal.N_BALANCES, chambers)), np.zeros((size, self.plant.velocities))
+        self._held, self._udd = (
+            np.zeros((size, trapezoidal.N_BALANCES, chambers)),
+            np.zeros((size, self.plant.velocities)),
+        )
         self._P, self._E = self.plant.P.copy(), self.plant.E.copy()
         self._before, self._varied, self._payload = np.zeros_like(self.plant.inertia), False, crane["payload.mass"]
         self.status, self.errors, self._last = np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size)
@@ -334,17 +340,23 @@ class _System:
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
         ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self.status, self._last)
-        if not trapezoidal.predict(plant.topology, plant.P, plant.E, time, h, before, plant.inertia, x, w0, self._udd, *ends):
+        if not trapezoidal.predict(
+            plant.topology, plant.P, plant.E, time, h, before, plant.inertia, x, w0, self._udd, *ends
+        ):
             self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
             return out, -1
         plant.inputs[...] = w1
         self.mbs.systemData.SetTime(time + h)
         for _ in range(_MOST_ITERATIONS):
             residual = self._residual()
-            if not trapezoidal.correct(plant.topology, plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends):
+            if not trapezoidal.correct(
+                plant.topology, plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends
+            ):
                 break
         found = (self._q, self._v, self._p, self._held, self._udd, self.status, self.errors, out)
-        return out, trapezoidal.finish(plant.topology, plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found)
+        return out, trapezoidal.finish(
+            plant.topology, plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found
+        )
 
     def _set_parameters(self, P: np.ndarray | None, E: np.ndarray | None, start: float, end: float) -> np.ndarray:
         """Bring the cranes' numbers up to date for the end of a step; return the masses (n, bodies + 1, 4) at its start."""

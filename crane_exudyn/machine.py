@@ -210,7 +210,9 @@ class Machine:
         rows += [self._body_row(name, number) for name in self.bodies]
         for joint in self.loops:
             first = self.carriers[joint.carrier].carrier
-            rows.append([number[first], number[joint.body], self._point(joint.pin), self._point(joint.own_pin), joint.side])
+            rows.append(
+                [number[first], number[joint.body], self._point(joint.pin), self._point(joint.own_pin), joint.side]
+            )
         for c in self.cylinders:
             ends = [place for b, p in zip(c.bodies, c.points, strict=True) for place in (number[b], self._point(p))]
             rows.append([*ends, c.chambers.index(c.loaded)])
@@ -229,7 +231,15 @@ class Machine:
         coordinate = self.independent.index(joint.coordinate) if joint.coordinate in self.independent else -1
         direction = self.index.get(f"slides.{joint.name}.direction", -1)
         numbers = self.index[f"bodies.{name}.{parameters.OF_BODY[0]}"]
-        return [number[joint.carrier], kind, self._point(joint.pin), self._point(joint.own_pin), numbers, coordinate, direction]
+        return [
+            number[joint.carrier],
+            kind,
+            self._point(joint.pin),
+            self._point(joint.own_pin),
+            numbers,
+            coordinate,
+            direction,
+        ]
 
     def _pin_rows(self, rows: list[list[int]]) -> Iterator[list[int]]:
         """Yield a row for each pin of bodies, loops and cylinders, and for the payload's point."""

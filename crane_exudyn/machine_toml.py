@@ -127,7 +127,9 @@ def _carriers(bodies: Sequence[str], joints: Sequence[Joint], where: str) -> dic
         found[joint.body] = joint
     for body in bodies:
         if body not in found:
-            raise CraneError(f"{where}: body {body!r} hangs on nothing. Give the [[joint]] with a coordinate that carries it.")
+            raise CraneError(
+                f"{where}: body {body!r} hangs on nothing. Give the [[joint]] with a coordinate that carries it."
+            )
         seen, at = {body}, found[body].carrier
         while at != GROUND:
             if at in seen or at not in found:
@@ -154,7 +156,9 @@ def _independent(document: Mapping[str, Any], joints: Sequence[Joint], where: st
             f"each of the {loops} loops makes two of them depend on the others."
         )
     if len(stated) > MOST_COORDINATES:
-        raise CraneError(f"{where}: there are {len(stated)} independent coordinates, at most {MOST_COORDINATES} are possible.")
+        raise CraneError(
+            f"{where}: there are {len(stated)} independent coordinates, at most {MOST_COORDINATES} are possible."
+        )
     return tuple(n for n in names if n in stated)
 
 
@@ -165,7 +169,9 @@ def _turned(joint: Joint, carriers: Mapping[str, Joint], independent: Sequence[s
         return body != GROUND and carriers[body].coordinate not in independent and carriers[body].kind == REVOLUTE
 
     def ends(body: str) -> bool:
-        return follows(body) and follows(carriers[body].carrier) and not follows(carriers[carriers[body].carrier].carrier)
+        return (
+            follows(body) and follows(carriers[body].carrier) and not follows(carriers[carriers[body].carrier].carrier)
+        )
 
     if ends(joint.carrier):
         return joint
@@ -240,7 +246,10 @@ def _cylinders(
         if not (isinstance(chambers, list) and len(chambers) == 2 and all(isinstance(c, str) for c in chambers)):
             raise CraneError(f'{place}.chambers = {chambers!r} should be two names, such as ["p1", "p2"].')
         loaded = _known(f"{place}.loaded", table.get("loaded", chambers[0]), chambers)
-        channels = [str(table.get(key, f"{letter}{k + 1}")) for key, letter in (("length", "s"), ("command", "u"), ("voltage", "U"))]
+        channels = [
+            str(table.get(key, f"{letter}{k + 1}"))
+            for key, letter in (("length", "s"), ("command", "u"), ("voltage", "U"))
+        ]
         found.append(Cylinder(name, (on[0], on[1]), (ends[0], ends[1]), (chambers[0], chambers[1]), loaded, *channels))
     channels = [n for c in found for n in (*c.chambers, c.length, c.command, c.voltage)]
     coordinates = [n for j in joints if not j.closes for n in (j.coordinate, f"d{j.coordinate}", f"{j.coordinate}_abs")]
@@ -248,9 +257,7 @@ def _cylinders(
     return tuple(found), points
 
 
-def _payload(
-    document: Mapping[str, Any], bodies: Sequence[str], points: dict[str, str], where: str
-) -> tuple[str, str]:
+def _payload(document: Mapping[str, Any], bodies: Sequence[str], points: dict[str, str], where: str) -> tuple[str, str]:
     """Return body and point of the payload; the point becomes one of the points of the file."""
     table = document.get("payload", {})
     if "body" not in table and "at" not in table:
@@ -272,7 +279,9 @@ def _check_drives(machine: Machine, where: str) -> None:
     driven = machine.driven
     for cylinder, coordinate in zip(machine.cylinders, driven, strict=True):
         if not coordinate:
-            others = [c.name for c in machine.cylinders if machine.moved_by(c) & machine.moved_by(cylinder) and c != cylinder]
+            others = [
+                c.name for c in machine.cylinders if machine.moved_by(c) & machine.moved_by(cylinder) and c != cylinder
+            ]
             moved = ", ".join(sorted(machine.moved_by(cylinder)))
             raise CraneError(
                 f"{where}: cylinders.{cylinder.name} drives {moved}, which {' and '.join(others)} drives already: two drives for one freedom. "

@@ -404,7 +404,7 @@ def _add_joints(mbs: Any, plant: Plant, k: int) -> None:
         markers = [_point(mbs, plant, k, int(body), int(point), rigid=slides) for body, point in ends]
         if slides:
             axis, normal = _axes(plant.P[k, row[DIRECTION]])
-            item = items.ObjectJointPrismatic2D(markerNumbers=markers, axisMarker0=axis, normalMarker1=normal)
+            item: Any = items.ObjectJointPrismatic2D(markerNumbers=markers, axisMarker0=axis, normalMarker1=normal)
         else:
             item = items.ObjectJointRevolute2D(markerNumbers=markers)
         joints[joint.name] = int(mbs.AddObject(item))
@@ -431,7 +431,10 @@ def _add_cylinders(mbs: Any, plant: Plant, k: int, state: np.ndarray) -> None:
         )
         block = CYLINDER + N_CYLINDER * c
         area_a, area_b = hyd.areas(P, c)
-        ends = [(_number_of(machine, b), machine.index[f"{p}.x"]) for b, p in zip(cylinder.bodies, cylinder.points, strict=True)]
+        ends = [
+            (_number_of(machine, b), machine.index[f"{p}.x"])
+            for b, p in zip(cylinder.bodies, cylinder.points, strict=True)
+        ]
         actuators.append(
             int(
                 mbs.AddObject(
@@ -481,7 +484,9 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
     def force_function(mbs: Any, t: float, number: int, q: Any, v: Any) -> np.ndarray:
         start = (starts or first_coordinates(mbs))[1]
         p = np.asarray(mbs.systemData.GetODE1Coordinates())[start : start + chambers * n]
-        if not _all_forces(topology, P, E, t, mass, plant.inputs_at(t), inertia, np.asarray(q), np.asarray(v), p, force):
+        if not _all_forces(
+            topology, P, E, t, mass, plant.inputs_at(t), inertia, np.asarray(q), np.asarray(v), p, force
+        ):
             raise CraneError(
                 f"{plant.crane.name}: the payload's mass changes at t = {t:g} s, but an Exudyn system has fixed masses. "
                 "Use ExudynEngine.simulate, which changes them, or remove the effect payload_change."

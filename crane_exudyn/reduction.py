@@ -280,9 +280,7 @@ def add_joint_forces(topology, E, t, w, arms, v, f):
     if topology[0, TIP_BODY] < 0:
         return
     row, first = _tip(topology), 2 * n + 2
-    add_point_force(
-        arms, row, FIRST_END, topology[0, TIP_BODY], w[first], hooks.tip_force(E, t) + w[first + 1], f
-    )
+    add_point_force(arms, row, FIRST_END, topology[0, TIP_BODY], w[first], hooks.tip_force(E, t) + w[first + 1], f)
     if swings(topology, f):
         j = 3 * topology[0, BODIES]
         length, damping = hooks.pendulum(E)

@@ -34,7 +34,9 @@ def _reduce(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
     red.centripetal(topology, arms, v, bias)
     red.reduced_mass(inertia, N, work, M)
     geo.fill_lines(topology, arms, q, v, lines)
-    D = np.array([[geo.line_rate(topology, arms, row, lines, c) for row in N] for c in range(len(lines))])  # ds_c / du_i
+    D = np.array(
+        [[geo.line_rate(topology, arms, row, lines, c) for row in N] for c in range(len(lines))]
+    )  # ds_c / du_i
     return locals()
 
 

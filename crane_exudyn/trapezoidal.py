@@ -216,7 +216,13 @@ def correct(topology, P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held
     rows, size, cylinders = red.joint_equations(topology, swinging), nu + chambers, chambers // 2
     arms, N, lines, D = red.new_arms(topology), np.zeros((nu, width)), new_lines(topology), np.zeros((cylinders, nu))
     d, work, g = np.zeros(width), np.zeros(width), np.zeros(rows)
-    A, b, Fv, Rv, balances = np.zeros((size, size)), np.zeros(size), np.zeros(cylinders), np.zeros(chambers), np.empty((N_BALANCES, chambers))
+    A, b, Fv, Rv, balances = (
+        np.zeros((size, size)),
+        np.zeros(size),
+        np.zeros(cylinders),
+        np.zeros(chambers),
+        np.empty((N_BALANCES, chambers)),
+    )
     ds, none = np.zeros(cylinders), np.empty(0)
     active = 0
     for k in range(n):

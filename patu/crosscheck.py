@@ -76,7 +76,10 @@ def _write_report(result: CrossCheck, seed: int, states: int, seconds: float, di
     from validation.report import Picture, Table, write_report
 
     pictures = [
-        Picture(figure_of(runs), f"{name}: both engines on top of each other, and their difference at each step")
+        Picture(
+            figure_of(result.layout, runs),
+            f"{name}: both engines on top of each other, and their difference at each step",
+        )
         for name, runs in by_name(result.runs).items()
     ]
     table = Table(

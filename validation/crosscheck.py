@@ -471,7 +471,9 @@ def run_effect(key: str, first: Engine, second: Engine) -> Quantity:
     time, w = cases.exciting(crane, key.partition("@")[2] if "end_stop" in key else "")
     x0 = initial_state(crane, second)
     apart = visible(crane, first.simulate(x0, time, w)) - visible(crane, second.simulate(x0, time, w))
-    angles, pressures = (float(np.sqrt(np.mean(apart[:, c] ** 2))) for c in (crane.layout.positions, crane.layout.pressures))
+    angles, pressures = (
+        float(np.sqrt(np.mean(apart[:, c] ** 2))) for c in (crane.layout.positions, crane.layout.pressures)
+    )
     share = max(angles / ALONG[0], pressures / ALONG[1])
     reason = f"{angles:.1e} rad and {pressures / 1e5:.1e} bar (RMS) of {ALONG[0]:g} rad and {ALONG[1] / 1e5:g} bar"
     return Quantity(f"{key}, along 5 s", "-", share, share, 1.0, reason)

@@ -34,7 +34,7 @@ _REACH = 1.6
 
 def _short_strokes(crane: Crane) -> Crane:
     """Return the crane with strokes whose ends are in the range of random poses, for end stops."""
-    changes = {}
+    changes: dict[str, float] = {}
     for c in crane.layout.cylinders:
         empty, stroke = f"cylinders.{c}.empty_length", f"cylinders.{c}.chamber_range"
         changes |= {empty: crane[empty] + _FIRST_STOP * crane[stroke], stroke: _BETWEEN_STOPS * crane[stroke]}
@@ -43,7 +43,7 @@ def _short_strokes(crane: Crane) -> Crane:
 
 def without_short_strokes(crane: Crane) -> Crane:
     """Return a crane of `effect_probes` with the strokes that it had before they were shortened."""
-    changes = {}
+    changes: dict[str, float] = {}
     for c in crane.layout.cylinders:
         empty, stroke = f"cylinders.{c}.empty_length", f"cylinders.{c}.chamber_range"
         whole = crane[stroke] / _BETWEEN_STOPS
@@ -121,7 +121,10 @@ def _feasible(engine: SemiRecursiveEngine, x: np.ndarray) -> np.ndarray:
 def _within_strokes(crane: Crane, z: np.ndarray) -> np.ndarray:
     """Return which poses (m, n) all cylinders can have."""
     lengths = cylinder_lengths(crane, z)
-    empty, range_ = (np.array([crane[f"cylinders.{c}.{n}"] for c in crane.layout.cylinders]) for n in ("empty_length", "chamber_range"))
+    empty, range_ = (
+        np.array([crane[f"cylinders.{c}.{n}"] for c in crane.layout.cylinders])
+        for n in ("empty_length", "chamber_range")
+    )
     with np.errstate(invalid="ignore"):
         return np.asarray(((lengths > empty) & (lengths < empty + range_)).all(axis=1))
 
@@ -192,7 +195,9 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
 def exciting(crane: Crane, to_its_end: str = "") -> tuple[np.ndarray, np.ndarray]:
     """Return time (n,) s and inputs w (n, .) of 5 s in which all cylinders go both ways, or one goes against the end of its stroke."""
     time, cylinders = np.arange(round(5.0 / SAMPLE) + 1) * SAMPLE, crane.layout.cylinders
-    ways = [(1.0 if c % 2 == 0 else -1.0) * np.sin((2.5 - 0.8 * c) * time) * (time > 0.5 * c) for c in range(len(cylinders))]
+    ways = [
+        (1.0 if c % 2 == 0 else -1.0) * np.sin((2.5 - 0.8 * c) * time) * (time > 0.5 * c) for c in range(len(cylinders))
+    ]
     commands = np.column_stack([(0.4 - 0.05 * c) * way for c, way in enumerate(ways)])
     if to_its_end:
         commands = np.column_stack([(time > 0.2) * float(c == to_its_end) for c in cylinders])

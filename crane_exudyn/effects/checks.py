@@ -56,7 +56,9 @@ def _check_description(effect: type[Effect], where: str) -> None:
     if not (isinstance(effect.name, str) and effect.name.isidentifier()):
         raise CraneError(f"{where}: needs a name in letters, digits and underscores, found {effect.name!r}.")
     if effect.places not in tuple(MOST):
-        raise CraneError(f"{where}: places is {effect.places!r}. Give CYLINDERS, CHAMBERS, JOINTS, SENSORS or EVERYWHERE.")
+        raise CraneError(
+            f"{where}: places is {effect.places!r}. Give CYLINDERS, CHAMBERS, JOINTS, SENSORS or EVERYWHERE."
+        )
     for function in (n for n, v in vars(effect).items() if isinstance(v, staticmethod) and not n.startswith("_")):
         if function not in HOOKS:
             raise CraneError(f"{where}: no hook {function!r}.{nearest(function, list(HOOKS))}")
