@@ -40,11 +40,12 @@ def machine_of(document: Mapping[str, Any], where: str) -> Machine:
     independent = _independent(document, joints, where)
     joints = [_turned(j, carriers, independent, where) if j.closes else j for j in joints]
     ordered = _ordered(bodies, carriers, [j for j in joints if j.closes], where)
+    joints = [*(carriers[b] for b in ordered), *(j for j in joints if j.closes)]
     cylinders, points = _cylinders(document, bodies, joints, where)
     payload = _payload(document, bodies, points, where)
     machine = Machine(
         bodies=ordered,
-        joints=(*(carriers[b] for b in ordered), *(j for j in joints if j.closes)),
+        joints=tuple(joints),
         independent=independent,
         cylinders=cylinders,
         payload=payload,

@@ -214,7 +214,7 @@ def _fill_item_values(P, E, inertia, n_cylinders, directions, places, out):
             j += 1
         for m in range(places.shape[0]):
             body, point = places[m]
-            for axis in range(2):
+            for axis in (0, 1):
                 local = 0.0 if point < 0 else P[k, point + axis]
                 out[k, j] = local if body < 0 else local - inertia[k, body, red.COM_X + axis]
                 j += 1

@@ -45,7 +45,7 @@ def inertias(topology, P, E, t, out):
     """
     n = topology[0, BODIES]
     for b in range(n):
-        for i in range(4):
+        for i in range(out.shape[1]):
             out[b, i] = P[topology[1 + b, NUMBERS] + i]
     out[n, :] = 0.0
     b, point = topology[0, TIP_BODY], topology[0, TIP_POINT]

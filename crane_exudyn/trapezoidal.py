@@ -164,7 +164,7 @@ def _tangents(topology, P, E, w, h, lines, p, base, Fv, Fp, Rv, Rp):
         Rv[i] = -base[DRAW, i] / base[SLOPE, i]
     Rp[:] = 0.0
     saved = p.copy()
-    for side in range(2):
+    for side in (0, 1):  # piston side, rod side
         for c in range(n):
             p[2 * c + side] += _DP
         hyd.cylinder_forces(topology, P, E, w, lines, p, G)

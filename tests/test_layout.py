@@ -115,9 +115,11 @@ def test_phases_of_machines_with_one_cylinder_and_with_three():
 
 def test_compiled_code_has_the_order_of_the_layout():
     layout = Crane.load("patu655").layout
-    assert layout.disturbances == hydraulics.DISTURBANCES and len(layout.all_inputs) == hydraulics.N_W
-    at = [layout.all_inputs.index(names[0]) for names in (layout.torques, ("force.x",), layout.flows)]
-    assert at == [hydraulics.TORQUE, hydraulics.FORCE, hydraulics.FLOW]
+    n = len(layout.cylinders)
+    assert layout.all_inputs[hydraulics.flow_disturbances(n) :] == layout.flows
+    assert layout.all_inputs[n + 2 :][:n] == layout.torques and layout.all_inputs[2 * n + 2] == "force.x"
+    assert [reduction.position_place(n, i) for i in range(n)] == [layout.index(z) for z in layout.coordinates]
+    assert [layout.all_states[reduction.rate_place(n, i)] for i in range(n + 1)] == [*layout.rates, "dtheta"]
 
 
 #: what slices a state or the inputs, or counts their parts
