@@ -124,12 +124,23 @@ def test_derivatives_are_those_of_the_rule_through_voids_and_gas(gas):
     P_cols = np.array([crane.with_parameters({k: crane[k] + d}).parameter_vector() for k, d in probes])
     delta = np.array([d for _, d in probes])
     swept = sensitivity.sweep(
-        start[None], np.array([0]), W[None], h, 0.0, P, E, P_cols, np.tile(E, (3, 1)), delta, allowed=math.inf
+        start[None],
+        np.array([0]),
+        W[None],
+        h,
+        0.0,
+        P,
+        E,
+        P_cols,
+        np.tile(E, (3, 1)),
+        delta,
+        topology=crane.machine.topology,
+        allowed=math.inf,
     )
     assert (swept.X[:, 5] < 0.0).any() or gas not in ("oil", "spring")
 
     def run(p):
-        return kernel.simulate(start, W, np.arange(n) * h, h, p, E, math.inf)[0]
+        return kernel.simulate(start, W, np.arange(n) * h, h, p, E, crane.machine.topology, math.inf)[0]
 
     for j in range(3):
         difference = (run(P_cols[j]) - run(P)) / delta[j]

@@ -136,8 +136,6 @@ NAMES = {
 COMPILED = {
     "crane_exudyn/engine.py", "crane_exudyn/geometry.py", "crane_exudyn/hydraulics.py", "crane_exudyn/mechanism.py",
     "crane_exudyn/reduction.py", "crane_exudyn/statics.py", "crane_exudyn/trapezoidal.py", "validation/crosscheck.py",
-    "validation/semi_recursive/engine.py", "validation/semi_recursive/equations.py", "validation/semi_recursive/kernel.py",
-    "validation/semi_recursive/sensitivity.py", "validation/semi_recursive/terms.py",
 }  # fmt: skip
 #: what is the PATU's own: the paper, recordings drawn for it
 OWN = {

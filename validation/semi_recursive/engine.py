@@ -62,7 +62,7 @@ def _asked(P, E, n):
     stopped = np.empty(2 * n, np.bool_)
     for c in range(n):
         whole = P[equations.CYLINDER + equations.N_CYLINDER * c + equations.RANGE]
-        for side in range(2):
+        for side in (0, 1):
             sign, beyond, end = 1.0 - 2.0 * side, -_BEYOND, 0.0
             if side == 1:
                 beyond, end = whole + _BEYOND, whole

@@ -58,7 +58,7 @@ def term_names(machine: Machine) -> tuple[str, ...]:
     z, n = machine.independent, len(machine.cylinders)
     numbered = [f"{what}{{}}" for what in ("Q", "leak", "V", "Be", "l", "N")]
     return (
-        *(f"{axis}_{_last(point)}" for point in machine.points for axis in "xy"),
+        *(f"{axis}_{point}" for point in machine.point_names for axis in "xy"),
         *(f"phi_{body}" for body in machine.bodies),
         *_dependent(machine),
         *(f"{d}{c.length}" for c in machine.cylinders for d in ("", "d")),
@@ -70,11 +70,6 @@ def term_names(machine: Machine) -> tuple[str, ...]:
         *(f"{what}{name}" for name in z for what in ("Qg_", "Qv_", "Qh_", "Qj_", "dd")),
         "ddtheta",
     )
-
-
-def _last(point: str) -> str:
-    """Return a point as terms name it: joints.X as X, cylinders.NAME.base as NAME_base."""
-    return "_".join(point.split(".")[1:])
 
 
 def _dependent(machine: Machine) -> Iterator[str]:
@@ -123,10 +118,10 @@ def _fill_cylinders(P, s, out, k):
         for what in (FMU, F, SPEED_LA):
             out[k], k = s.numbers[row, what], k + 1
     for c in range(n):
-        for side in range(2):
+        for side in (0, 1):
             k = _fill_chamber(c, side, P, s, out, k)
     for c in range(n):
-        for side in range(2):
+        for side in (0, 1):
             out[k], k = pressure_rate(c, side, P, s), k + 1
     return k
 
