@@ -98,6 +98,11 @@ def _mistaken(name: str, unit: str, value: float, low: float, high: float) -> st
     return "Mend its unit, or leave the channel out."
 
 
+def _people(unit: str) -> tuple[float, str]:
+    """Return the unit in which people read coordinates and rates of a SI unit, behind what one of the latter is in it."""
+    return (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
+
+
 def _is_constant(channel: Channel) -> bool:
     return bool(np.ptp(channel.values) == 0.0)
 
@@ -140,7 +145,7 @@ def _motion(recording: Recording, crane: Crane) -> Iterator[Finding]:
         unit = crane.layout.sensors[name].unit
         most = max(map(abs, _usual(recording[name])))
         if most > BEYOND[unit]:
-            factor, people = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
+            factor, people = _people(unit)
             text = (
                 f"{name} reaches {factor * most:.3g} {people}, expected less than {factor * BEYOND[unit]:.3g} {people}"
             )
@@ -181,7 +186,7 @@ def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
         shown = values[np.linspace(0, len(values) - 1, min(_POSES, len(values))).astype(int)]
         share = _beyond(crane, c, shown)
         if share > _SHARE:
-            factor, people = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
+            factor, people = _people(unit)
             low, high = factor * np.array(_usual(recording[name]))
             text = (
                 f"{name} goes from {low:.4g} to {high:.4g} {people}; in {100 * share:.0f} % of the samples this is beyond what the "

@@ -125,7 +125,7 @@ def test_compiled_code_has_the_order_of_the_layout():
 #: what slices a state or the inputs, or counts their parts
 SLICE = re.compile(
     r"[:.], ?(:[248]|2:4?|4:8?|8:)\]|\b(x|x0|state|mean|deviation|w|lower|upper|out|held|p)\[(:[248]|2:4?|4:8?|8:?|9)\]"
-    r"|(range|slice)\((0, 2|2, 4|4, 8)\)|> 8\b|4 <= \w+(\[\w\])? < 8\b|== (8|10)\b|for (?!_)\w+ in range\([24]\)"
+    r"|(range|slice)\((0, 2|2, 4|4, 8)\)|> 8\b|4 <= \w+(\[\w\])? < 8\b|== (8|10)\b|for (?!_|side\b|axis\b)\w+ in range\([24]\)"
 )
 LAYOUT = Crane.load("patu655").layout
 NAMES = {
