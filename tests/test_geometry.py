@@ -76,5 +76,7 @@ def test_turning_the_boom_turns_everything_on_it():
 
 def test_unreachable_pose_is_named():
     short = CRANE.with_parameters({"joints.D_bracket.x": -0.02})
-    with pytest.raises(CraneError, match=r"z1 = 5\.73 deg, z4 = -171\.89 deg cannot be reached: bracket_1 and bracket_2 .*B-C-D"):
+    with pytest.raises(
+        CraneError, match=r"z1 = 5\.73 deg, z4 = -171\.89 deg cannot be reached: bracket_1 and bracket_2 .*B-C-D"
+    ):
         geometry.pose(short, np.array([0.1, 0.1]), np.array([-3.0, -3.0]))
