@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from made_up import made_up
 
-from crane_exudyn import Crane, CraneError, Recording, channels, hydraulics, plots
+from crane_exudyn import Crane, CraneError, Recording, channels, hydraulics, plots, reduction
 from crane_exudyn.layout import Layout
 from crane_exudyn.sensors import of
 from validation import phases
