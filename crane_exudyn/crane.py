@@ -87,6 +87,8 @@ class Crane:
     sources: Mapping[str, str] = field(default_factory=dict)
     effects: tuple[Acting, ...] = ()
     history: tuple[Mapping[str, Any], ...] = ()
+    #: of the file that it was read from; what is written keeps its comments and units
+    text: str = field(default="", repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("values", "voltage", "sensors", "uncertainty", "sources"):
@@ -109,7 +111,7 @@ class Crane:
             raise CraneError(f"{where}: not a whole TOML file: {problem}.") from problem
         except RecursionError:
             raise CraneError(f"{where}: not a crane file: its lists or tables are nested too deep.") from None
-        return crane_toml.from_document(document, where)
+        return crane_toml.from_document(document, where, text)
 
     def save(self, path: str | Path) -> None:
         """Write the crane as TOML, whole or not at all; reading it again gives an equal crane."""

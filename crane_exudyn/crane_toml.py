@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tomllib
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,8 @@ _SECTIONS = (
 )  # fmt: skip
 
 
-def from_document(document: Mapping[str, Any], where: str) -> Crane:
-    """Return the crane that a parsed TOML document describes; `where` names the file in errors."""
+def from_document(document: Mapping[str, Any], where: str, text: str = "") -> Crane:
+    """Return the crane that a parsed TOML document describes; `where` names the file in errors, `text` is the file's."""
     from .crane import Crane, check
 
     for key in document:
@@ -49,6 +50,7 @@ def from_document(document: Mapping[str, Any], where: str) -> Crane:
         sources={str(k): str(v) for k, v in _table(document, "sources", where).items()},
         effects=effects,
         history=tuple(MappingProxyType(dict(entry)) for entry in _tables(document, "history", where)),
+        text=text,
     )
 
 
@@ -238,6 +240,17 @@ def unit_at(unit: str, place: str, layout: Layout) -> str:
 
 
 def to_text(crane: Crane) -> str:
+    """Return a crane as TOML text: the text that it was read from with what differs, or one section after the other, in SI."""
+    if crane.text:
+        from .crane_edit import edited
+
+        before = from_document(tomllib.loads(crane.text), crane.name)
+        if before.machine == crane.machine and before.voltage == crane.voltage and before.sources == crane.sources:
+            return edited(crane.text, before, crane)
+    return _whole_text(crane)
+
+
+def _whole_text(crane: Crane) -> str:
     """Return a crane as TOML text: SI numbers at full precision, one section after the other."""
     lines = [f"name = {_text(crane.name)}"]
     if crane.description:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .compiled import njit
+from .compiled import njit, part
 from .crane import Crane
 from .errors import CraneError
 from .layout import Layout
@@ -65,24 +65,24 @@ FIRST_END, SECOND_END = 0, 2
 LENGTH, RATE, E_X, E_Y, N_LINE = range(5)
 
 
-@njit
+@part
 def arm_rows(topology):
     """Return how many rows a table of arms has."""
     return topology[0, BODIES] + topology[0, LOOPS] + topology[0, CYLINDERS] + 1
 
 
-@njit
+@part
 def joint_rows(topology):
     """Return how many joint equations there are, without a pendulum's."""
     return 2 * (topology[0, BODIES] + topology[0, LOOPS])
 
 
-@njit
+@part
 def _place(P, point, axis):
     return P[point + axis] if point >= 0 else 0.0
 
 
-@njit
+@part
 def _at(P, arms, body, point):
     """Return x, y of a point of a body (-1: the ground, where it is the point itself)."""
     x, y = _place(P, point, 0), _place(P, point, 1)
@@ -92,7 +92,7 @@ def _at(P, arms, body, point):
     return arms[body, X] + c * x - s * y, arms[body, Y] + s * x + c * y
 
 
-@njit
+@part
 def _set_frame(P, arms, b, angle, own_pin, x, y):
     """Fill the frame of body b at an angle, whose own pin lies at x, y."""
     c, s = math.cos(angle), math.sin(angle)
@@ -101,7 +101,7 @@ def _set_frame(P, arms, b, angle, own_pin, x, y):
     arms[b, COS], arms[b, SIN] = c, s
 
 
-@njit
+@part
 def _close_loop(topology, P, arms, l):
     """Fill the frames of the dependent bodies of loop l; return whether it can be closed."""
     loop = 1 + topology[0, BODIES] + l
@@ -128,7 +128,7 @@ def _close_loop(topology, P, arms, l):
     return True
 
 
-@njit
+@part
 def fill_frames(topology, P, z, arms):
     """Fill the frames in arms at the independent coordinates in z; return -1, or the loop that cannot be closed."""
     l = 0
@@ -153,14 +153,14 @@ def fill_frames(topology, P, z, arms):
     return -1
 
 
-@njit
+@part
 def turn_frames(topology, q, arms):
     """Fill cosine and sine of the frames in arms for redundant coordinates q."""
     for b in range(topology[0, BODIES]):
         arms[b, COS], arms[b, SIN] = math.cos(q[3 * b + 2]), math.sin(q[3 * b + 2])
 
 
-@njit
+@part
 def fill_arms(topology, P, inertia, q, arms):
     """Fill the table of arms (but for the pendulum's rod) for redundant coordinates q, which may violate the joints a little.
 
@@ -181,7 +181,7 @@ def fill_arms(topology, P, inertia, q, arms):
             _fill_slide(topology, P, q, arms, b)
 
 
-@njit
+@part
 def _fill_slide(topology, P, q, arms, b):
     """Fill direction and way of body b, which slides, in arms."""
     k, direction = topology[1 + b, CARRIER], P[topology[1 + b, DIRECTION]]
@@ -194,14 +194,14 @@ def _fill_slide(topology, P, q, arms, b):
     arms[b, WAY] = ux * (own_x - x) + uy * (own_y - y)
 
 
-@njit
+@part
 def _point(q, body, arms, row, column):
     """Return x, y of the point at the end of an arm of a body (-1: the ground)."""
     x, y = arms[row, column], arms[row, column + 1]
     return (x, y) if body < 0 else (q[3 * body] + x, q[3 * body + 1] + y)
 
 
-@njit
+@part
 def point_velocity(v, body, arms, row, column):
     """Return the velocity of the point at the end of an arm of a body (-1: the ground, at rest)."""
     if body < 0:
@@ -210,7 +210,7 @@ def point_velocity(v, body, arms, row, column):
     return v[3 * body] - rate * arms[row, column + 1], v[3 * body + 1] + rate * arms[row, column]
 
 
-@njit
+@part
 def close_position(topology, P, inertia, z, arms, q):
     """Fill arms and the bodies' part of q for the independent coordinates in z; return -1 or the loop that cannot be closed."""
     failed = fill_frames(topology, P, z, arms)
@@ -224,7 +224,7 @@ def close_position(topology, P, inertia, z, arms, q):
     return -1
 
 
-@njit
+@part
 def fill_lines(topology, arms, q, v, lines):
     """Fill the table of lines (cylinders, 4) with the cylinders' lengths, rates and directions."""
     first = topology[0, BODIES] + topology[0, LOOPS]
@@ -236,7 +236,7 @@ def fill_lines(topology, arms, q, v, lines):
         lines[c, RATE] = line_rate(topology, arms, v, lines, c)
 
 
-@njit
+@part
 def line_rate(topology, arms, v, lines, c):
     """Return the rate of the length of cylinder c at velocities v."""
     first = topology[0, BODIES] + topology[0, LOOPS]
@@ -245,7 +245,7 @@ def line_rate(topology, arms, v, lines, c):
     return lines[c, E_X] * (vx - ux) + lines[c, E_Y] * (vy - uy)
 
 
-@njit
+@part
 def chain(topology, arms, unit, v, g, x):
     """Fill the bodies' part of x with the solution of G x = g for given independent parts.
 
@@ -278,13 +278,13 @@ def chain(topology, arms, unit, v, g, x):
         _hang(arms, v, b, rate, px, py, x)
 
 
-@njit
+@part
 def square(v, b):
     """Return the square of the angular rate of body b; 0 without velocities."""
     return v[3 * b + 2] * v[3 * b + 2] if v.size else 0.0
 
 
-@njit
+@part
 def sliding_rate(topology, arms, v, b):
     """Return the rate in m/s at which body b slides along its carrier."""
     px, py = point_velocity(v, b, arms, b, OWN)
@@ -292,7 +292,7 @@ def sliding_rate(topology, arms, v, b):
     return arms[b, ALONG] * (px - kx) + arms[b, ALONG + 1] * (py - ky)
 
 
-@njit
+@part
 def carried(x, v, body, arms, row, column):
     """Return velocity (or, with velocities v, acceleration) of the point at the end of an arm of a body (-1: the ground)."""
     if body < 0:
@@ -301,7 +301,7 @@ def carried(x, v, body, arms, row, column):
     return x[3 * body] - rate * ry - squared * rx, x[3 * body + 1] + rate * rx - squared * ry
 
 
-@njit
+@part
 def _hang(arms, v, b, rate, px, py, x):
     """Fill the part of body b of x from its angular rate and the velocity of its own pin."""
     rx, ry, squared = arms[b, OWN], arms[b, OWN + 1], square(v, b)
@@ -309,7 +309,7 @@ def _hang(arms, v, b, rate, px, py, x):
     x[3 * b], x[3 * b + 1] = px + rate * ry + squared * rx, py - rate * rx + squared * ry
 
 
-@njit
+@part
 def _chain_loop(topology, arms, v, first, g, x, bx, by):
     """Fill the parts of both dependent bodies of a loop of x; bx, by: what their first pin B does."""
     row, second = topology[0, BODIES], first + 1

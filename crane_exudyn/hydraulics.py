@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from .compiled import njit
+from .compiled import njit, part
 from .effects import hooks
 from .geometry import LENGTH, RATE
 from .laws.friction import cylinder_friction
@@ -36,7 +36,7 @@ GAIN, AMOUNT, DRAW, SLOPE, INTO, REAL, SPEED, N_BALANCES = range(8)
 _LOOP_TOLERANCE = 1e-13
 
 
-@njit
+@part
 def areas(P, c):
     """Return (piston-side area, rod-side area) of cylinder c in m^2."""
     k = CYLINDER + N_CYLINDER * c
@@ -44,14 +44,14 @@ def areas(P, c):
     return 0.25 * math.pi * bore2, 0.25 * math.pi * (bore2 - rod2)
 
 
-@njit
+@part
 def pressure_force(P, c, pa, pb):
     """Return p_piston A_piston - p_rod A_rod of cylinder c in N, pushing the pins apart."""
     area_a, area_b = areas(P, c)
     return pa * area_a - pb * area_b
 
 
-@njit
+@part
 def supplies(P, w, n):
     """Return (pp, pt) in Pa for n cylinders: those of w, or the machine's own where w has NaN."""
     pp = P[SUPPLY] if math.isnan(w[n]) else w[n]
@@ -59,13 +59,13 @@ def supplies(P, w, n):
     return pp, pt
 
 
-@njit
+@part
 def flow_disturbances(n):
     """Return where unknown flows into the chambers begin in w, for n cylinders: behind n moments and two forces."""
     return 2 * n + 4
 
 
-@njit
+@part
 def port_flows(topology, P, E, c, spool, pp, pt, pa, pb):
     """Return (Q_a, Q_b, drawn, returned) of one valve in m^3/s, (15) at its two open edges.
 
@@ -84,7 +84,7 @@ def port_flows(topology, P, E, c, spool, pp, pt, pa, pb):
     return -returned, -drawn, drawn, returned
 
 
-@njit
+@part
 def _mismatch(topology, P, E, w, p, of_tank, start, other, trial):
     """Return how far a trial pump (or tank) pressure is below what the supply has at the flow that it causes."""
     pp, pt = (other, trial) if of_tank else (trial, other)
@@ -95,7 +95,7 @@ def _mismatch(topology, P, E, w, p, of_tank, start, other, trial):
     return (hooks.tank_pressure(E, start, returned) if of_tank else hooks.supply_pressure(E, start, drawn)) - trial
 
 
-@njit
+@part
 def _solve_supply(topology, P, E, w, p, of_tank, start, other):
     """Return the pressure without mismatch, by the Illinois method; `start` itself where no effect acts on it.
 
@@ -120,14 +120,14 @@ def _solve_supply(topology, P, E, w, p, of_tank, start, other):
     return b
 
 
-@njit
+@part
 def supply_loop(topology, P, E, w, p):
     """Return (pp, pt) in Pa that agree with the flows that they cause; the set pressures where no effect acts on them."""
     pp, pt = supplies(P, w, p.size // 2)
     return _solve_supply(topology, P, E, w, p, False, pp, pt), _solve_supply(topology, P, E, w, p, True, pt, pp)
 
 
-@njit
+@part
 def fluid(P):
     """Return (1/B, 1/Bw, vapour pressure, zero) of `laws.oil`; pressures as the crane's gauges read them."""
     zero = P[REFERENCE] * P[AIR]
@@ -135,20 +135,20 @@ def fluid(P):
     return softness, 1.0 / P[FLUID + HOSE] - 1.0 / P[FLUID + WALL], vapour_pressure(P), zero
 
 
-@njit
+@part
 def vapour_pressure(P):
     """Return the pressure in Pa below which no chamber falls, as the crane's gauges read it."""
     return P[FLUID + VAPOUR] - P[REFERENCE] * P[AIR]
 
 
-@njit
+@part
 def real_pressures(P, y, p):
     """Fill p (chambers,) with the pressures in the chambers: those of the state, y, or vapour pressure where there is a void."""
     for j in range(y.size):
         p[j] = max(y[j], vapour_pressure(P))
 
 
-@njit
+@part
 def lengths(P, E, c, s, ya, yb):
     """Return the chambers' lengths (l_a, l_b) in m; with a spring in series at the hydraulic length s + F/k."""
     k = CYLINDER + N_CYLINDER * c
@@ -157,7 +157,7 @@ def lengths(P, E, c, s, ya, yb):
     return chamber_lengths(hydraulic, P[k + EMPTY], P[k + RANGE])
 
 
-@njit
+@part
 def fillings(P, E, c, s, ya, yb):
     """Return the `filling` (N, dN/dy, dN/dV, density) of both chambers of cylinder c at pin-to-pin length s in m."""
     k = CYLINDER + N_CYLINDER * c
@@ -170,7 +170,7 @@ def fillings(P, E, c, s, ya, yb):
     )
 
 
-@njit
+@part
 def chambers(P, E, c, s, ya, yb):
     """Return (l_a, l_b, V_a, V_b, B_a, B_b) of cylinder c at pin-to-pin length s, (14) and (41): V dp = B dN / density."""
     k = CYLINDER + N_CYLINDER * c
@@ -181,7 +181,7 @@ def chambers(P, E, c, s, ya, yb):
     return la, lb, va, vb, density_a * va / slope_a, density_b * vb / slope_b
 
 
-@njit
+@part
 def changed_amounts(P, E, c, balances, ya, yb, ds, dya, dyb):
     """Return the amounts (m^3) in both chambers of cylinder c after small changes of length (m) and pressures (Pa), linearly.
 
@@ -198,7 +198,7 @@ def changed_amounts(P, E, c, balances, ya, yb, ds, dya, dyb):
     )
 
 
-@njit
+@part
 def settled_pressures(P, E, c, s, amount_a, amount_b, ya, yb):
     """Return (ya, yb) at which the chambers of cylinder c hold given amounts (m^3) at pin-to-pin length s; ya, yb: a guess.
 
@@ -230,7 +230,7 @@ def settled_pressures(P, E, c, s, amount_a, amount_b, ya, yb):
     return ya, yb
 
 
-@njit
+@part
 def flows_in(topology, P, E, w, p, into):
     """Fill into (chambers,) with all flows into the chambers in m^3/s: ports, leakage and disturbances.
 
@@ -252,7 +252,7 @@ def flows_in(topology, P, E, w, p, into):
     return tied
 
 
-@njit
+@part
 def _ports(topology, P, E, w, p, pp, pt, into):
     """Fill into (chambers,) with the flows of the valves; return what they draw from the pump and return to tank, m^3/s."""
     drawn, returned = 0.0, 0.0
@@ -263,7 +263,7 @@ def _ports(topology, P, E, w, p, pp, pt, into):
     return drawn, returned
 
 
-@njit
+@part
 def _piston_speed(P, E, c, ds, ya, yb, fill_a, fill_b, into_a, into_b):
     """Return the piston's speed v = ds + dF/dt / k behind a spring, with dF/dt by (34), solved for v.
 
@@ -280,7 +280,7 @@ def _piston_speed(P, E, c, ds, ya, yb, fill_a, fill_b, into_a, into_b):
     return (ds + inv_k * from_flow) / (1.0 + inv_k * (stiff_a * volume_a * area_a + stiff_b * volume_b * area_b))
 
 
-@njit
+@part
 def chamber_balances(topology, P, E, w, lines, y, balances):
     """Fill the table (N_BALANCES, chambers) of all chambers at a state's pressures y (chambers,).
 
@@ -296,7 +296,7 @@ def chamber_balances(topology, P, E, w, lines, y, balances):
     return tied
 
 
-@njit
+@part
 def _cylinder_balances(P, E, c, s, ds, y, balances):
     a, b = 2 * c, 2 * c + 1
     area_a, area_b = areas(P, c)
@@ -310,7 +310,7 @@ def _cylinder_balances(P, E, c, s, ds, y, balances):
     balances[SPEED, a] = balances[SPEED, b] = v
 
 
-@njit
+@part
 def pressure_rates(balances, out):
     """Fill out (chambers,) with the rates of the state's pressures in Pa/s, (34), from the table of balances."""
     for j in range(out.size):
@@ -325,7 +325,7 @@ def all_pressure_rates(topology, P, E, w, lines, y, out):
     pressure_rates(balances, out)
 
 
-@njit
+@part
 def settle(P, E, lines, amounts, guess, y):
     """Fill y (chambers,) with the state's pressures at which the chambers hold given amounts (m^3); guess (chambers,) in Pa."""
     for c in range(lines.shape[0]):
@@ -333,14 +333,14 @@ def settle(P, E, lines, amounts, guess, y):
         y[a], y[b] = settled_pressures(P, E, c, lines[c, LENGTH], amounts[a], amounts[b], guess[a], guess[b])
 
 
-@njit
+@part
 def friction_force(P, c, speed):
     """Return the friction F_mu of cylinder c by (19) in N, to be taken off its force."""
     k = CYLINDER + N_CYLINDER * c
     return cylinder_friction(speed, P[k + FC], P[k + FS], P[k + VS], P[k + VISCOUS])
 
 
-@njit
+@part
 def extra_force(P, E, c, s, v, ya, yb):
     """Return what the cylinder's force has beyond that of the state's pressures ya, yb, in N.
 

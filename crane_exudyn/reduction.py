@@ -17,7 +17,7 @@ import numpy as np
 
 from . import geometry as geo
 from . import hydraulics as hyd
-from .compiled import njit
+from .compiled import njit, part
 from .effects import hooks
 from .geometry import COM_X, COM_Y, E_X, E_Y, FIRST_END, INERTIA, MASS, SECOND_END
 from .machine import (
@@ -37,7 +37,7 @@ from .machine import (
 from .parameters import GRAVITY, PAYLOAD
 
 
-@njit
+@part
 def inertias(topology, P, E, t, out):
     """Fill out (bodies + 1, 4) with mass, centre of mass and inertia of the bodies and, last, of the swinging payload at time t.
 
@@ -66,14 +66,14 @@ def inertias(topology, P, E, t, out):
     out[b, INERTIA] += own + body_mass * share * (dx * dx + dy * dy)
 
 
-@njit
+@part
 def all_inertias(topology, P, E, t, out):
     """Fill out (m, bodies + 1, 4) with the `inertias` of m machines of parameters P (m, .), E (m, .)."""
     for k in range(out.shape[0]):
         inertias(topology, P[k], E[k], t, out[k])
 
 
-@njit(inline="always")
+@part
 def swings(topology, q):
     """Whether redundant coordinates q (or velocities) hold a payload on a pendulum, behind those of the bodies."""
     return q.size > 3 * topology[0, BODIES]
@@ -85,13 +85,13 @@ def new_arms(topology):
     return np.zeros((geo.arm_rows(topology), geo.N_ARM))
 
 
-@njit(inline="always")
+@part
 def _tip(topology):
     """Return the row of arms that holds the payload's arm and the pendulum's rod."""
     return topology[0, BODIES] + topology[0, LOOPS] + topology[0, CYLINDERS]
 
 
-@njit
+@part
 def close_position(topology, P, E, inertia, z, theta, arms, q):
     """Fill arms and q for independent coordinates; return whether all loops can be closed."""
     if geo.close_position(topology, P, inertia, z, arms, q) >= 0:
@@ -105,7 +105,7 @@ def close_position(topology, P, E, inertia, z, theta, arms, q):
     return True
 
 
-@njit
+@part
 def arms_of(topology, P, inertia, q, arms):
     """Fill arms for redundant coordinates that may violate the joints a little."""
     geo.turn_frames(topology, q, arms)
@@ -116,7 +116,7 @@ def arms_of(topology, P, inertia, q, arms):
         arms[row, SECOND_END + 1] = q[j + 1] - q[3 * b + 1] - arms[row, FIRST_END + 1]
 
 
-@njit
+@part
 def chain(topology, arms, unit, v, g, x):
     """Fill x with the solution of G x = g, as `geometry.chain`, and behind the bodies the pendulum's mass.
 
@@ -134,13 +134,13 @@ def chain(topology, arms, unit, v, g, x):
     x[j], x[j + 1] = px - rate * ry - squared * rx + stretch * rx, py + rate * rx - squared * ry + stretch * ry
 
 
-@njit
+@part
 def joint_equations(topology, swinging):
     """Return how many joint equations a machine has, with or without a payload on a pendulum."""
     return geo.joint_rows(topology) + (1 if swinging else 0)
 
 
-@njit
+@part
 def null_space(topology, arms, N):
     """Fill N (nu, nq), one row per independent velocity: dq = N^T u, G N^T = 0."""
     none = N[0, :0]
@@ -148,7 +148,7 @@ def null_space(topology, arms, N):
         chain(topology, arms, i, none, none, N[i])
 
 
-@njit
+@part
 def place(topology, P, E, inertia, x, arms, N, q, v):
     """Fill arms, null space N, q and v (nq,) of a state x (nx,), all joints closed; return whether the loops can be closed."""
     n, nu = topology[0, CYLINDERS], N.shape[0]
@@ -164,25 +164,25 @@ def place(topology, P, E, inertia, x, arms, N, q, v):
     return True
 
 
-@njit(inline="always")
+@part
 def rate_place(n, i):
     """Return where the rate of independent coordinate i of n stands in a state; the pendulum's for i = n."""
     return n + i if i < n else 4 * n + 1
 
 
-@njit(inline="always")
+@part
 def position_place(n, i):
     """Return where independent coordinate i of n stands in a state; the pendulum's for i = n."""
     return i if i < n else 4 * n
 
 
-@njit
+@part
 def centripetal(topology, arms, v, out):
     """Fill out (nq,) with the part of the accelerations that comes from the velocities alone."""
     chain(topology, arms, -1, v, v[:0], out)
 
 
-@njit
+@part
 def pendulum_rate(topology, arms, v):
     """Return dtheta: the rate at which the pendulum's rod turns, absolute, in rad/s."""
     j, row = 3 * topology[0, BODIES], _tip(topology)
@@ -191,7 +191,7 @@ def pendulum_rate(topology, arms, v):
     return (rx * (v[j + 1] - py) - ry * (v[j] - px)) / (rx * rx + ry * ry)
 
 
-@njit
+@part
 def read_motion(topology, arms, x, q, v, out):
     """Write the independent coordinates and rates of redundant ones to out (nx,); a pendulum's angle stays near that in x."""
     n = topology[0, CYLINDERS]
@@ -212,7 +212,7 @@ def read_motion(topology, arms, x, q, v, out):
         out[4 * n + 1] = pendulum_rate(topology, arms, v)
 
 
-@njit(inline="always")
+@part
 def add_point_force(arms, row, column, body, fx, fy, f):
     """Add a force at the end of an arm of a body (-1: the ground, which takes any) to f."""
     if body < 0:
@@ -222,7 +222,7 @@ def add_point_force(arms, row, column, body, fx, fy, f):
     f[3 * body + 2] += arms[row, column] * fy - arms[row, column + 1] * fx
 
 
-@njit
+@part
 def add_cylinder_forces(topology, arms, lines, F, f):
     """Add the forces F (cylinders,), pushing their pins apart, to f."""
     first = topology[0, BODIES] + topology[0, LOOPS]
@@ -232,7 +232,7 @@ def add_cylinder_forces(topology, arms, lines, F, f):
         add_point_force(arms, row, FIRST_END, topology[1 + row, BASE_BODY], -fx, -fy, f)
 
 
-@njit
+@part
 def add_gravity(topology, P, E, inertia, f):
     """Add the weights to f."""
     gx, gy = hooks.gravity(E, 0.0, -P[GRAVITY])
@@ -245,7 +245,7 @@ def add_gravity(topology, P, E, inertia, f):
         f[3 * n + 1] += inertia[n, MASS] * gy
 
 
-@njit
+@part
 def add_on_coordinate(topology, arms, b, amount, f):
     """Add a moment (a force, where it slides) that turns body b against its carrier to f."""
     k = topology[1 + b, CARRIER]
@@ -259,7 +259,7 @@ def add_on_coordinate(topology, arms, b, amount, f):
     add_point_force(arms, b, geo.CARRIED, k, -amount * ux, -amount * uy, f)  # in the same line
 
 
-@njit(inline="always")
+@part
 def coordinate_rate(topology, arms, v, b):
     """Return the rate of the coordinate of body b."""
     if topology[1 + b, KIND] == SLIDES:
@@ -268,7 +268,7 @@ def coordinate_rate(topology, arms, v, b):
     return v[3 * b + 2] - (v[3 * k + 2] if k >= 0 else 0.0)
 
 
-@njit
+@part
 def add_joint_forces(topology, E, t, w, arms, v, f):
     """Add moments on the coordinates, the forces on the payload's point, the pendulum's damping and disturbances to f."""
     n = topology[0, CYLINDERS]
@@ -305,7 +305,7 @@ def extra_forces(topology, P, E, t, w, inertia, q, v, p, arms, lines, f):
     add_joint_forces(topology, E, t, w, arms, v, f)
 
 
-@njit
+@part
 def dot(a, b):
     """Return the scalar product, summed in order: the result must not depend on where the arrays lie in memory."""
     total = 0.0
@@ -314,7 +314,7 @@ def dot(a, b):
     return total
 
 
-@njit
+@part
 def mass_times(inertia, a, out):
     """Fill out with M a for the diagonal mass matrix of centre-of-mass coordinates."""
     n = inertia.shape[0] - 1
@@ -326,7 +326,7 @@ def mass_times(inertia, a, out):
         out[j] = inertia[n, MASS] * a[j]
 
 
-@njit
+@part
 def reduced_mass(inertia, N, work, M):
     """Fill M (nu, nu) with N M N^T."""
     n = N.shape[0]
@@ -336,7 +336,7 @@ def reduced_mass(inertia, N, work, M):
             M[i, k] = dot(N[k], work)
 
 
-@njit
+@part
 def solve(A, b):
     """Solve A x = b in place by Gaussian elimination with row pivoting; x replaces b. Return False if A is singular."""
     n = b.size

@@ -26,7 +26,7 @@ import numpy as np
 from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
-from .compiled import njit
+from .compiled import njit, part
 from .effects import hooks
 from .geometry import LENGTH, RATE
 from .machine import BODIES, CYLINDERS
@@ -44,7 +44,7 @@ _DV, _DP = 1e-7, 20.0
 GAIN, AMOUNT, DRAW, SLOPE, SPEED, N_BALANCES = hyd.GAIN, hyd.AMOUNT, hyd.DRAW, hyd.SLOPE, hyd.SPEED, hyd.N_BALANCES
 
 
-@njit
+@part
 def widths(topology, swinging):
     """Return how many redundant coordinates and how many independent velocities a machine has."""
     extra = 1 if swinging else 0
@@ -130,7 +130,7 @@ def predict(topology, P, E, t, h, start_inertia, inertia, x, w, udd, q, v, a, p,
     return good
 
 
-@njit
+@part
 def _required_rates(topology, P, E, w, h, lines, p, held, balances, dp):
     """Fill dp (chambers,) with the pressure rates at the end of a step with which the rule holds for the amounts of oil."""
     hyd.chamber_balances(topology, P, E, w, lines, p, balances)
@@ -186,7 +186,7 @@ def _tangents(topology, P, E, w, h, lines, p, base, Fv, Fp, Rv, Rp):
                 Rp[i, j] = _defect_by_pressure(base, moved, h, i)
 
 
-@njit
+@part
 def _defect_by_pressure(base, moved, h, i):
     """Return the derivative of the defect of chamber i, from the balances before and after a change by _DP."""
     change = moved[GAIN, i] - base[GAIN, i] - 2.0 / h * (moved[AMOUNT, i] - base[AMOUNT, i])
@@ -264,7 +264,7 @@ def _linearised(topology, P, E, h, inertia, w, q, v, p, arms, lines, N, D, Fv, R
     _fill_system(topology, E, h, inertia, arms, N, D, v, Fv, Fp, Rv, Rp, work, A)
 
 
-@njit
+@part
 def _fill_right_side(N, D, Fv, Rv, ds, force, rate, b):
     """Fill b for residuals `force` (nq,) and `rate` (chambers,), and cylinder speeds ds that closing the joints adds."""
     nu = N.shape[0]
@@ -276,7 +276,7 @@ def _fill_right_side(N, D, Fv, Rv, ds, force, rate, b):
         b[nu + j] = -rate[j] - Rv[j] * ds[j // 2]
 
 
-@njit
+@part
 def _judge(size, last):
     """Return the status after an increment: the error left is about its size times the last contraction."""
     if not size < math.inf:
@@ -285,7 +285,7 @@ def _judge(size, last):
     return DONE if size <= TOLERANCE or contracted else ITERATING
 
 
-@njit
+@part
 def _fill_system(topology, E, h, inertia, arms, N, D, v, Fv, Fp, Rv, Rp, work, A):
     """Fill A: reduced balance (2/h M - dF/dv) and pressure equations, unknowns (du, dp)."""
     nu, n = N.shape[0], D.shape[0]
@@ -373,7 +373,7 @@ def finish(topology, P, E, t, h, allowed, inertia, x, w0, w1, q, v, p, held, udd
     return beyond
 
 
-@njit
+@part
 def _settle(topology, P, E, h, inertia, w, arms, lines, q, v, p, held, balances, out):
     """Write the pressures that belong to the amounts of oil at the end of a step to out (nx,), at its pose with all joints closed.
 
@@ -471,7 +471,7 @@ def _stiff_error(topology, P, E, h, inertia, w, arms, lines, N, q, v, p, held, b
     return _size(P, held, left, positions)
 
 
-@njit
+@part
 def stroke_end(P, E, lines, p):
     """Return 0, or 1 + number of the first chamber that is shorter than nothing and has no end stop.
 

@@ -151,3 +151,21 @@ def test_adding_and_removing_is_exact(crane):
     assert removed(file, "dead_band@lift").to_toml() == crane.to_toml()
     with pytest.raises(CraneError, match="no effect"):
         removed(crane, "dead_band@lift")
+
+
+def test_a_changed_crane_keeps_units_comments_and_order_of_its_file(tmp_path):
+    """Only the lines that differ are others, and reading them gives the very crane."""
+    crane = Crane.load("patu655-lab")
+    changed = crane.with_parameters(
+        {"supply.pump_pressure": 123.4e5, "joints.E.y": 0.271, "valves.tilt.edges.pump_to_rod": 1.2}
+    )
+    changed = changed.with_effect("dead_band@lift", {"lower": 0.15, "upper": 0.2}).with_effect("pump_droop", {"R": 4e9})
+    changed = changed.without_effect("dead_band@tilt").with_history({"added": ["x"], "n": {"a": 1.5}})
+    changed.save(tmp_path / "changed.toml")
+    assert Crane.load(tmp_path / "changed.toml") == changed
+    before, after = crane.to_toml().splitlines(), (tmp_path / "changed.toml").read_text().splitlines()
+    assert before == crane.text.splitlines()
+    assert 'pump_pressure = "123.4 bar"' in after and [line for line in before if line.startswith("#")] == [
+        line for line in after if line.startswith("#")
+    ]
+    assert len([line for line in after if line and line not in before]) <= 14

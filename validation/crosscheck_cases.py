@@ -28,8 +28,8 @@ _KEPT = ("gravity", "fluid.vapour_pressure", "supply.pressure_reference")
 BEGIN = 2.5003
 #: where end stops begin, and how far they are apart, as shares of the stroke: both in the range of random poses
 _FIRST_STOP, _BETWEEN_STOPS = 0.35, 0.4
-#: how far from the start's coordinates random poses are looked for, rad or m
-_REACH = 1.6
+#: how far from the start's coordinates random poses are looked for
+_REACH = {"rad": 1.6, "m": 0.5}
 
 
 def _short_strokes(crane: Crane) -> Crane:
@@ -96,8 +96,8 @@ def random_states(crane: Crane, count: int, rng: np.random.Generator) -> States:
 def _drawn(crane: Crane, nx: int, count: int, rng: np.random.Generator) -> np.ndarray:
     lay, x = crane.layout, np.zeros((count, nx))
     z = x[:, lay.positions]
-    z[:] = np.array(crane.initial.pose) + _REACH * rng.uniform(-1.0, 1.0, z.shape)
-    # most draws lie beyond a stroke: those are left out before engines see them
+    reach = [_REACH[lay.unit_of(name)] for name in lay.coordinates]
+    z[:] = np.array(crane.initial.pose) + reach * rng.uniform(-1.0, 1.0, z.shape)
     dz, p, added = x[:, lay.velocities], x[:, lay.pressures], x[:, lay.extra]
     dz[:] = rng.normal(0.0, 0.3, dz.shape)
     p[:] = rng.uniform(0.2e5, 1.5 * crane["supply.pump_pressure"], p.shape)

@@ -1,0 +1,133 @@
+"""A crane written into the text of the file that it was read from: comments, units and order stay, only what differs is changed."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import tomlkit
+from tomlkit.items import AoT, Table
+
+from . import parameters
+from .crane_toml import from_document
+from .effects.base import Acting
+from .units import factor_to_si, to_si
+
+if TYPE_CHECKING:
+    from .crane import Crane, Uncertainty
+
+#: a plain number with its unit; anything else is an expression
+_PLAIN = re.compile(r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*(.*)", re.DOTALL)
+
+
+def edited(text: str, before: Crane, crane: Crane) -> str:
+    """Return the text of a crane file that was read as `before`, changed so that it reads as `crane`, whose machine is the same."""
+    document = tomlkit.parse(text)
+    for key in ("name", "description"):
+        if getattr(crane, key) != getattr(before, key):
+            document[key] = getattr(crane, key)
+    for name, value in crane.values.items():
+        if value != before.values[name]:
+            _set_value(document, name, value)
+    _set_all(document, "sensors", before.sensors, crane.sensors)
+    # shares of values that have changed are others now
+    _set_uncertainties(document, from_document(document.unwrap(), crane.name).uncertainty, crane.uncertainty)
+    if crane.initial != before.initial:
+        pose = dict(zip(crane.layout.coordinates, crane.initial.pose, strict=True))
+        _set_all(document, "initial", {}, pose | {"less_loaded_pressure": list(crane.initial.less_loaded_pressure)})
+    if crane.effects != before.effects:
+        _set_effects(document, before.effects, crane.effects)
+    if crane.history != before.history:
+        _append(document, "history", [dict(entry) for entry in crane.history[len(before.history) :]])
+    return tomlkit.dumps(document)
+
+
+def _set_all(document: Any, section: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    changed = {key: value for key, value in now.items() if before.get(key) != value}
+    gone = [key for key in before if key not in now]
+    if changed or gone:
+        table = document.setdefault(section, tomlkit.table())
+        for key in gone:
+            table.remove(key)
+        table.update(changed)
+
+
+def _set_uncertainties(document: Any, before: Mapping[str, Uncertainty], now: Mapping[str, Uncertainty]) -> None:
+    """Give each parameter whose uncertainty differs a line of its own, behind the patterns."""
+    for name, given in now.items():
+        if before.get(name) != given:
+            table = document.setdefault("uncertainty", tomlkit.table())
+            table.pop(name, None)
+            table[name] = _inline({k: v for k, v in vars(given).items() if math.isfinite(v)})
+
+
+def _set_value(document: Any, name: str, value: float) -> None:
+    """Put a parameter's value in the place of the one that the text has, in its unit."""
+    if name == "supply.pressure_reference":
+        document["supply"]["pressure_reference"] = ("absolute", "gauge")[int(value)]
+        return
+    *path, last = name.split(".")
+    if path[:1] == ["slides"]:
+        place, key = next(joint for joint in document["joint"] if joint["name"] == path[1]), last
+    else:
+        point = last in ("x", "y")
+        key = path.pop() if point else last
+        place = document
+        for part in path:
+            place = place.setdefault(part, tomlkit.table())
+        if point:
+            place, key = place[key], "xy".index(last)
+    old = place[key] if isinstance(key, int) or key in place else ""
+    place[key] = _in_unit_of(str(old) if isinstance(old, str) else "", value, parameters.unit_of(name))
+
+
+def _in_unit_of(old: str, value: float, unit: str) -> Any:
+    """Return a value as the old text has it, a number with a unit, if that reads back as the very value; else in SI."""
+    plain = _PLAIN.fullmatch(old)
+    if plain is None or not plain[1]:
+        return float(value)
+    text = f"{value / factor_to_si(plain[1], unit)!r} {plain[1]}"
+    return text if to_si(text, unit, "") == value else float(value)
+
+
+def _set_effects(document: Any, before: tuple[Acting, ...], now: tuple[Acting, ...]) -> None:
+    """Keep the tables of effects that stay, with the values that they have now, and add those that are new."""
+    known = {acting.key: acting for acting in before}
+    kept, new = {a.key: a for a in now if a.key in known}, [a for a in now if a.key not in known]
+    tables = document.get("effect", [])
+    for k in reversed(range(len(before))):
+        if before[k].key not in kept:
+            del tables[k]
+        elif kept[before[k].key] != before[k]:
+            tables[k]["parameters"] = _inline(kept[before[k].key].parameters)
+    if not tables:
+        document.pop("effect", None)
+    entries = [{"name": a.name} | ({"place": a.place} if a.place else {}) | {"parameters": a.parameters} for a in new]
+    _append(document, "effect", entries)
+
+
+def _inline(values: Mapping[str, Any]) -> Any:
+    table = tomlkit.inline_table()
+    table.update({str(name): _plain(value) for name, value in values.items()})
+    return table
+
+
+def _append(document: Any, key: str, entries: list[dict[str, Any]]) -> None:
+    """Add tables [[key]] at the end of the list of those."""
+    tables: AoT = document.setdefault(key, tomlkit.aot()) if entries else tomlkit.aot()
+    for entry in entries:
+        table: Table = tomlkit.table()
+        table.update({name: _plain(value) for name, value in entry.items()})
+        table.add(tomlkit.nl())
+        tables.append(table)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value of inline tables, lists and numbers."""
+    if isinstance(value, Mapping):
+        return _inline(value)
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value if isinstance(value, bool | int | float | str) else str(value)

@@ -1,0 +1,118 @@
+"""Machines as data: both engines agree on built-in and random ones, and what is impossible is refused with its mend."""
+
+import copy
+import tomllib
+from importlib import resources
+
+import numpy as np
+import pytest
+from random_machine import random_machine
+
+from crane_exudyn.crane import Crane, built_in
+from crane_exudyn.crane_toml import from_document
+from crane_exudyn.engine import ExudynEngine
+from crane_exudyn.errors import CraneError
+from validation import crosscheck as cc
+from validation import crosscheck_cases as cases
+from validation.semi_recursive import SemiRecursiveEngine
+
+SEEDS = range(1, 21)
+
+
+def assert_agree(crane, count, seed=0):
+    """Every quantity and the static starts agree at random states, and a short run from the start does."""
+    first, second = ExudynEngine(crane), SemiRecursiveEngine(crane)
+    states = cases.random_states(crane, count, np.random.default_rng(seed))
+    quantities = [*cc.compare_terms(first, second, states), *cc.compare_static_starts(first, second, states)]
+    assert [(q.name, q.max_abs, q.relative) for q in quantities if not q.ok] == []
+    time, w = (a[:201] for a in cases.exciting(crane))
+    w[:, crane.layout.spools] += 0.2
+    x0 = second.at_rest(*crane.initial.pose)
+    apart = np.abs(first.simulate(x0, time, w) - second.simulate(x0, time, w)).max(axis=0)
+    assert apart[crane.layout.positions].max() < 1e-6 and apart[crane.layout.pressures].max() < 1e4
+
+
+@pytest.mark.parametrize("name", built_in())
+def test_engines_agree_on_a_built_in_machine(name):
+    assert_agree(Crane.load(name), 20)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_engines_agree_on_a_machine_drawn_at_random(seed):
+    assert_agree(random_machine(seed), 6, seed)
+
+
+def test_random_machines_have_what_machines_may_have():
+    machines = [random_machine(seed).machine for seed in SEEDS]
+    assert {len(m.cylinders) for m in machines} == {1, 2, 3, 4} and {len(m.loops) for m in machines} == {0, 1, 2}
+    slides = [any(j.kind == "prismatic" for j in m.joints) for m in machines]
+    assert any(slides) and not all(slides) and any(m.payload == ("", "") for m in machines)
+
+
+def test_a_machine_of_an_earlier_file_is_the_patu():
+    file = tomllib.loads((resources.files("crane_exudyn.data") / "patu655.toml").read_text(encoding="utf-8"))
+    for key in ("joint", "independent"):
+        del file[key]
+    for table, keys in (("payload", ("body", "at")),):
+        for key in keys:
+            del file[table][key]
+    for cylinder in file["cylinders"].values():
+        for key in ("bodies", "rod_end" if cylinder["rod_end"] == "C" else "", "loaded"):
+            cylinder.pop(key, None)
+    assert from_document(file, "earlier.toml") == Crane.load("patu655")
+
+
+def excavator():
+    return tomllib.loads((resources.files("crane_exudyn.data") / "excavator.toml").read_text(encoding="utf-8"))
+
+
+def _drop(name):
+    return lambda f: f["joint"].remove(next(j for j in f["joint"] if j["name"] == name))
+
+
+def _change(name, **keys):
+    return lambda f: next(j for j in f["joint"] if j["name"] == name).update(keys)
+
+
+REFUSED = {
+    "hangs on nothing": (_drop("L"), "body 'bucket' hangs on nothing"),
+    "carried twice": (_change("K", coordinate="k"), "carried by two joints, 'L' and 'K'.*closes a loop"),
+    "carried by itself": (_change("A", bodies=["bucket", "arm"]), "is carried by itself"),
+    "unknown body": (_change("A", bodies=["boom", "amr"]), "joint 'A': bodies = 'amr' is not known.*arm"),
+    "unknown key": (_change("A", coordinates="x"), "joint 'A': unknown key 'coordinates'.*coordinate"),
+    "loop without pins": (
+        lambda f: next(j for j in f["joint"] if j["name"] == "K").pop("on"),
+        "closes a loop.*at and on",
+    ),
+    "too many independent": (lambda f: f["independent"].append("link"), "should be 3 of the coordinates"),
+    "wrong dependents": (lambda f: f.update(independent=["boom", "rocker", "link"]), "dependent bodies are not two"),
+    "two drives": (
+        lambda f: f["cylinders"]["bucket"].update(bodies=["boom", "arm"], rod_end=[0.1, 0.2]),
+        "two drives for one freedom",
+    ),
+    "drives nothing": (lambda f: f["cylinders"]["arm"].update(bodies=["boom", "boom"]), "a cylinder joins two bodies"),
+    "nothing drives": (lambda f: f["cylinders"].pop("bucket"), "nothing drives the coordinate 'bucket'"),
+    "no such pin": (
+        lambda f: f["cylinders"]["bucket"].update(rod_end="K"),
+        "cylinders.bucket.rod_end = 'K' is no point of rocker",
+    ),
+    "payload nowhere": (lambda f: f["payload"].update(body="bukcet"), "payload.body = 'bukcet' is not known.*bucket"),
+    "same channel twice": (lambda f: f["cylinders"]["arm"].update(length="s1"), "two things are named channel 's1'"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_an_impossible_machine_is_refused(case):
+    change, message = REFUSED[case]
+    file = copy.deepcopy(excavator())
+    change(file)
+    with pytest.raises(CraneError, match=message):
+        from_document(file, "mine.toml")
+
+
+def test_a_pose_that_cannot_be_is_refused_by_name():
+    crane = Crane.load("excavator")
+    with pytest.raises(
+        CraneError, match="rocker and link are too short or too long to close the loop over the joints J-H-K"
+    ):
+        ExudynEngine(crane).static_start(0.4, -1.3, 2.4)
