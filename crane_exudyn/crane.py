@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -87,6 +87,8 @@ class Crane:
     sources: Mapping[str, str] = field(default_factory=dict)
     effects: tuple[Acting, ...] = ()
     history: tuple[Mapping[str, Any], ...] = ()
+    #: functions f(mbs, plant, number) that add Exudyn objects of one's own to machine `number` of a plant; see `with_objects`
+    objects: tuple[Callable[..., None], ...] = field(default=(), repr=False)
     #: of the file that it was read from; what is written keeps its comments and units
     text: str = field(default="", repr=False, compare=False)
 
@@ -191,6 +193,13 @@ class Crane:
     def effect(self, key: str) -> Acting | None:
         """Return the effect "name@place" of this crane, or None."""
         return next((e for e in self.effects if e.key == key), None)
+
+    def with_objects(self, *functions: Callable[..., None]) -> Crane:
+        """Return a copy to which functions f(mbs, plant, number) add objects of one's own, such as a spring to ground or a contact.
+
+        They are part of every Exudyn system of the crane, also of a batch; `plant.marker("E", number)` gives a marker at a named point.
+        """
+        return replace(self, objects=(*self.objects, *functions))
 
     def with_history(self, entry: Mapping[str, Any]) -> Crane:
         """Return a copy whose history has one entry more."""

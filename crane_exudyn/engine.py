@@ -306,6 +306,13 @@ class _System:
         self._container, self.mbs = mechanism.main_system()
         self.plant = mechanism.build(self.mbs, crane, states=np.tile(mechanism.start_pose(crane), (size, 1)))
         self.mbs.Assemble()
+        self._push, self._has_objects = np.zeros((size, self.plant.coordinates)), bool(crane.objects)
+        found, own = len(self.mbs.systemData.GetODE2Coordinates()), self._push.size
+        if found != own:
+            raise CraneError(
+                f"{crane.name}: objects of one's own add {found - own} coordinates to a machine's {own // size}. In the engine's systems they may "
+                "push and pull bodies, but not move themselves. Use `build` and Exudyn's own solver for such a model."
+            )
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
         self.solver = mechanism.new_solver()
         if not self.solver.InitializeSolver(self.mbs, self._settings):
@@ -339,9 +346,11 @@ class _System:
         """Return (states, first crane beyond its stroke or -1); `status` and `errors` say crane by crane how the step went."""
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
+        if self._has_objects:
+            self._measure_push(before, x, w0, time)
         ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self.status, self._last)
         if not trapezoidal.predict(
-            plant.topology, plant.P, plant.E, time, h, before, plant.inertia, x, w0, self._udd, *ends
+            plant.topology, plant.P, plant.E, time, h, before, plant.inertia, x, w0, self._push, self._udd, *ends
         ):
             self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
             return out, -1
@@ -353,10 +362,19 @@ class _System:
                 plant.topology, plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends
             ):
                 break
-        found = (self._q, self._v, self._p, self._held, self._udd, self.status, self.errors, out)
+        found = (self._push, self._q, self._v, self._p, self._held, self._udd, self.status, self.errors, out)
         return out, trapezoidal.finish(
             plant.topology, plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found
         )
+
+    def _measure_push(self, inertia: np.ndarray, x: np.ndarray, w: np.ndarray, time: float) -> None:
+        """Fill the forces of objects of one's own at states x: what Exudyn assembles beyond the machine's own forces."""
+        plant, own = self.plant, np.empty_like(self._q)
+        trapezoidal.forces_at(plant.topology, plant.P, plant.E, time, inertia, x, w, self._q, self._v, self._p, own)
+        self._a[:], self._dp[:], plant.inputs[...] = 0.0, 0.0, w
+        self.mbs.systemData.SetTime(time)
+        total = -np.asarray(self._residual())[: own.size].reshape(own.shape) / self._scale
+        self._push[...] = total - own
 
     def _set_parameters(self, P: np.ndarray | None, E: np.ndarray | None, start: float, end: float) -> np.ndarray:
         """Bring the cranes' numbers up to date for the end of a step; return the masses (n, bodies + 1, 4) at its start."""

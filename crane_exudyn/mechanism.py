@@ -302,6 +302,9 @@ def build(
     for k, row in enumerate(rows):
         _add_machine(mbs, plant, k, row)
     _add_user_functions(mbs, plant)
+    for k in range(plant.size):
+        for add in crane.objects:
+            add(mbs, plant, k)
     return plant
 
 
@@ -562,7 +565,7 @@ def consistent(plant: Plant, state: np.ndarray, w: np.ndarray, time: float) -> t
     arms, lines, N = red.new_arms(topology), trapezoidal.new_lines(topology), np.zeros((nu, width))
     x, numbers = np.asarray(state, dtype=float), (plant.P[0], plant.E[0], time, plant.inertia[0])
     ends = (q, v, a, p, dp, held, np.zeros(nu))
-    if trapezoidal.start(topology, *numbers, x, wide, arms, lines, N, *ends) != trapezoidal.ITERATING:
+    if trapezoidal.start(topology, *numbers, x, wide, np.zeros(width), arms, lines, N, *ends) != trapezoidal.ITERATING:
         raise geo.unreachable(plant.crane, x)
     return q, v, a, p, dp
 

@@ -365,11 +365,8 @@ def solve(A, b):
 
 
 @njit
-def accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, work, f, M, udd, a):
-    """Fill udd and a with the accelerations that are consistent with the joints: M udd = N (f - M a_centripetal).
-
-    f gets all applied forces, a the accelerations of the redundant coordinates; `lines` is filled. `arms` must belong to q.
-    """
+def applied_forces(topology, P, E, t, w, inertia, arms, lines, q, v, p, f):
+    """Fill f (nq,) with all applied forces that the machine itself has; `lines` is filled. `arms` must belong to q."""
     f[:] = 0.0
     geo.fill_lines(topology, arms, q, v, lines)
     F = np.empty(lines.shape[0])
@@ -377,6 +374,18 @@ def accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, work, 
     add_cylinder_forces(topology, arms, lines, F, f)
     add_joint_forces(topology, E, t, w, arms, v, f)
     add_gravity(topology, P, E, inertia, f)
+
+
+@njit
+def accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, push, work, f, M, udd, a):
+    """Fill udd and a with the accelerations that are consistent with the joints: M udd = N (f - M a_centripetal).
+
+    f gets all applied forces, among them push (nq,), those of somebody's own objects; a the accelerations of the redundant
+    coordinates; `lines` is filled. `arms` must belong to q.
+    """
+    applied_forces(topology, P, E, t, w, inertia, arms, lines, q, v, p, f)
+    for j in range(f.size):
+        f[j] += push[j]
     centripetal(topology, arms, v, a)
     reduced_mass(inertia, N, work, M)
     mass_times(inertia, a, work)

@@ -58,10 +58,11 @@ def new_lines(topology):
 
 
 @njit
-def start(topology, P, E, t, inertia, x, w, arms, lines, N, q, v, a, p, dp, held, udd):
+def start(topology, P, E, t, inertia, x, w, push, arms, lines, N, q, v, a, p, dp, held, udd):
     """Fill q, v, a, p, dp of one machine from its state x (nx,): joints closed, accelerations and rates consistent.
 
     Args:
+        push: (nq,) forces of somebody's own objects.
         held: (N_BALANCES, chambers), filled with `hydraulics.chamber_balances`; udd: (nu,), with the independent accelerations.
 
     Returns:
@@ -72,7 +73,7 @@ def start(topology, P, E, t, inertia, x, w, arms, lines, N, q, v, a, p, dp, held
         return UNREACHABLE
     p[:] = x[2 * n : 4 * n]
     f, work, M = np.empty(width), np.empty(width), np.empty((nu, nu))
-    if not red.accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, work, f, M, udd, a):
+    if not red.accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, push, work, f, M, udd, a):
         return SINGULAR
     hyd.chamber_balances(topology, P, E, w, lines, p, held)
     hyd.pressure_rates(held, dp)
@@ -95,14 +96,29 @@ def _refer(topology, P, E, before, inertia, x, udd, arms, N, q, v, a):
 
 
 @njit
-def predict(topology, P, E, t, h, start_inertia, inertia, x, w, udd, q, v, a, p, dp, held, status, last):
+def forces_at(topology, P, E, t, inertia, x, w, q, v, p, f):
+    """Fill q, v, p and f, the applied forces that the machines themselves have, of states x (m, nx) at t; (m, .) each."""
+    n = topology[0, CYLINDERS]
+    arms, lines, N = (
+        red.new_arms(topology),
+        new_lines(topology),
+        np.zeros((widths(topology, red.swings(topology, q[0]))[1], q.shape[1])),
+    )
+    for k in range(x.shape[0]):
+        red.place(topology, P[k], E[k], inertia[k], x[k], arms, N, q[k], v[k])
+        p[k] = x[k, 2 * n : 4 * n]
+        red.applied_forces(topology, P[k], E[k], t, w[k], inertia[k], arms, lines, q[k], v[k], p[k], f[k])
+
+
+@njit
+def predict(topology, P, E, t, h, start_inertia, inertia, x, w, push, udd, q, v, a, p, dp, held, status, last):
     """Fill the (m, .) arrays of the end of the step with a first guess: a1 = a0 and dp1 = dp0.
 
     Args:
         t, h: start and length of the step in s.
         P, E: (m, .) parameters.
         start_inertia, inertia: (m, bodies + 1, 4) masses at the start and the end of the step.
-        x, w: states (m, nx) and inputs (m, .) at the start of the step.
+        x, w: states (m, nx) and inputs (m, .) at the start of the step;  push: (m, nq) forces of somebody's own objects there.
         held: (m, N_BALANCES, chambers) filled with the chambers' balances at the start;  udd: (m, nu) with the accelerations there.
         status, last: (m,), set for the first iteration.
 
@@ -114,7 +130,7 @@ def predict(topology, P, E, t, h, start_inertia, inertia, x, w, udd, q, v, a, p,
     balances, good = np.empty((N_BALANCES, chambers)), True
     for k in range(x.shape[0]):
         ends = (q[k], v[k], a[k], p[k], dp[k], held[k], udd[k])
-        status[k] = start(topology, P[k], E[k], t, start_inertia[k], x[k], w[k], arms, lines, N, *ends)
+        status[k] = start(topology, P[k], E[k], t, start_inertia[k], x[k], w[k], push[k], arms, lines, N, *ends)
         last[k] = math.inf
         good = good and status[k] == ITERATING
         _refer(topology, P[k], E[k], start_inertia[k], inertia[k], x[k], udd[k], arms, N, q[k], v[k], a[k])
@@ -342,13 +358,14 @@ def _apply(topology, P, E, w, h, inertia, N, d, change, arms, lines, balances, q
 
 
 @njit
-def finish(topology, P, E, t, h, allowed, inertia, x, w0, w1, q, v, p, held, udd, status, errors, out):
+def finish(topology, P, E, t, h, allowed, inertia, x, w0, w1, push, q, v, p, held, udd, status, errors, out):
     """Fill out (m, nx) with the independent states at the end of the step, of the machines that are DONE.
 
     `errors` (m,) get the local errors of their steps. A machine whose error is too large becomes COARSE.
 
     Args:
-        t, h: start and length of the step in s;  x, w0: (m, .) states and inputs at its start;  w1: inputs at its end.
+        t, h: start and length of the step in s;  x, w0, push: (m, .) states, inputs and forces of somebody's own objects at its start;
+        w1: inputs at its end.
         allowed: local error in units of `step_control.*_ERROR`.
         inertia: (m, bodies + 1, 4) masses at the end of the step.
 
@@ -366,7 +383,22 @@ def finish(topology, P, E, t, h, allowed, inertia, x, w0, w1, q, v, p, held, udd
         _settle(topology, P[k], E[k], h, inertia[k], w1[k], arms, lines, q[k], v[k], p[k], held[k], balances, out[k])
         if beyond < 0 and stroke_end(P[k], E[k], lines, out[k, 2 * n : 4 * n]) > 0:
             beyond = k
-        what = (inertia[k], x[k], out[k], w0[k], w1[k], arms, lines, N, q[k], v[k], held[k], balances[GAIN], udd[k])
+        what = (
+            inertia[k],
+            x[k],
+            out[k],
+            w0[k],
+            w1[k],
+            push[k],
+            arms,
+            lines,
+            N,
+            q[k],
+            v[k],
+            held[k],
+            balances[GAIN],
+            udd[k],
+        )
         errors[k] = _local_error(topology, P[k], E[k], t, h, allowed, *what)
         if not errors[k] <= allowed:
             status[k] = COARSE
@@ -390,7 +422,7 @@ def _settle(topology, P, E, h, inertia, w, arms, lines, q, v, p, held, balances,
 
 
 @njit
-def _local_error(topology, P, E, t, h, allowed, inertia, x, out, w0, w1, arms, lines, N, q, v, held, gain, udd):
+def _local_error(topology, P, E, t, h, allowed, inertia, x, out, w0, w1, push, arms, lines, N, q, v, held, gain, udd):
     """Return the local error of one machine's step in units of `step_control.*_ERROR`; arms, lines, N, q, v are scratch.
 
     First by the change of the rates over the step, which bounds the defect of rates that change one way; then by the rates in
@@ -426,7 +458,7 @@ def _local_error(topology, P, E, t, h, allowed, inertia, x, out, w0, w1, arms, l
         )
     hyd.settle(P, E, lines, amount, x[2 * n : 4 * n], middle[2 * n : 4 * n])
     a, p, there = np.empty(width), np.empty(chambers), np.empty(nu)
-    what = (middle, w, arms, lines, N, q, v, a, p, dp, between, there)
+    what = (middle, w, push, arms, lines, N, q, v, a, p, dp, between, there)
     if start(topology, P, E, t + 0.5 * h, inertia, *what) != ITERATING:
         return math.inf
     for i in range(nu):

@@ -48,7 +48,7 @@ class Draw:
         """Add a body on a carrier; return whether it slides."""
         rng, name = self.rng, f"body_{i}"
         slides, pin = rng.random() < 0.25, np.array([rng.uniform(0.6, 1.5), rng.uniform(-0.3, 0.3)])
-        origin, angle = self.frames[carrier]
+        angle = self.frames[carrier][1]
         joint = {"name": f"J{i}", "bodies": [carrier, name], "coordinate": f"q{i}"}
         z, direction = (rng.uniform(0.2, 0.5), rng.uniform(-0.5, 0.5)) if slides else (rng.uniform(-0.8, 0.8), 0.0)
         place = self.place(carrier, pin)

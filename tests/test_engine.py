@@ -394,3 +394,43 @@ def test_pressures_do_not_fall_below_vapour_pressure():
     held = np.flatnonzero((shown[:, 5] == 0.0) | (shown[:, 6] == 0.0) | (shown[:, 7] == 0.0))
     assert held.size > 3
     assert np.all(np.isfinite(run))
+
+
+def lift_tip(mbs, plant, number):
+    """A force of 300 N upwards on E, as an object of one's own."""
+    mbs.AddLoad(mechanism.items.Force(markerNumber=plant.marker("E", number), loadVector=[0.0, 300.0, 0.0]))
+
+
+def hold_tip(mbs, plant, number):
+    """A spring with a damper from E to a point above it."""
+    ground = mbs.AddMarker(mechanism.items.MarkerBodyPosition(bodyNumber=plant.ground, localPosition=[4.5, 4.0, 0.0]))
+    markers = [ground, plant.marker("E", number)]
+    mbs.AddObject(
+        mechanism.items.SpringDamper(markerNumbers=markers, referenceLength=2.0, stiffness=3e3, damping=200.0)
+    )
+
+
+def test_objects_of_ones_own_are_part_of_every_step():
+    """A load does what the effect does; a spring is followed as by Exudyn's own solver; each machine of a batch has its own."""
+    states = moving_states(3)
+    pushed = ExudynEngine(CRANE.with_objects(lift_tip)).propagate(states, INPUTS, 1e-3)
+    effect = ExudynEngine(CRANE.with_effect("tip_contact_force", {"F": 300.0, "T": 0.0})).propagate(
+        states, INPUTS, 1e-3
+    )
+    assert pushed == pytest.approx(effect, rel=1e-11)
+    held = CRANE.with_objects(hold_tip)
+    together = ExudynEngine(held).propagate(states, INPUTS, 1e-3)
+    apart = [ExudynEngine(held).propagate(states[k : k + 1], INPUTS, 1e-3)[0] for k in range(3)]
+    assert together == pytest.approx(np.array(apart), rel=1e-12) and np.abs(together - pushed).max() > 1e-9
+    coarse, fine = (
+        ExudynEngine(held).simulate(states[0], np.array([0.0, 0.2]), INPUTS[[0, 0]], step=h) for h in (1e-3, 2.5e-4)
+    )
+    assert coarse[-1] == pytest.approx(fine[-1], rel=1e-4, abs=1e-6)
+
+
+def test_objects_that_move_themselves_are_refused():
+    def loose(mbs, plant, number):
+        mbs.AddObject(mechanism.items.MassPoint2D(mass=1.0, nodeNumber=mbs.AddNode(mechanism.items.NodePoint2D())))
+
+    with pytest.raises(CraneError, match="add 2 coordinates"):
+        ExudynEngine(CRANE.with_objects(loose))

@@ -227,7 +227,7 @@ def state_matrix(engine, state):
         rows = exu["joint_jacobian"]
         saddle = np.block([[exu["mass"], rows.T], [rows, np.zeros((len(rows), len(rows)))]])
         a = np.linalg.solve(saddle, np.concatenate([exu["force"], np.zeros(len(rows))]))
-        return np.array([x[2], x[3], a[2], a[11] - a[2], *exu["pressure_rates"]])
+        return np.array([x[2], x[3], a[2], a[5] - a[2], *exu["pressure_rates"]])
 
     steps = np.array([1e-6, 1e-6, 1e-5, 1e-5, *[1e2] * 4])
     return np.column_stack(

@@ -97,6 +97,10 @@ class SemiRecursiveEngine:
     """
 
     def __init__(self, crane: Crane, *, step: float = 1e-3, accuracy: float = 1.0):
+        if crane.objects:
+            raise CraneError(
+                f"{crane.name}: objects of one's own are known to the Exudyn engine only. Use that, or a crane without them."
+            )
         self.crane, self.step, self.accuracy = crane, float(step), float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
         self._topology = crane.machine.topology
