@@ -70,22 +70,23 @@ def _set_value(document: Any, name: str, value: float) -> None:
         return
     *path, last = name.split(".")
     if path[:1] == ["slides"]:
-        place, key = next(joint for joint in document["joint"] if joint["name"] == path[1]), last
-    else:
-        point = last in ("x", "y")
-        key = path.pop() if point else last
-        place = document
-        for part in path:
-            place = place.setdefault(part, tomlkit.table())
-        if point:
-            place, key = place[key], "xy".index(last)
-    old = place[key] if isinstance(key, int) or key in place else ""
-    place[key] = _in_unit_of(str(old) if isinstance(old, str) else "", value, parameters.unit_of(name))
+        joint = next(joint for joint in document["joint"] if joint["name"] == path[1])
+        joint[last] = _in_unit_of(joint.get(last, ""), value, parameters.unit_of(name))
+        return
+    axis = {"x": 0, "y": 1}.get(last)
+    key: Any = last if axis is None else path.pop()
+    place = document
+    for part in path:
+        place = place.setdefault(part, tomlkit.table())
+    if axis is not None:
+        place, key = place[key], axis
+    old = place[key] if axis is not None or key in place else ""
+    place[key] = _in_unit_of(old, value, parameters.unit_of(name))
 
 
-def _in_unit_of(old: str, value: float, unit: str) -> Any:
+def _in_unit_of(old: object, value: float, unit: str) -> Any:
     """Return a value as the old text has it, a number with a unit, if that reads back as the very value; else in SI."""
-    plain = _PLAIN.fullmatch(old)
+    plain = _PLAIN.fullmatch(old) if isinstance(old, str) else None
     if plain is None or not plain[1]:
         return float(value)
     text = f"{value / factor_to_si(plain[1], unit)!r} {plain[1]}"
