@@ -39,7 +39,7 @@ def ghost_of(entry: str) -> tuple[str, str]:
 def command(
     recording: Annotated[
         Path | None,
-        typer.Argument(metavar="REC", help="Recording or result with z1 and z4; none: the crane at its start."),
+        typer.Argument(metavar="REC", help="Recording or result with the coordinates; none: the crane at its start."),
         Reads(),
     ] = None,
     output: Annotated[
@@ -67,7 +67,7 @@ def command(
     ] = None,
     mark: Annotated[
         list[str] | None,
-        typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber or joint: lift, p4, A; repeatable."),
+        typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber, joint, point or body by its name; repeatable."),
     ] = None,
     view: Annotated[Literal["side", "oblique"] | None, typer.Option(help="Where it is seen from.")] = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Size in pixels.")] = "1280x720",
