@@ -38,7 +38,7 @@ Disc = tuple[float, float, float]  # x, y, radius
 #: the bore in m of a machine with the sizes below, which are in m; others are larger or smaller by theirs
 _USUAL_BORE = 0.1
 #: half widths across the plane: beams, what one is narrower than its carrier, links and the next lane, the cheeks of a lug
-_BEAM, _NARROWER, _LINK, _LANE, _LUG = 0.085, 0.006, (0.098, 0.122), 0.026, (0.06, 0.078)
+_BEAM, _NARROWER, _LINK, _LANE, _LUG = 0.085, 0.006, (0.098, 0.122), 0.026, (0.052, 0.07)
 _PIN, _WALL, _LOG_LENGTH = 0.026, 0.011, 1.5
 #: radii of a beam at its beginning, in its middle and at its end, and at most as a share of its length
 _RADII, _SLIMMEST = (0.08, 0.095, 0.055), 0.2
@@ -358,7 +358,7 @@ def _column(pin: np.ndarray, floor: float, unit: float, paint: Paint) -> list[Gr
     inner = _BEAM * unit + 0.006
     return [
         plate(foot, -0.32 * unit, 0.32 * unit, paint.pillar, paint.edges),
-        plate(column, -0.13 * unit, 0.13 * unit, paint.pillar, paint.edges),
+        plate(column, -0.14 * unit, 0.14 * unit, paint.pillar, paint.edges),
         *_cheeks(cheeks, inner, inner + 0.03 * unit, paint.pillar, paint),
         _across(pin, 0.15 * unit, _PIN * unit, paint.pin, paint),
     ]
