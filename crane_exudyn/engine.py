@@ -304,7 +304,8 @@ class _System:
 
     def __init__(self, crane: Crane, size: int) -> None:
         self._container, self.mbs = mechanism.main_system()
-        self.plant = mechanism.build(self.mbs, crane, states=np.tile(mechanism.start_pose(crane), (size, 1)))
+        states = np.tile(mechanism.start_pose(crane), (size, 1))
+        self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)
         self.mbs.Assemble()
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
         self.solver = mechanism.new_solver()

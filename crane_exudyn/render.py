@@ -245,7 +245,7 @@ class Scene:
 
     def _add_crane(self, paint: shapes.Paint, hidden: Sequence[str], depth: float) -> None:
         graphics = {
-            part: [_moved(g, (0.0, 0.0, depth)) for g in made] for part, made in shapes.parts(self.crane, paint).items()
+            part: [shapes.moved(g, (0.0, 0.0, depth)) for g in made] for part, made in shapes.parts(self.crane, paint).items()
         }
         for part in shapes.part_names(self.crane):
             node = self.mbs.AddNode(items.NodeRigidBody2D(referenceCoordinates=[0.0, 0.0, 0.0]))
@@ -660,16 +660,7 @@ def _map_color(colour: Colour | None, fraction: float) -> shapes.Color:
 
 def _placed(graphics: shapes.Graphics, frame: np.ndarray) -> shapes.Graphics:
     """Return graphics of a part's frame in world coordinates; frame is x, y, angle."""
-    return _moved(graphics, (frame[0], frame[1], 0.0), frame[2])
-
-
-def _moved(graphics: shapes.Graphics, by: tuple[float, float, float], angle: float = 0.0) -> shapes.Graphics:
-    """Return graphics turned about the z axis and then moved."""
-    from exudyn.graphics import Move
-
-    c, s = math.cos(angle), math.sin(angle)
-    moved: shapes.Graphics = Move(graphics, list(by), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
-    return moved
+    return shapes.moved(graphics, (frame[0], frame[1], 0.0), frame[2])
 
 
 # -- screens ---------------------------------------------------------------------------------------------------------

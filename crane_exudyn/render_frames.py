@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _INK, _SOFT, _CYLINDER, _COORDINATE = "#1b1b1b", "#666666", "#0072B2", "#B00062"
 _WIDTH, _WHOLE, _PANEL, _TITLE, _GAP = 11.0, 5.6, 3.1, 0.34, 0.2  # inches: page, the whole machine, a body, a title, between
 _SIZE = 8.5  # points of most texts
-_MARGIN = 0.16  # share of a panel left free on each side for labels
+_MARGIN = 0.13  # share of a panel left free on each side for labels
 _PALER = 0.62
 
 
@@ -48,7 +48,8 @@ def sketch(crane: Crane) -> Figure:
 
 
 def _told_start(crane: Crane) -> str:
-    return f"{crane.name} at its start: {told(crane.layout, np.array(crane.initial.pose))}"
+    started = told(crane.layout, np.array(crane.initial.pose)).replace("-", "−")
+    return f"{crane.name} at its start: {started}"
 
 
 def _told_body(crane: Crane, name: str) -> str:
@@ -95,6 +96,14 @@ class _Panel:
         (x0, y0), (x1, y1) = middle - half, middle + half
         self.axes.set(xlim=(x0, x1), ylim=(y0, y1))
         return float(scale)
+
+    def draw_axes(self, scale: float) -> None:
+        """Draw the axes of the frame that the panel shows; scale: m a point of the page."""
+        for turn, name in ((0.0, "x"), (0.5 * math.pi, "y")):
+            tip = 36.0 * scale * _toward(turn)
+            _arrow(self.axes, np.zeros(2), tip)
+            self.keep_clear([np.zeros(2), 1.3 * tip])
+            self.axes.text(*(1.2 * tip), name, ha="center", va="center", fontsize=_SIZE, color=_SOFT)
 
     def keep_clear(self, line: Iterable[Sequence[float]]) -> None:
         """Keep labels off a line through places in m."""
@@ -153,13 +162,11 @@ def _draw_frame(panel: _Panel, crane: Crane, body: str) -> None:
     points = {name: shapes.place(crane, p) for (p, b), name in zip(machine.points.items(), machine.point_names, strict=True) if b == body}
     mass = [] if body == GROUND else [shapes.place(crane, f"bodies.{body}.com")]
     made = shapes.pillar(crane, _paint()) if body == GROUND else shapes.body_shape(crane, body, _paint())
-    _fill(panel.axes, made)
-    scale = panel.show(np.vstack([np.zeros((1, 2)), *points.values(), *mass]))
-    for axis, name in ((np.array([1.0, 0.0]), "x"), (np.array([0.0, 1.0]), "y")):
-        tip = 42.0 * scale * axis
-        _arrow(panel.axes, np.zeros(2), tip)
-        panel.keep_clear([np.zeros(2), tip])
-        panel.axes.text(*(tip + 6.0 * scale * axis), name, ha="center", va="center", fontsize=_SIZE, color=_SOFT)
+    corners = _fill(panel.axes, [(made, (0.0, 0.0, 0.0))])
+    panel.draw_axes(panel.show(np.vstack([np.zeros((1, 2)), corners, *points.values(), *mass])))
+    own = None if body == GROUND else machine.carriers[body]
+    if own is None or not own.own_pin:
+        panel.label("origin" if own is None else f"origin, joint {own.name}", np.zeros(2), color=_SOFT)
     for at in points.values():
         panel.axes.plot(*at, "o", ms=5, mfc="white", mec=_INK, zorder=8)
         panel.keep_clear([at])
@@ -180,13 +187,18 @@ def _draw_machine(panel: _Panel, crane: Crane) -> None:
     points = {name: at[0] for name, at in closed.points.items()}
     short = dict(zip(machine.points, machine.point_names, strict=True))
     frames = coordinates(crane, start)[0].reshape(-1, 3)
-    _fill(panel.axes, shapes.pillar(crane, _paint()))
-    for (_, made), frame in zip(shapes.parts(crane, _paint()).items(), frames, strict=True):
-        _fill(panel.axes, made, frame)
-    scale = panel.show(np.vstack([np.zeros((1, 2)), *points.values()]))
-    for axis, name in ((np.array([1.0, 0.0]), "x"), (np.array([0.0, 1.0]), "y")):
-        _arrow(panel.axes, np.zeros(2), 30.0 * scale * axis)
-        panel.axes.text(*(36.0 * scale * axis), name, ha="center", va="center", fontsize=_SIZE, color=_SOFT)
+    made = [*zip(shapes.parts(crane, _paint()).values(), frames, strict=True), (shapes.pillar(crane, _paint()), np.zeros(3))]
+    scale = panel.show(np.vstack([np.zeros((1, 2)), _fill(panel.axes, made)]))
+    panel.draw_axes(scale)
+    angles = {GROUND: 0.0} | {name: float(angle[0]) for name, angle in closed.angles.items()}
+    for joint in machine.joints:
+        if joint.coordinate in machine.independent:
+            at, turned = points[short[joint.pin]], angles[joint.carrier]
+            if joint.kind == PRISMATIC:
+                turned += crane[f"slides.{joint.name}.direction"]
+                _arrow(panel.axes, at, at + 60.0 * scale * _toward(turned), _COORDINATE)
+            else:
+                _angle(panel, at, turned, angles[joint.body], scale)
     for joint in machine.joints:
         at = points[short[joint.pin]]
         panel.axes.plot(*at, "s" if joint.kind == PRISMATIC else "o", ms=5, mfc="white", mec=_INK, zorder=8)
@@ -215,21 +227,44 @@ def _paint() -> shapes.Paint:
     return shapes.Paint(**pale)
 
 
-def _fill(axes: Axes, made: Sequence[shapes.Graphics], frame: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
-    """Fill the side view of graphics at a frame (x, y, angle), what is nearer over what is behind."""
+def _fill(axes: Axes, parts: Iterable[tuple[Sequence[shapes.Graphics], Sequence[float]]]) -> np.ndarray:
+    """Fill the side view of graphics, each list at a frame (x, y, angle), what is nearer over what is behind; return its corners (n, 2)."""
     from matplotlib.collections import PolyCollection
 
-    x, y, angle = frame
-    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-    for part in sorted(made, key=lambda g: np.reshape(g["points"], (-1, 3))[:, 2].max()):
-        corners = np.reshape(part["points"], (-1, 3))[:, :2] @ turn + [x, y]
+    seen = []
+    for made, (x, y, angle) in parts:
+        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        for part in made:
+            points = np.reshape(part["points"], (-1, 3))
+            seen.append((points[:, 2].max(), points[:, :2] @ turn + [x, y], part))
+    for _, corners, part in sorted(seen, key=lambda s: s[0]):
         color = tuple(np.reshape(part["colors"], (-1, 4))[0])
         triangles = np.array(part["triangles"] if "triangles" in part else part["triangles6"])[:, :3]  # the first three are corners
-        axes.add_collection(PolyCollection(corners[triangles], facecolors=[color], edgecolors=[color], linewidths=0.4), autolim=False)
+        axes.add_collection(
+            PolyCollection(list(corners[triangles]), facecolors=[color], edgecolors=[color], linewidths=0.4), autolim=False
+        )
+    return np.vstack([corners for _, corners, _ in seen])
 
 
-def _arrow(axes: Axes, start: np.ndarray, end: np.ndarray) -> None:
-    axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": _SOFT, "lw": 1.2, "shrinkA": 0, "shrinkB": 0})
+def _angle(panel: _Panel, at: np.ndarray, start: float, end: float, scale: float) -> None:
+    """Draw a coordinate as an arc from the direction of the carrier's x axis, which is dashed, to that of the body's."""
+    for turn, dashes in ((start, (0, (4, 3))), (end, "-")):
+        line = [at, at + 62.0 * scale * _toward(turn)]
+        panel.axes.plot(*zip(*line, strict=True), color=_COORDINATE, lw=0.9, ls=dashes, zorder=6)
+        panel.keep_clear(line)
+    arc = at + 46.0 * scale * np.array([_toward(turn) for turn in np.linspace(start, end, 40)])
+    panel.axes.plot(*arc[:-2].T, color=_COORDINATE, lw=0.9, zorder=6)
+    _arrow(panel.axes, arc[-6], arc[-1], _COORDINATE)
+    panel.keep_clear(arc)
+
+
+def _toward(angle: float) -> np.ndarray:
+    return np.array([math.cos(angle), math.sin(angle)])
+
+
+def _arrow(axes: Axes, start: np.ndarray, end: np.ndarray, color: str = _SOFT) -> None:
+    look = {"arrowstyle": "-|>", "color": color, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", end, start, arrowprops=look, zorder=6)
 
 
 def _pair(at: np.ndarray) -> str:

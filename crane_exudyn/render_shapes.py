@@ -416,6 +416,7 @@ def _bore(crane: Crane, cylinder: str) -> float:
 
 
 def _outer_radius(crane: Crane, cylinder: str) -> float:
+    """Return the radius of a cylinder's barrel with its wall, m."""
     return _bore(crane, cylinder) * (0.5 + _WALL / _USUAL_BORE)
 
 
@@ -536,6 +537,32 @@ def part_names(crane: Crane) -> tuple[str, ...]:
     return (*(f"bodies.{b}" for b in machine.bodies), *cylinders, *(("rope", "payload") if machine.payload[0] else ()))
 
 
+def outlines(crane: Crane, centres: Mapping[str, np.ndarray]) -> dict[str, list[Graphics]]:
+    """Return the graphics of the ground and of each body about its centre (2,) in its frame, with a payload that is fixed to it.
+
+    A payload on a pendulum stands under the name "payload", about itself.
+    """
+    paint = Paint()
+    made = {GROUND: pillar(crane, paint)} | {name: body_shape(crane, name, paint) for name in crane.machine.bodies}
+    body, point = crane.machine.payload
+    if body and pendulum_length(crane) > 0.0:
+        made["payload"] = payload(crane, paint)
+    elif body:
+        made[body] += [moved(g, (*place(crane, point), 0.0)) for g in payload(crane, paint)]
+    for name, (x, y) in centres.items():
+        made[name] = [moved(g, (-x, -y, 0.0)) for g in made[name]]
+    return made
+
+
+def moved(graphics: Graphics, by: tuple[float, float, float], angle: float = 0.0) -> Graphics:
+    """Return graphics turned about the z axis and then moved."""
+    from exudyn.graphics import Move
+
+    c, s = math.cos(angle), math.sin(angle)
+    turned: Graphics = Move(graphics, list(by), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+    return turned
+
+
 def arrow(tip: Sequence[float], direction: Sequence[float], length: float, color: Color) -> Graphics:
     """Return an arrow in front of the machine that ends at `tip`, coming along `direction`."""
     from exudyn.graphics import Arrow
@@ -548,4 +575,4 @@ def arrow(tip: Sequence[float], direction: Sequence[float], length: float, color
     return made
 
 
-__all__ = ["Graphics", "Paint", "arrow", "body_shape", "exu", "ground", "oil", "part_names", "parts", "pillar"]
+__all__ = ["Graphics", "Paint", "arrow", "body_shape", "exu", "ground", "moved", "oil", "outlines", "part_names", "parts", "pillar"]
