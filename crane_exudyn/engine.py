@@ -304,7 +304,8 @@ class _System:
 
     def __init__(self, crane: Crane, size: int) -> None:
         self._container, self.mbs = mechanism.main_system()
-        self.plant = mechanism.build(self.mbs, crane, states=np.tile(mechanism.start_pose(crane), (size, 1)))
+        states = np.tile(mechanism.start_pose(crane), (size, 1))
+        self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)
         self.mbs.Assemble()
         self._push, self._has_objects = np.zeros((size, self.plant.coordinates)), bool(crane.objects)
         found, own = len(self.mbs.systemData.GetODE2Coordinates()), self._push.size

@@ -83,6 +83,7 @@ class Plant:
         pressure_nodes: node numbers of the cylinders' pressures.
         markers: (marker number, body or -1 for the ground, point in P or -1 for the body's origin).
         loads: load numbers by name of the body.
+        outlines: shapes by name of the body, and of the ground; empty without graphics.
     """
 
     crane: Crane
@@ -102,6 +103,7 @@ class Plant:
     pressure_nodes: list[list[int]] = field(default_factory=list)
     markers: list[list[tuple[int, int, int]]] = field(default_factory=list)
     loads: list[dict[str, int]] = field(default_factory=list)
+    outlines: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
 
     @property
     def topology(self) -> np.ndarray:
@@ -283,6 +285,7 @@ def build(
     states: np.ndarray | None = None,
     inputs: np.ndarray | Callable[[float], np.ndarray] | None = None,
     time: float = 0.0,
+    graphics: bool = True,
 ) -> Plant:
     """Add machines to an Exudyn main system (before `mbs.Assemble()`) and return where they are.
 
@@ -292,13 +295,16 @@ def build(
         states: (nx,) or (n, nx) initial states, one machine each; default: the crane's start at 20 bar everywhere.
         inputs: w = `Layout.inputs`, one row or n, or a function of time that returns one; default: valves closed.
         time: the payload has the mass of this time.
+        graphics: whether bodies, ground and cylinders get the machine's shapes, which Exudyn's viewer shows.
 
     Raises:
         CraneError: a pose that cannot be reached, or a payload on a pendulum that has no mass.
     """
     rows = np.atleast_2d(start_pose(crane) if states is None else np.asarray(states, dtype=float))
     plant = _plant(crane, len(rows), inputs, time)
-    plant.mbs, plant.ground = mbs, int(mbs.AddObject(items.ObjectGround()))
+    plant.outlines = _outlines(plant) if graphics else {}
+    look = items.VObjectGround(graphicsData=plant.outlines.get(GROUND, []))
+    plant.mbs, plant.ground = mbs, int(mbs.AddObject(items.ObjectGround(visualization=look)))
     for k, row in enumerate(rows):
         _add_machine(mbs, plant, k, row)
     _add_user_functions(mbs, plant)
@@ -306,6 +312,13 @@ def build(
         for add in crane.objects:
             add(mbs, plant, k)
     return plant
+
+
+def _outlines(plant: Plant) -> dict[str, list[dict[str, Any]]]:
+    """Return the shapes of ground and bodies, each about its centre of mass."""
+    from .render_shapes import outlines  # only where somebody may look
+
+    return outlines(plant.crane, dict(zip(plant.crane.machine.bodies, plant.inertia[0, :, [red.COM_X, red.COM_Y]].T, strict=False)))
 
 
 def start_pose(crane: Crane) -> np.ndarray:
@@ -354,7 +367,8 @@ def _add_body(mbs: Any, plant: Plant, b: int, name: str, q: np.ndarray, v: np.nd
         items.NodeRigidBody2D(referenceCoordinates=[0, 0, 0], initialCoordinates=list(q), initialVelocities=list(v))
     )
     mass, inertia = plant.inertia[len(plant.bodies) - 1, b, [red.MASS, red.INERTIA]]
-    body = mbs.AddObject(items.ObjectRigidBody2D(mass=mass, inertia=inertia, nodeNumber=node))
+    look = items.VObjectRigidBody2D(graphicsData=plant.outlines.get(name, []))
+    body = mbs.AddObject(items.ObjectRigidBody2D(mass=mass, inertia=inertia, nodeNumber=node, visualization=look))
     plant.nodes[-1][name], plant.bodies[-1][name] = int(node), int(body)
 
 
@@ -376,7 +390,8 @@ def _add_swinging_payload(mbs: Any, plant: Plant, q: np.ndarray, v: np.ndarray) 
         items.NodePoint2D(referenceCoordinates=[0, 0], initialCoordinates=list(q[-2:]), initialVelocities=list(v[-2:]))
     )
     mass = plant.inertia[len(plant.bodies) - 1, -1, red.MASS]
-    body = mbs.AddObject(items.ObjectMassPoint2D(mass=mass, nodeNumber=node))
+    look = items.VObjectMassPoint2D(graphicsData=plant.outlines.get(SWINGING, []))
+    body = mbs.AddObject(items.ObjectMassPoint2D(mass=mass, nodeNumber=node, visualization=look))
     plant.nodes[-1][SWINGING], plant.bodies[-1][SWINGING] = int(node), int(body)
 
 
@@ -455,6 +470,12 @@ def _add_cylinders(mbs: Any, plant: Plant, k: int, state: np.ndarray) -> None:
                         hoseBulkModulus=_NO_STIFFNESS,
                         nominalFlow=1.0,  # must not be zero; the valve openings are
                         useChamberVolumeChange=False,
+                        visualization=items.VHydraulicActuatorSimple(
+                            cylinderRadius=0.55 * P[block + hyd.BORE],
+                            pistonRadius=0.5 * P[block + hyd.BORE],
+                            rodRadius=0.5 * P[block + hyd.ROD],
+                            colorCylinder=[0.17, 0.19, 0.22, 1.0],
+                        ),
                     )
                 )
             )

@@ -24,7 +24,7 @@ class SolveDynamicEngine:
     def __init__(self, crane: Crane, tolerance: float = 1e-10) -> None:
         self.crane = crane
         self._container, self.mbs = mechanism.main_system()
-        self.plant = mechanism.build(self.mbs, crane)
+        self.plant = mechanism.build(self.mbs, crane, graphics=False)
         self.mbs.Assemble()
         self._tolerance = tolerance
 

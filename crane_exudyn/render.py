@@ -1,7 +1,7 @@
-"""Pictures and films of the crane, made by Exudyn's own renderers.
+"""Pictures and films of a machine, made by Exudyn's own renderers.
 
-A `Scene` is an Exudyn system whose bodies have the crane's shapes and follow given trajectories: nothing is integrated, the
-closed geometry places every part. Several cranes may stand in one scene - measured, simulated, estimated. ::
+A `Scene` is an Exudyn system whose bodies have the machine's shapes and follow given trajectories: nothing is integrated, the
+closed geometry places every part. Several of them may stand in one scene - measured, simulated, estimated. ::
 
     scene = Scene(crane, [Trajectory.from_recording(recording)])
     scene.save("lift.png", time=5.0)
@@ -28,9 +28,10 @@ from . import render_shapes as shapes
 from .crane import Crane
 from .errors import CraneError
 from .files import replacing
-from .geometry import pose
+from .geometry import Pose, pose
+from .layout import Layout
 from .mechanism import exu, items
-from .parameters import LAYOUT, POINT_NAMES
+from .render_text import MAPS, READ, write_on
 
 if TYPE_CHECKING:
     from .recording import Recording
@@ -52,67 +53,67 @@ _SECONDS_TO_START = 20.0
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One crane's motion: angles in rad and pressures in Pa over time.
+    """One machine's motion: coordinates and pressures over time.
 
     Attributes:
         label: "measured", "simulated", "estimated" or another word; it is written into the picture.
         time: (n,) s, increasing.
-        z1, z4: (n,) rad.
-        pressures: channel -> (n,) Pa, for those of p1 … p4 that are known.
+        positions: (n, coordinates) independent coordinates in the order of the layout, rad or m.
+        pressures: channel -> (n,) Pa, for those chambers where they are known.
         theta: (n,) rad, angle of the payload's pendulum against straight down; None where it is not known.
     """
 
     label: str
     time: np.ndarray
-    z1: np.ndarray
-    z4: np.ndarray
+    positions: np.ndarray
     pressures: dict[str, np.ndarray] = field(default_factory=dict)
     theta: np.ndarray | None = None
 
     @classmethod
-    def from_states(cls, label: str, time: np.ndarray, states: np.ndarray) -> Trajectory:
-        """Return the trajectory of states (n, nx) as engines give them, at `time` (n,)."""
-        pressures = dict(zip(LAYOUT.chambers, states[:, LAYOUT.pressures].T, strict=True))
-        theta = next(iter(states[:, LAYOUT.extra].T), None)
-        z1, z4 = states[:, LAYOUT.positions].T
-        return cls(label, np.asarray(time, dtype=float), z1, z4, pressures, theta)
+    def from_states(cls, label: str, time: np.ndarray, states: np.ndarray, layout: Layout) -> Trajectory:
+        """Return the trajectory of states (n, nx) as engines give them, at `time` (n,); layout: the machine's, `crane.layout`."""
+        pressures = dict(zip(layout.chambers, states[:, layout.pressures].T, strict=True))
+        theta = next(iter(states[:, layout.extra].T), None)
+        return cls(label, np.asarray(time, dtype=float), states[:, layout.positions], pressures, theta)
 
     @classmethod
     def from_recording(cls, recording: Recording, label: str = "measured") -> Trajectory:
-        """Return the motion that a recording (or the written result of a run) holds, on the clock of z1.
+        """Return the motion that a recording (or the written result of a run) holds, on the clock of the first coordinate.
 
         Raises:
-            CraneError: it holds no z1, or neither z4 nor z4_abs.
+            CraneError: it lacks a coordinate, relative or absolute.
         """
-        other = "z4" if recording.has("z4") else "z4_abs"
-        if not recording.has("z1", other):
+        layout = recording.layout
+        shown = [next((n for n in (name, f"{name}_abs") if recording.has(n)), "") for name in layout.coordinates]
+        if not all(shown):
+            lacking = " and ".join(name for name, found in zip(layout.coordinates, shown, strict=True) if not found)
             raise CraneError(
-                f"{recording.source or recording.name}: a picture needs the angles z1 and z4 (or z4_abs); found only "
-                f"{', '.join(recording.channels)}. Estimate them first: patu estimate REC -o states.csv."
+                f"{recording.source or recording.name}: a picture needs {' and '.join(layout.coordinates)} (or one of them with _abs, "
+                f"against the ground); {lacking} is missing, found only {', '.join(recording.channels)}. "
+                "Estimate them first: patu estimate REC -o states.csv."
             )
-        time, z1 = recording["z1"].time, recording["z1"].values
-        z4 = recording[other].held(time) - (z1 if other == "z4_abs" else 0.0)
-        known = [p for p in LAYOUT.chambers if recording.has(p)]
+        time = recording[shown[0]].time
+        held: dict[str, np.ndarray] = {}
+        for name, channel in zip(layout.coordinates, shown, strict=True):
+            carried = sum((held[c] for c in layout.carriers(name)), np.zeros(len(time)))
+            held[name] = recording[channel].held(time) - (0.0 if channel == name else carried)
+        known = [p for p in layout.chambers if recording.has(p)]
         theta = recording["theta"].held(time) if recording.has("theta") else None
-        return cls(label, time, z1, z4, {p: recording[p].held(time) for p in known}, theta)
+        positions = np.column_stack(list(held.values()))
+        return cls(label, time, positions, {p: recording[p].held(time) for p in known}, theta)
 
     @classmethod
     def at_rest(cls, crane: Crane) -> Trajectory:
         """Return the crane standing still at the start that its file gives, for one second."""
-        z1, z4 = (np.full(2, angle) for angle in crane.initial.pose)
-        return cls("start", np.array([0.0, 1.0]), z1, z4)
+        return cls("start", np.array([0.0, 1.0]), np.tile(crane.initial.pose, (2, 1)))
 
-    def at(self, time: float) -> tuple[float, float]:
-        """Return (z1, z4) in rad at a time, linear between samples, held outside."""
-        return float(np.interp(time, self.time, self.z1)), float(np.interp(time, self.time, self.z4))
+    def at(self, time: float) -> np.ndarray:
+        """Return the coordinates at a time, linear between samples, held outside."""
+        return np.array([np.interp(time, self.time, column) for column in self.positions.T])
 
     def swing_at(self, time: float) -> float:
         """Return the pendulum's angle in rad at a time; 0, hanging at rest, where it is not known."""
         return 0.0 if self.theta is None else float(np.interp(time, self.time, self.theta))
-
-    def pose_at(self, time: float) -> tuple[float, float, float]:
-        """Return (z1, z4, theta) in rad at a time: what `coordinates` needs."""
-        return *self.at(time), self.swing_at(time)
 
     def pressure_at(self, name: str, time: float) -> float:
         """Return a pressure in Pa at a time; NaN where it is not known."""
@@ -120,44 +121,44 @@ class Trajectory:
         return math.nan if values is None else float(np.interp(time, self.time, values))
 
 
-def coordinates(
-    crane: Crane, z1: np.ndarray | float, z4: np.ndarray | float, theta: np.ndarray | float = 0.0
-) -> np.ndarray:
-    """Return x, y, angle of every part of `render_shapes.PARTS` at n poses, shape (n, 3 * parts), in m and rad.
+def coordinates(crane: Crane, positions: np.ndarray, theta: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return x, y, angle of every part of `render_shapes.part_names` at n poses, shape (n, 3 * parts), in m and rad.
 
-    theta is the angle of the payload's pendulum, where the crane has one (hook `pendulum`).
+    Args:
+        positions: (n, coordinates) or (coordinates,) independent coordinates.
+        theta: angle of the payload's pendulum, where the crane has one (hook `pendulum`).
     """
-    closed = pose(crane, z1, z4)
-    at = {name: closed.points[:, i] for i, name in enumerate(POINT_NAMES)}
-    z1, z4 = np.broadcast_to(z1, closed.z2.shape), np.broadcast_to(z4, closed.z2.shape)
-    lift, tilt = _direction(at["F"], at["G"]), _direction(at["H"], at["C"])
-    theta, length = np.broadcast_to(theta, closed.z2.shape), shapes.pendulum_length(crane)
-    log = at["E"] + length * np.column_stack([np.sin(theta), -np.cos(theta)])
-    placed = {
-        "lift_boom": (at["O"], z1),
-        "bracket_1": (at["B"], z1 + closed.z2),
-        "bracket_2": (at["C"], z1 + closed.z2 + closed.z3),
-        "outer_boom": (at["A"], z1 + z4),
-        "lift_barrel": (at["F"], lift),
-        "lift_rod": (at["G"], lift),
-        "tilt_barrel": (at["H"], tilt),
-        "tilt_rod": (at["C"], tilt),
-        "rope": (at["E"], theta),
-        "log": (log, theta if length > 0.0 else z1 + z4),
-    }
-    return np.column_stack([np.column_stack(placed[part]) for part in shapes.PARTS])
+    machine, closed = crane.machine, pose(crane, *np.atleast_2d(positions).T)
+    short = dict(zip(machine.points, machine.point_names, strict=True))
+    placed = {}
+    for name in machine.bodies:
+        point = next(p for p, body in machine.points.items() if body == name)
+        placed[f"bodies.{name}"] = (_origin(closed, name, short[point], shapes.place(crane, point)), closed.angles[name])
+    for cylinder in machine.cylinders:
+        base, end = (closed.points[short[p]] for p in cylinder.points)
+        line = np.arctan2(*(end - base).T[::-1])
+        placed |= {f"cylinders.{cylinder.name}.barrel": (base, line), f"cylinders.{cylinder.name}.rod": (end, line)}
+    body, point = machine.payload
+    if body:
+        tip, length, swing = closed.points[short[point]], shapes.pendulum_length(crane), np.broadcast_to(theta, len(closed.lengths))
+        hanging = tip + length * np.column_stack([np.sin(swing), -np.cos(swing)])
+        placed |= {"rope": (tip, swing), "payload": (hanging, swing if length > 0.0 else closed.angles[body])}
+    return np.column_stack([np.column_stack(placed[part]) for part in shapes.part_names(crane)])
 
 
-def _direction(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    return np.asarray(np.arctan2(end[:, 1] - start[:, 1], end[:, 0] - start[:, 0]))
+def _origin(closed: Pose, body: str, point: str, local: np.ndarray) -> np.ndarray:
+    """Return where the origin (n, 2) of a body's frame lies, from one of its points, which is at `local` in that frame."""
+    c, s = np.cos(closed.angles[body]), np.sin(closed.angles[body])
+    turned = np.column_stack([c * local[0] - s * local[1], s * local[0] + c * local[1]])
+    return np.asarray(closed.points[point] - turned)
 
 
 class Scene:
-    """Cranes that follow trajectories, in one Exudyn system.
+    """Machines of one kind that follow trajectories, in one Exudyn system.
 
     Attributes:
         crane: the description that gives shapes and geometry.
-        trajectories: what the cranes do; the first is the main one, the others are its ghosts.
+        trajectories: what each of them does; the first is the main one, the others are its ghosts.
         system: the Exudyn system container; mbs: its main system. Add own objects through `own` before anything is drawn.
     """
 
@@ -178,9 +179,9 @@ class Scene:
         Args:
             crane: gives shapes and geometry.
             trajectories: at least one.
-            colour: "pressure" shows the oil in both cylinders by its pressure; "residual" colours booms and oil by the
+            colour: "pressure" shows the oil in the cylinders by its pressure; "residual" colours bodies and oil by the
                 difference between the first and the second trajectory.
-            marks: cylinders, chambers or joints to point at with an arrow, such as "lift", "p4", "A".
+            marks: cylinders, chambers, joints, points or bodies to point at with an arrow, by the machine's names.
             title: written at the top.
             size: width and height in pixels.
             view: "side" or "oblique"; by default oblique, but from the side where cranes are compared.
@@ -189,12 +190,12 @@ class Scene:
         Raises:
             CraneError: no trajectory, nothing to compare, a pressure or a place that is not there.
         """
-        _check(colour, trajectories, marks)
+        _check(crane, colour, trajectories, marks)
         self.crane, self.trajectories, self.title, self.size = crane, tuple(trajectories), title, size
         self.colour, self.marks = colour, tuple(marks)
         self.view: View = view or ("side" if len(trajectories) > 1 else "oblique")
-        self.scales = _scales(self.trajectories, colour)
-        self.center, self.height = self._frame()
+        self.scales = _scales(crane.layout, self.trajectories, colour)
+        self.floor, self.reach, self.center, self.height = self._frame()
         self.system = exu.SystemContainer()
         self.mbs = self.system.AddSystem()
         self._problem: Exception | None = None
@@ -216,7 +217,7 @@ class Scene:
     def _fill(self, own: Callable[[Any], None] | None) -> None:
         """Add ground, pillar and cranes; moving parts are rigid bodies, what changes its colour is drawn by a function."""
         paints = self._paints()
-        fixed = [*shapes.ground(), *shapes.pillar(self.crane, paints[0])]
+        fixed = [*shapes.ground(*self.reach, self.floor), *shapes.pillar(self.crane, paints[0], self.floor)]
         self.mbs.AddObject(items.ObjectGround(visualization=items.VObjectGround(graphicsData=fixed)))
         for i, paint in enumerate(paints):
             self._add_crane(paint, hidden=self._recoloured() if i == 0 else (), depth=-_BEHIND[self.view] * i)
@@ -240,13 +241,13 @@ class Scene:
         return GHOSTS.get(self.trajectories[position].label, _OTHER_GHOSTS[position % len(_OTHER_GHOSTS)])
 
     def _recoloured(self) -> tuple[str, ...]:
-        return ("lift_boom", "outer_boom") if self.colour == "residual" else ()
+        return tuple(f"bodies.{b}" for b in self.crane.layout.bodies) if self.colour == "residual" else ()
 
     def _add_crane(self, paint: shapes.Paint, hidden: Sequence[str], depth: float) -> None:
         graphics = {
-            part: [_moved(g, (0.0, 0.0, depth)) for g in made] for part, made in shapes.parts(self.crane, paint).items()
+            part: [shapes.moved(g, (0.0, 0.0, depth)) for g in made] for part, made in shapes.parts(self.crane, paint).items()
         }
-        for part in shapes.PARTS:
+        for part in shapes.part_names(self.crane):
             node = self.mbs.AddNode(items.NodeRigidBody2D(referenceCoordinates=[0.0, 0.0, 0.0]))
             look = items.VObjectRigidBody2D(graphicsData=[] if part in hidden else graphics[part])
             self.mbs.AddObject(items.ObjectRigidBody2D(mass=1.0, inertia=1.0, nodeNumber=node, visualization=look))
@@ -279,7 +280,7 @@ class Scene:
         rotation = self._rotation()
         self.system.renderer.SetState(
             {
-                "centerPoint": (rotation @ self.center).tolist(),  # Exudyn turns about the origin, then moves
+                "centerPoint": self.center.tolist(),  # Exudyn turns about the origin, then moves
                 "rotationCenterPoint": [0.0, 0.0, 0.0],
                 "maxSceneSize": 10.0,
                 "zoom": self.height / 2.0,
@@ -295,29 +296,39 @@ class Scene:
         c, s = math.cos(pitch), math.sin(pitch)
         return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ turn
 
-    def _frame(self) -> tuple[tuple[float, float, float], float]:
-        """Return the middle of the picture and its height in m, so that every crane stays in it all the time."""
-        reached = [np.array([[-0.55, 0.0], [0.6, 0.0]])]
+    def _frame(self) -> tuple[float, tuple[float, float], np.ndarray, float]:
+        """Return the floor's height, from where to where it reaches, and the picture's middle (3,), as the picture sees it, and height, in m.
+
+        Every machine stays in the picture all the time; a machine that reaches below its own ground stands on a lower one.
+        """
+        machine, thick = self.crane.machine, 0.2 * shapes.size(self.crane)
+        boxes = []
         for t in self.trajectories:
             step = max(1, len(t.time) // 200)
-            theta = 0.0 if t.theta is None else t.theta[::step]
-            reached.append(pose(self.crane, t.z1[::step], t.z4[::step]).points.reshape(-1, 2))
-            placed = coordinates(self.crane, t.z1[::step], t.z4[::step], theta)
-            reached.append(placed.reshape(len(placed), -1, 3)[:, shapes.PARTS.index("log"), :2])
-        low, high = np.min(np.vstack(reached), axis=0) - 0.45, np.max(np.vstack(reached), axis=0) + 0.45
-        wide, tall = high - low
-        above, below = 0.14, 0.06 if self.colour is None else 0.20  # shares of the height for heading and colour scales
-        height = max(tall / (1.0 - above - below), 1.06 * wide * self.size[1] / self.size[0])
+            closed = pose(self.crane, *t.positions[::step].T)
+            boxes.append(_boxes(np.vstack(list(closed.points.values())), thick, thick))
+            if machine.payload[0]:
+                placed = coordinates(self.crane, t.positions[::step], 0.0 if t.theta is None else t.theta[::step])
+                at = placed.reshape(len(placed), -1, 3)[:, shapes.part_names(self.crane).index("payload"), :2]
+                boxes.append(_boxes(at, *shapes.payload_extent(self.crane)))
+        machine_box = np.vstack(boxes)
+        floor = min(0.0, float(machine_box[:, 1].min()))
+        reach = (float(machine_box[:, 0].min()) - 0.3, float(machine_box[:, 0].max()) + 0.3)
+        ground = [(x, floor, z) for x in reach for z in (-shapes.GROUND_HALF, shapes.GROUND_HALF)]
+        seen = np.vstack([machine_box, ground]) @ self._rotation().T
+        low, high = seen.min(axis=0)[:2], seen.max(axis=0)[:2]
+        above, below = 0.15, 0.04 if self.colour is None else 0.19  # shares of the height for heading and colour scales
+        height = max((high - low)[1] / (1.0 - above - below), 1.05 * (high - low)[0] * self.size[1] / self.size[0])
         x, y = (low + high) / 2.0
-        return (float(x), float(y + 0.5 * (above - below) * height), 0.0), float(height)
+        return floor, reach, np.array([x, y + 0.5 * (above - below) * height, 0.0]), float(height)
 
     # -- what changes with time ----------------------------------------------------------------------------------------
 
     def show(self, time: float) -> None:
         """Move every crane to where it is at `time` in s."""
         rows = [
-            coordinates(self.crane, *trajectory.pose_at(time))[0] for trajectory in self.trajectories
-        ]  # interpolating angles keeps the loop closed, interpolating coordinates would not
+            coordinates(self.crane, trajectory.at(time), trajectory.swing_at(time))[0] for trajectory in self.trajectories
+        ]  # interpolating independent coordinates keeps loops closed, interpolating bodies would not
         for configuration in (exu.ConfigurationType.Current, exu.ConfigurationType.Visualization):
             self.mbs.systemData.SetODE2Coordinates(np.concatenate(rows).tolist(), configuration)
             self.mbs.systemData.SetTime(time, configuration)
@@ -331,63 +342,80 @@ class Scene:
             return []
 
     def _changing(self, mbs: Any) -> list[shapes.Graphics]:
-        """Return what is drawn anew in every frame: oil, booms by residual, arrows."""
+        """Return what is drawn anew in every frame: oil, bodies by residual, arrows."""
         time = mbs.systemData.GetTime(exu.ConfigurationType.Visualization)
-        placed = coordinates(self.crane, *self.trajectories[0].pose_at(time))[0].reshape(-1, 3)
-        frames = dict(zip(shapes.PARTS, placed, strict=True))
+        main = self.trajectories[0]
+        placed = coordinates(self.crane, main.at(time), main.swing_at(time))[0].reshape(-1, 3)
+        frames = dict(zip(shapes.part_names(self.crane), placed, strict=True))
         drawn: list[shapes.Graphics] = []
         if self.colour is not None:
             drawn += self._oil(time, frames)
         if self.colour == "residual":
-            drawn += self._booms(time, frames)
+            drawn += self._bodies(time, frames)
         return [*drawn, *(self._arrow(mark, time) for mark in self.marks)]
 
     def _oil(self, time: float, frames: dict[str, np.ndarray]) -> list[shapes.Graphics]:
-        drawn = []
-        for c, name in enumerate(LAYOUT.cylinders):
-            length = float(pose(self.crane, *self.trajectories[0].at(time)).lengths[0, c])
-            colors = (self._chamber_color(2 * c, time), self._chamber_color(2 * c + 1, time))
-            drawn += [_placed(g, frames[f"{name}_barrel"]) for g in shapes.oil(self.crane, name, length, colors)]
+        drawn, lengths = [], self._pose(time).lengths[0]
+        for cylinder, length in zip(self.crane.machine.cylinders, lengths, strict=True):
+            colors = [self._chamber_color(chamber, time) for chamber in cylinder.chambers]
+            made = shapes.oil(self.crane, cylinder.name, float(length), (colors[0], colors[1]))
+            drawn += [_placed(g, frames[f"cylinders.{cylinder.name}.barrel"]) for g in made]
         return drawn
 
-    def _chamber_color(self, chamber: int, time: float) -> shapes.Color:
-        value = self.value(LAYOUT.chambers[chamber], time)
-        return _NO_VALUE if math.isnan(value) else _map_color(self.colour, value / self.scales["pressure"])
+    def _pose(self, time: float) -> Pose:
+        return pose(self.crane, *self.trajectories[0].at(time))
 
-    def _booms(self, time: float, frames: dict[str, np.ndarray]) -> list[shapes.Graphics]:
-        paint = shapes.Paint()
-        drawn = []
-        for part, channel, build in (
-            ("lift_boom", "z1", shapes.lift_boom),
-            ("outer_boom", "z4", shapes.outer_boom),
-        ):
-            color = _map_color(self.colour, self.value(channel, time) / self.scales["angle"])
-            drawn += [_placed(g, frames[part]) for g in build(self.crane, paint, color)]
+    def _chamber_color(self, chamber: str, time: float) -> shapes.Color:
+        value = self.value(chamber, time)
+        return _NO_VALUE if math.isnan(value) else _map_color(self.colour, value / self.scales["Pa"])
+
+    def _bodies(self, time: float, frames: dict[str, np.ndarray]) -> list[shapes.Graphics]:
+        """Return the bodies that have a coordinate of their own, coloured by its residual."""
+        layout, paint, drawn = self.crane.layout, shapes.Paint(), []
+        for name, body in zip(layout.coordinates, layout.bodies, strict=True):
+            color = _map_color(self.colour, self.value(name, time) / self.scales[layout.unit_of(name)])
+            made = shapes.body_shape(self.crane, body, paint, color)
+            drawn += [_placed(g, frames[f"bodies.{body}"]) for g in made]
         return drawn
 
     def value(self, channel: str, time: float) -> float:
         """Return what a channel is coloured by at a time: its pressure, or the size of its residual, in SI."""
-        main = self.trajectories[0]
+        main, layout = self.trajectories[0], self.crane.layout
         if self.colour == "pressure":
             return main.pressure_at(channel, time)
         other = self.trajectories[1]
-        if channel in LAYOUT.chambers:
+        if channel in layout.chambers:
             return abs(main.pressure_at(channel, time) - other.pressure_at(channel, time))
-        return abs(main.at(time)[LAYOUT.index(channel)] - other.at(time)[LAYOUT.index(channel)])
+        return float(abs(main.at(time) - other.at(time))[layout.index(channel)])
+
+    @property
+    def arrow_length(self) -> float:
+        """Length of the arrows of marks, m."""
+        return 0.1 * self.height
 
     def _arrow(self, mark: str, time: float) -> shapes.Graphics:
         tip, direction = self.mark_at(mark, time)
-        return shapes.arrow((tip[0], tip[1]), direction, 0.55, _MARK)
+        return shapes.arrow((tip[0], tip[1]), direction, self.arrow_length, _MARK)
 
     def mark_at(self, mark: str, time: float) -> tuple[np.ndarray, tuple[float, float]]:
         """Return where the arrow for a place ends (2,) in m, and the direction in which it comes."""
-        points = dict(zip(POINT_NAMES, pose(self.crane, *self.trajectories[0].at(time)).points[0], strict=True))
-        place = _PLACES.get(mark, mark)
-        if place == "lift":
-            return 0.5 * (points["F"] + points["G"]) + np.array([0.09, -0.02]), (-1.0, 0.25)
-        if place == "tilt":
-            return 0.5 * (points["H"] + points["C"]) + np.array([-0.04, 0.08]), (0.5, -1.0)
-        return points[place] + np.array([0.0, 0.1]), (0.0, -1.0)
+        machine, points = self.crane.machine, self._pose(time).points
+        short = dict(zip(machine.points, machine.point_names, strict=True))
+        for cylinder in machine.cylinders:
+            if mark in (cylinder.name, *cylinder.chambers):
+                base, end = (points[short[p]][0] for p in cylinder.points)
+                return self._aside(0.5 * (base + end), end - base, np.vstack(list(points.values())))
+        on_body = [points[short[p]][0] for p, body in machine.points.items() if body == mark]
+        pins = {joint.name: short[joint.pin] for joint in machine.joints}
+        at = np.mean(on_body, axis=0) if on_body else points[pins.get(mark, mark)][0]
+        return at + np.array([0.0, 0.1 * shapes.size(self.crane)]), (0.0, -1.0)
+
+    def _aside(self, at: np.ndarray, along: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
+        """Return tip and direction of an arrow that comes to a line across it, from the side where there is more room."""
+        across = np.array([-along[1], along[0]]) / math.hypot(*along)
+        room = [np.linalg.norm(points - at - s * self.arrow_length * across, axis=1).min() for s in (1.0, -1.0)]
+        across *= 1.0 if room[0] >= room[1] else -1.0
+        return at + 0.08 * shapes.size(self.crane) * across, (-across[0], -across[1])
 
     # -- pictures ------------------------------------------------------------------------------------------------------
 
@@ -397,8 +425,6 @@ class Scene:
         Raises:
             CraneError: OpenGL was asked for, and there is neither a screen nor Xvfb.
         """
-        from .render_text import write_on
-
         with self._renderer(renderer) as ray_traced:
             for time in times:
                 self.show(float(time))
@@ -430,7 +456,7 @@ class Scene:
     def project(self, points: np.ndarray) -> np.ndarray:
         """Return the pixels (n, 2), from the top left, at which points (n, 3) in m are seen."""
         width, height = self.size
-        seen = (np.asarray(points, dtype=float) - self.center) @ self._rotation().T
+        seen = np.asarray(points, dtype=float) @ self._rotation().T - self.center
         return np.array([width / 2.0, height / 2.0]) + seen[:, :2] * (height / self.height) * [1.0, -1.0]
 
     def save(
@@ -491,8 +517,8 @@ class Scene:
         times = np.linspace(self.start, self.end, count)
         rows = []
         for trajectory in self.trajectories:
-            poses = np.array([trajectory.pose_at(t) for t in times])
-            rows.append(coordinates(self.crane, *poses.T))
+            positions = np.array([trajectory.at(t) for t in times])
+            rows.append(coordinates(self.crane, positions, np.array([trajectory.swing_at(t) for t in times])))
         table = np.column_stack([times, *rows])
         with replacing(path) as temporary:
             np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=_solution_header(table.shape), comments="")
@@ -535,7 +561,7 @@ class Scene:
             raise CraneError(
                 f"{path}: not an Exudyn solution file ({problem}). Write one with --save-solution."
             ) from None
-        expected = 3 * len(shapes.PARTS) * len(self.trajectories)
+        expected = 3 * len(shapes.part_names(self.crane)) * len(self.trajectories)
         if solution["columnsExported"][0] != expected:
             raise CraneError(
                 f"{path}: found {solution['columnsExported'][0]} coordinates, expected {expected} of a scene with "
@@ -561,57 +587,68 @@ def _solution_header(shape: tuple[int, ...]) -> str:
 
 # -- checks ----------------------------------------------------------------------------------------------------------
 
-_PLACES = {p: c for c, sides in zip(LAYOUT.cylinders, LAYOUT.sides, strict=True) for p in sides} | {
-    c: c for c in LAYOUT.cylinders
-}
-_JOINTS = ("O", "A", "B", "C", "D", "E")
+
+def _places(crane: Crane) -> tuple[str, ...]:
+    """Return every name that an arrow can point at."""
+    machine, layout = crane.machine, crane.layout
+    joints = [joint.name for joint in machine.joints]
+    return tuple(dict.fromkeys([*layout.cylinders, *layout.chambers, *joints, *machine.point_names, *machine.bodies]))
 
 
-def _check(colour: Colour | None, trajectories: Sequence[Trajectory], marks: Sequence[str]) -> None:
+def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajectory], marks: Sequence[str]) -> None:
     if not trajectories:
         raise CraneError("A scene needs at least one trajectory.")
+    wanted = len(crane.layout.coordinates)
+    for trajectory in trajectories:
+        if trajectory.positions.ndim != 2 or trajectory.positions.shape[1] != wanted:
+            raise CraneError(
+                f"The trajectory {trajectory.label!r} has positions of shape {trajectory.positions.shape}, but {crane.name} has the coordinates "
+                f"{', '.join(crane.layout.coordinates)}: expected ({len(trajectory.time)}, {wanted}). Give one column for each."
+            )
     if colour == "residual" and len(trajectories) < 2:
         raise CraneError("--colour residual shows a difference: give a second run with --ghost FILE.")
     if colour == "pressure" and not trajectories[0].pressures:
-        raise CraneError(f"--colour pressure needs pressures, and this run has none of {', '.join(LAYOUT.chambers)}.")
+        chambers = ", ".join(crane.layout.chambers)
+        raise CraneError(f"--colour pressure needs pressures, and this run has none of {chambers}.")
     for mark in marks:
-        if mark not in (*_PLACES, *_JOINTS):
-            raise CraneError(f"There is no place {mark!r} to mark. Known: {', '.join((*_PLACES, *_JOINTS))}.")
+        if mark not in _places(crane):
+            raise CraneError(f"There is no place {mark!r} to mark. Known: {', '.join(_places(crane))}.")
 
 
-def _scales(trajectories: Sequence[Trajectory], colour: Colour | None) -> dict[str, float]:
-    """Return the values in SI at which the colours end: round numbers at or above the greatest."""
+def _scales(layout: Layout, trajectories: Sequence[Trajectory], colour: Colour | None) -> dict[str, float]:
+    """Return by unit the values in SI at which the colours end: numbers that are round as people read them, at or above the greatest."""
     if colour is None:
         return {}
     main = trajectories[0]
     if colour == "pressure":
-        return {"pressure": _round_up(max(float(np.max(v)) for v in main.pressures.values()) / 1e5) * 1e5}
-    other = trajectories[1]
-    angles = [float(np.max(np.abs(a - np.interp(main.time, other.time, b))))
-              for a, b in ((main.z1, other.z1), (main.z4, other.z4))]  # fmt: skip
-    both = [p for p in LAYOUT.chambers if p in main.pressures and p in other.pressures]
-    drops = [
-        float(np.max(np.abs(main.pressures[p] - np.interp(main.time, other.time, other.pressures[p])))) for p in both
-    ]
-    return {
-        "angle": math.radians(_round_up(math.degrees(max(angles)))),
-        "pressure": _round_up(max(drops, default=1e5) / 1e5) * 1e5,
-    }
+        return {"Pa": _round_up(max(float(np.max(v)) for v in main.pressures.values()), "Pa")}
+    other, found = trajectories[1], {"Pa": [1e5]}
+    both = [p for p in layout.chambers if p in main.pressures and p in other.pressures]
+    pairs = [(name, main.positions[:, i], other.positions[:, i]) for i, name in enumerate(layout.coordinates)]
+    for name, mine, its in (*pairs, *((p, main.pressures[p], other.pressures[p]) for p in both)):
+        difference = np.abs(mine - np.interp(main.time, other.time, its))
+        found.setdefault(layout.unit_of(name), []).append(float(np.max(difference)))
+    return {unit: _round_up(max(values), unit) for unit, values in found.items()}
 
 
-def _round_up(value: float) -> float:
-    """Return the next round number: 1, 1.5, 2, 3, 4, 5, 6, 8 or 10 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(max(value, 1e-6)))
+def _round_up(value: float, unit: str) -> float:
+    """Return the next number that is round as people read it: 1, 1.5, 2, 3, 4, 5, 6, 8 or 10 times a power of ten."""
+    factor = READ[unit][0]
+    power = 10.0 ** math.floor(math.log10(max(value * factor, 1e-6)))
     steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-    return next(step * power for step in steps if step * power >= value * (1.0 - 1e-12))
+    return next(step * power for step in steps if step * power >= value * factor * (1.0 - 1e-12)) / factor
+
+
+def _boxes(points: np.ndarray, margin: float, half: float) -> np.ndarray:
+    """Return the corners (8n, 3) of boxes around points (n, 2): a margin in the plane, half a width across it."""
+    corners = [(x, y, z) for x in (-margin, margin) for y in (-margin, margin) for z in (-half, half)]
+    return np.vstack([np.column_stack([points, np.zeros(len(points))]) + corner for corner in corners])
 
 
 # -- colours ---------------------------------------------------------------------------------------------------------
 
 _NO_VALUE: shapes.Color = (0.75, 0.75, 0.75, 1.0)
 _MARK: shapes.Color = (0.80, 0.0, 0.45, 1.0)
-#: colour maps whose lightness rises or falls steadily, so that they read in greyscale
-MAPS = {"pressure": "viridis", "residual": "YlOrRd"}
 
 
 def _map_color(colour: Colour | None, fraction: float) -> shapes.Color:
@@ -623,16 +660,7 @@ def _map_color(colour: Colour | None, fraction: float) -> shapes.Color:
 
 def _placed(graphics: shapes.Graphics, frame: np.ndarray) -> shapes.Graphics:
     """Return graphics of a part's frame in world coordinates; frame is x, y, angle."""
-    return _moved(graphics, (frame[0], frame[1], 0.0), frame[2])
-
-
-def _moved(graphics: shapes.Graphics, by: tuple[float, float, float], angle: float = 0.0) -> shapes.Graphics:
-    """Return graphics turned about the z axis and then moved."""
-    from exudyn.graphics import Move
-
-    c, s = math.cos(angle), math.sin(angle)
-    moved: shapes.Graphics = Move(graphics, list(by), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
-    return moved
+    return shapes.moved(graphics, (frame[0], frame[1], 0.0), frame[2])
 
 
 # -- screens ---------------------------------------------------------------------------------------------------------

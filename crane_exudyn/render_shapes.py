@@ -1,79 +1,91 @@
-"""Shapes of the crane's parts as Exudyn graphics data, each in the frame of its own body.
+"""Shapes of a machine's parts as Exudyn graphics data, each in the frame of its own body.
 
-Shapes follow from the crane's own points, so a crane of other proportions looks like itself. A plate is the convex hull
-of discs in the plane of the crane, drawn out sideways; booms, brackets, lugs and the pillar are made of such plates.
-Names of the parts, with origin and x axis of their frames:
+Shapes follow from a machine's points, its centres of mass and its cylinders, so every machine looks like itself. Plates stand in the plane
+of the machine and are drawn out sideways; how thick steel is follows from the bores. Of a body
 
-    pillar (world) · lift_boom (O) · bracket_1 (B) · bracket_2 (C) · outer_boom (A): as in the crane file
-    lift_barrel, tilt_barrel: the base pin F or H, x towards the rod end
-    lift_rod, tilt_rod: the rod end G or C, x away from the base
-    rope (E): hangs along -y; only where the payload hangs on a pendulum
-    log (E, or the rope's end): parallel to the outer boom, or as the rope hangs
+- two pins and no more: a link of two plates;
+- else a beam, from its farthest pin through the centre of mass to the pin behind that is most in line, with a knuckle plate around what lies
+  behind its own pin, and lugs for cylinders' ends that stand off;
+- one that slides: a beam about its centre of mass, and around it a sheath, the beam of its carrier.
+
+The parts, with origin and x axis of their frames:
+
+    bodies.NAME: as in the crane file
+    cylinders.NAME.barrel: the base pin, x towards the rod end;   cylinders.NAME.rod: the rod end, x away from the base
+    rope: the payload's point, hangs along -y; only where the payload hangs on a pendulum
+    payload: its point, or the rope's end; turns with the body that carries it, or as the rope hangs
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from .crane import Crane
 from .effects import hooks
+from .machine import GROUND, PRISMATIC, Joint
 from .mechanism import exu  # imports Exudyn quietly, and always the same build of it
-from .parameters import LAYOUT
 
 Graphics = dict[str, Any]
 Color = tuple[float, float, float, float]
 Disc = tuple[float, float, float]  # x, y, radius
 
-PARTS = (
-    "lift_boom", "bracket_1", "bracket_2", "outer_boom",
-    "lift_barrel", "lift_rod", "tilt_barrel", "tilt_rod", "rope", "log",
-)  # fmt: skip
-
-#: half widths across the plane of the crane, m: what stands beside what
-_LIFT, _OUTER, _EXTENSION, _BRACKET, _LUG = 0.085, 0.075, 0.055, (0.098, 0.122), 0.078
+#: the bore in m of a machine with the sizes below, which are in m; others are larger or smaller by theirs
+_USUAL_BORE = 0.1
+#: half widths across the plane: beams, what one is narrower than its carrier, links and the next lane, the cheeks of a lug
+_BEAM, _NARROWER, _LINK, _LANE, _LUG = 0.085, 0.006, (0.098, 0.122), 0.026, (0.052, 0.07)
 _PIN, _WALL, _LOG_LENGTH = 0.026, 0.011, 1.5
+#: radii of a beam at its beginning, in its middle and at its end, and at most as a share of its length
+_RADII, _SLIMMEST = (0.08, 0.095, 0.055), 0.2
+#: half of the ground's width, and where arrows stand in front of the machine, m
+GROUND_HALF, FRONT = 1.2, 0.3
+#: share of a sliding body's beam that its sheath covers when it is drawn in
+_SHEATHED = 0.75
+#: a body of two pins that is shorter than this share of the longest body is a link
+_SHORT = 0.35
 
 
 @dataclass(frozen=True)
 class Paint:
-    """Colours of one crane, RGBA.
+    """Colours of one machine, RGBA.
 
     Attributes:
-        boom, bracket, pillar, barrel, rod, pin, log, wood: what each thing is painted with.
+        beam, link, pillar, barrel, rod, pin, log, wood, soil: what each thing is painted with.
         edges: colour of the outlines.
         barrels: whether the barrels are drawn; without them the oil inside shows.
     """
 
-    boom: Color = (0.86, 0.36, 0.07, 1.0)
-    bracket: Color = (0.20, 0.22, 0.25, 1.0)
+    beam: Color = (0.86, 0.36, 0.07, 1.0)
+    link: Color = (0.20, 0.22, 0.25, 1.0)
     pillar: Color = (0.33, 0.36, 0.40, 1.0)
     barrel: Color = (0.17, 0.19, 0.22, 1.0)
     rod: Color = (0.82, 0.84, 0.87, 1.0)
     pin: Color = (0.66, 0.68, 0.72, 1.0)
     log: Color = (0.45, 0.31, 0.19, 1.0)
     wood: Color = (0.86, 0.70, 0.47, 1.0)
+    soil: Color = (0.50, 0.40, 0.28, 1.0)
     edges: Color = (0.10, 0.10, 0.11, 1.0)
     barrels: bool = True
 
     @classmethod
     def single(cls, color: tuple[float, float, float]) -> Paint:
-        """Return a paint of one colour with dark outlines, for cranes that are told apart by it."""
+        """Return a paint of one colour with dark outlines, for machines that are told apart by it."""
         fill = (*color, 1.0)
         edges = (*(0.35 * c for c in color), 1.0)
-        names = ("boom", "bracket", "pillar", "barrel", "rod", "pin", "log", "wood")
+        names = ("beam", "link", "pillar", "barrel", "rod", "pin", "log", "wood", "soil")
         return cls(**dict.fromkeys(names, fill), edges=edges)  # type: ignore[arg-type]
 
 
 # -- building blocks ---------------------------------------------------------------------------------------------------
 
 
-def hull(discs: Iterable[Disc], segments: int = 20) -> np.ndarray:
-    """Return the convex hull of discs as a polygon (n, 2), counter-clockwise (Andrew's monotone chain)."""
+def hull(discs: Iterable[Sequence[float]], segments: int = 20) -> np.ndarray:
+    """Return the convex hull of discs (x, y, radius) as a polygon (n, 2), counter-clockwise (Andrew's monotone chain)."""
     turn = np.linspace(0.0, 2.0 * math.pi, segments, endpoint=False)
     rim = np.column_stack([np.cos(turn), np.sin(turn)])
     points = np.unique(np.vstack([np.array([x, y]) + r * rim for x, y, r in discs]).round(9), axis=0)
@@ -95,8 +107,27 @@ def _cross(a: np.ndarray, b: np.ndarray) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
+def bent(start: np.ndarray, middle: np.ndarray, end: np.ndarray, radii: Sequence[float], steps: int = 16) -> np.ndarray:
+    """Return the outline (n, 2), counter-clockwise, of a beam with round ends along a parabola through three points.
+
+    radii: at the three points, between them along a parabola too.
+    """
+    share = float(np.clip(math.dist(start, middle) / (math.dist(start, middle) + math.dist(middle, end)), 0.2, 0.8))
+    t = np.linspace(0.0, 1.0, steps)
+    weights = np.column_stack([(t - share) * (t - 1) / share, t * (t - 1) / (share * (share - 1)), t * (t - share) / (1 - share)])
+    line, radius = weights @ np.array([start, middle, end]), weights @ np.asarray(radii)
+    along = np.gradient(line, axis=0)
+    across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    caps = []
+    for k, first in ((-1, -0.5 * math.pi), (0, 0.5 * math.pi)):
+        turn = first + math.atan2(along[k, 1], along[k, 0]) + np.linspace(0.0, math.pi, 9)[1:-1]
+        caps.append(line[k] + radius[k] * np.column_stack([np.cos(turn), np.sin(turn)]))
+    right, left = line - radius[:, None] * across, line + radius[:, None] * across
+    return np.vstack([right, caps[0], left[::-1], caps[1]])
+
+
 def plate(outline: np.ndarray, near: float, far: float, color: Color, edges: Color) -> Graphics:
-    """Return a convex outline (n, 2) drawn out from z = near to z = far, with outlined rims."""
+    """Return an outline (n, 2) drawn out from z = near to z = far, with outlined rims."""
     from exudyn.graphics import SolidExtrusion
 
     n = len(outline)
@@ -117,95 +148,262 @@ def bar(start: Sequence[float], axis: Sequence[float], radius: float, color: Col
     return made
 
 
-def _both_sides(discs: Sequence[Disc], half: float, color: Color, paint: Paint) -> Graphics:
-    return plate(hull(discs), -half, half, color, paint.edges)
+def _across(at: Sequence[float], half: float, radius: float, color: Color, paint: Paint) -> Graphics:
+    """Return a bar across the plane, such as a pin."""
+    return bar([at[0], at[1], -half], [0, 0, 2 * half], radius, color, paint.edges)
 
 
-def _pin(at: tuple[float, float], paint: Paint, half: float = 0.135, radius: float = _PIN) -> Graphics:
-    return bar([*at, -half], [0, 0, 2 * half], radius, paint.pin, paint.edges)
+def _cheeks(outline: np.ndarray, inner: float, outer: float, color: Color, paint: Paint) -> list[Graphics]:
+    """Return two plates with what is between them left free."""
+    return [plate(outline, near, far, color, paint.edges) for near, far in ((-outer, -inner), (inner, outer))]
 
 
-def _lug(tip: tuple[float, float], feet: Sequence[Disc], paint: Paint, color: Color) -> list[Graphics]:
-    """Return two cheeks that hold a pin at `tip`, standing on `feet`."""
-    outline = hull([(*tip, 2.0 * _PIN), *feet])
-    inner, outer = _LUG - 0.018, _LUG
-    return [plate(outline, -outer, -inner, color, paint.edges), plate(outline, inner, outer, color, paint.edges)]
+# -- what the shape of a body follows from ---------------------------------------------------------------------------
 
 
-def _point(crane: Crane, name: str) -> tuple[float, float]:
-    return crane[f"{name}.x"], crane[f"{name}.y"]
+def size(crane: Crane) -> float:
+    """Return how thick the machine's steel is against that of the usual size: by its widest bore."""
+    return max((crane[f"cylinders.{c.name}.bore"] for c in crane.machine.cylinders), default=_USUAL_BORE) / _USUAL_BORE
 
 
-# -- the parts ---------------------------------------------------------------------------------------------------------
+def place(crane: Crane, point: str) -> np.ndarray:
+    """Return a point (2,) of the crane file in the frame of its body; the origin for ""."""
+    return np.array([crane[f"{point}.x"], crane[f"{point}.y"]]) if point else np.zeros(2)
 
 
-def pillar(crane: Crane, paint: Paint) -> list[Graphics]:
-    """Return the fixed pillar in world coordinates: foot, column up to O, lug of the lift cylinder at F."""
-    o, f = _point(crane, "joints.O"), _point(crane, "cylinders.lift.base")
-    foot = plate(hull([(o[0] - 0.32, 0.03, 0.03), (o[0] + 0.42, 0.03, 0.03)]), -0.32, 0.32, paint.pillar, paint.edges)
-    column = [(o[0] - 0.12, 0.06, 0.02), (o[0] + 0.12, 0.06, 0.02), (o[0], 0.82 * o[1], 0.13)]
-    cheeks = hull([(o[0], 0.72 * o[1], 0.12), (*o, 0.085)])
-    inner, outer = _LIFT + 0.006, _LIFT + 0.035
-    parts = [foot, _both_sides(column, 0.13, paint.pillar, paint)]
-    parts += [plate(cheeks, s, e, paint.pillar, paint.edges) for s, e in ((-outer, -inner), (inner, outer))]
-    parts += _lug(f, [(o[0] + 0.08, f[1] - 0.12, 0.02), (o[0] + 0.08, f[1] + 0.12, 0.02)], paint, paint.pillar)
-    return [*parts, _pin(o, paint, 0.15), _pin(f, paint, 0.1)]
+def joints_of(crane: Crane, body: str) -> Iterator[tuple[Joint, str]]:
+    """Yield the joints on a body or the ground, and the point at which each one is; "" for the origin of its frame."""
+    for joint in crane.machine.joints:
+        if joint.carrier == body:
+            yield joint, joint.pin
+        elif joint.body == body:
+            yield joint, joint.own_pin
 
 
-def lift_boom(crane: Crane, paint: Paint, color: Color | None = None) -> list[Graphics]:
-    """Return the lift boom: a tapered box from O to A with a lug below for G and one on top for H."""
-    color = color or paint.boom
-    a, b, g, h = (_point(crane, n) for n in ("joints.A", "joints.B", "cylinders.lift.rod_end", "cylinders.tilt.base"))
-    waist = (0.42 * a[0], 0.055)
-    profile = [(0.0, 0.0, 0.075), (0.12 * a[0], 0.03, 0.11), (*waist, 0.10), (*b, 0.06), (*a, 0.065)]
-    parts = [_both_sides(profile, _LIFT, color, paint)]
-    parts += _lug(g, [(g[0] - 0.12, 0.0, 0.03), (g[0] + 0.14, 0.0, 0.03)], paint, color)
-    parts += _lug(h, [(h[0] - 0.16, waist[1] + 0.05, 0.02), (h[0] + 0.10, waist[1] + 0.05, 0.02)], paint, color)
-    return [*parts, _pin(g, paint, 0.1), _pin(h, paint, 0.1), _pin(a, paint), _pin(b, paint)]
+@dataclass(frozen=True)
+class _Body:
+    """The places of a body in its own frame that its shape follows from; all (2,) in m.
+
+    Attributes:
+        root: its own pin;  pins: of all revolute joints on it, the own one and the payload's point among them.
+        ends: ends of cylinders.
+        com: its centre of mass.
+        sheath: beginning and end of the sheath around a body that slides in it, or None.
+        slides: whether it slides itself.
+    """
+
+    root: np.ndarray
+    pins: list[np.ndarray]
+    ends: list[np.ndarray]
+    com: np.ndarray
+    sheath: tuple[np.ndarray, np.ndarray] | None
+    slides: bool
+
+    @property
+    def length(self) -> float:
+        """Distance of the two places that are farthest from one another."""
+        places = np.array([*self.pins, *self.ends])
+        return float(max((math.dist(a, b) for a in places for b in places), default=0.0))
 
 
-def _bracket(tip: tuple[float, float], waist: float, paint: Paint, lane: int) -> list[Graphics]:
-    """Return two plates from the frame's origin to `tip`; lanes keep the two brackets beside each other."""
-    near, far = (s + 0.026 * lane for s in _BRACKET)
-    middle = (0.5 * tip[0], 0.5 * tip[1], waist)
-    outline = hull([(0.0, 0.0, 0.05), middle, (*tip, 0.05)])
-    return [plate(outline, s, e, paint.bracket, paint.edges) for s, e in ((-far, -near), (near, far))]
+def _body(crane: Crane, name: str) -> _Body:
+    machine = crane.machine
+    joints = list(joints_of(crane, name))
+    slides = machine.carriers[name].kind == PRISMATIC
+    pins = [place(crane, point) for joint, point in joints if joint.kind != PRISMATIC]
+    if machine.payload[0] == name:
+        pins.append(place(crane, machine.payload[1]))
+    ends = [place(crane, p) for c in machine.cylinders for b, p in zip(c.bodies, c.points, strict=True) if b == name]
+    com = np.array([crane[f"bodies.{name}.com.x"], crane[f"bodies.{name}.com.y"]])
+    root = place(crane, machine.carriers[name].own_pin)
+    return _Body(root, pins, ends, com, _sheath(crane, name), slides)
 
 
-def bracket_1(crane: Crane, paint: Paint) -> list[Graphics]:
-    """Return bracket 1 from B to C, with the pin at C that also holds the tilt cylinder's rod."""
-    c = _point(crane, "joints.C")
-    return [*_bracket(c, 0.055, paint, 0), _pin(c, paint, 0.16)]
+def _sheath(crane: Crane, carrier: str) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return where the sheath around a sliding body begins and ends, in the frame of its carrier; None without one."""
+    for joint, point in joints_of(crane, carrier):
+        if joint.kind == PRISMATIC and joint.carrier == carrier:
+            start, _, end = _axis(_body(crane, joint.body))
+            moved = place(crane, point) - place(crane, joint.own_pin)
+            return start + moved, start + _SHEATHED * (end - start) + moved
+    return None
 
 
-def bracket_2(crane: Crane, paint: Paint) -> list[Graphics]:
-    """Return bracket 2 from C to D, with the pin at D."""
-    d = _point(crane, "joints.D_bracket")
-    return [*_bracket(d, 0.05, paint, 1), _pin(d, paint, 0.16)]
+def _axis(body: _Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return beginning, middle and end of a body's beam."""
+    if body.sheath is not None:
+        return body.sheath[0], 0.5 * (body.sheath[0] + body.sheath[1]), body.sheath[1]
+    others = [p for p in body.pins if math.dist(p, body.root) > 1e-3] or body.ends or [2.0 * body.com - body.root]
+    end = max(others, key=lambda p: math.dist(p, body.com if body.slides else body.root))
+    if body.slides:
+        return 2.0 * body.com - end, body.com, end
+    length, along = math.dist(end, body.root), end - body.root
+    share = float((body.com - body.root) @ along) / length**2
+    middle = body.com if 0.2 < share < 0.8 else 0.5 * (body.root + end)
+    back = (middle - end) / math.dist(middle, end)
+    start = max(_behind(body, end), key=lambda p: float((p - middle) @ back) / max(math.dist(p, middle), 1e-9))
+    return start, middle, end
 
 
-def outer_boom(crane: Crane, paint: Paint, color: Color | None = None) -> list[Graphics]:
-    """Return the outer boom: knuckle around A and D, box along the line to E, and the extension that slides out of it."""
-    color = color or paint.boom
-    d, e = _point(crane, "joints.D"), _point(crane, "joints.E")
-    along = np.subtract(e, d) / math.dist(d, e)
-    start, middle = np.add(d, 0.16 * along), np.add(d, 0.62 * math.dist(d, e) * along)
-    knuckle = [(0.0, 0.0, 0.07), (*d, 0.07), (start[0] + 0.28, start[1] - 0.03, 0.06)]
-    box = [(start[0], start[1], 0.085), (middle[0], middle[1], 0.07)]
-    extension = [(middle[0] - 0.1, middle[1], 0.05), (*e, 0.045)]
+def _behind(body: _Body, end: np.ndarray) -> list[np.ndarray]:
+    """Return the own pin of a body, and what lies behind it as seen from the end of its beam."""
+    behind = [p for p in (*body.pins, *body.ends) if float((p - body.root) @ (end - body.root)) < 0.0]
+    return [body.root, *behind]
+
+
+# -- bodies ----------------------------------------------------------------------------------------------------------
+
+
+def body_shape(crane: Crane, name: str, paint: Paint, color: Color | None = None) -> list[Graphics]:
+    """Return the graphics of a body in its own frame; color: of a beam, if it is not the paint's."""
+    body, unit = _body(crane, name), size(crane)
+    links = [b for b in crane.machine.bodies if _is_link(crane, _body(crane, b))]
+    if name in links:
+        return _link(body, unit, links.index(name) % 2, paint)
+    half = unit * (_BEAM - _NARROWER * (len(crane.machine.path(name)) - 1) - (0.02 if body.slides else 0.0))
+    half = max(half, 0.5 * unit * _BEAM)
+    made = _beam(body, unit, half, paint, color or paint.beam)
+    bucket = _bucket(crane, name)
+    if bucket is not None:
+        near = [(*p, 2.0 * _PIN * unit) for p in body.pins if math.dist(p, body.pins[-1]) < 0.6]
+        made += _cheeks(hull([*bucket, *near]), _load_half(crane), _load_half(crane) + 0.02, paint.link, paint)
+    return made
+
+
+def _is_link(crane: Crane, body: _Body) -> bool:
+    """Whether a body is short and has two pins, and no cylinder away from them."""
+    longest = max(_body(crane, b).length for b in crane.machine.bodies)
+    near = 0.06 * size(crane)
+    two = len(body.pins) == 2 and all(min(math.dist(e, p) for p in body.pins) < near for e in body.ends)
+    return two and not body.slides and body.length < _SHORT * longest and body.sheath is None
+
+
+def _link(body: _Body, unit: float, lane: int, paint: Paint) -> list[Graphics]:
+    """Return two plates from pin to pin; lanes keep links of one loop beside each other."""
+    near, far = (unit * (s + _LANE * lane) for s in _LINK)
+    start, end = body.pins
+    outline = hull([(*start, 0.05 * unit), (*(0.5 * (start + end)), 0.055 * unit), (*end, 0.05 * unit)])
+    return [*_cheeks(outline, near, far, paint.link, paint), *(_across(p, 0.16 * unit, _PIN * unit, paint.pin, paint) for p in body.pins)]
+
+
+def _beam(body: _Body, unit: float, half: float, paint: Paint, color: Color) -> list[Graphics]:
+    """Return the beam of a body with its knuckle, lugs and pins."""
+    start, middle, end = _axis(body)
+    radii = [min(r * unit * (0.7 if body.slides else 1.0), _SLIMMEST * math.dist(start, end)) for r in _RADII]
+    if body.sheath is not None or body.slides:
+        radii = [radii[1 if body.sheath is not None else 2]] * 3
+    made = [plate(bent(start, middle, end, radii), -half, half, color, paint.edges)]
+    root = start + 0.35 * (middle - start)
+    knuckle = _behind(body, end)
+    if len(knuckle) > 1 or math.dist(start, body.root) > 1e-3 and not body.slides:
+        discs = [*((*p, 0.07 * unit) for p in knuckle), (*root, 0.8 * radii[1])]
+        made.append(plate(hull(discs), -half + 0.004 * unit, half - 0.004 * unit, color, paint.edges))
+    for p in (*body.pins, *body.ends):
+        if not any(p is k for k in knuckle):
+            made += _lug(p, (start, middle, end), radii[1], unit, half, paint, color, solid=any(p is q for q in body.pins))
+        made.append(_across(p, half + 0.012 * unit, 1.8 * _PIN * unit, color, paint))
+        made.append(_across(p, half + 0.05 * unit, _PIN * unit, paint.pin, paint))
+    return made
+
+
+def _lug(
+    tip: np.ndarray, line: Sequence[np.ndarray], radius: float, unit: float, half: float, paint: Paint, color: Color, *, solid: bool
+) -> list[Graphics]:
+    """Return what holds a pin at `tip` that stands off a beam along `line`: two cheeks, or a solid plate for a joint."""
+    distance, foot, along = min((_foot(tip, a, b) for a, b in pairwise(line)), key=lambda found: found[0])
+    if distance < 0.9 * radius:
+        return []
+    wide = min(0.14 * unit, 0.3 * math.dist(line[0], line[-1]))
+    outline = hull([(*tip, 2.0 * _PIN * unit), *((*(foot + s * wide * along), 0.03 * unit) for s in (-1.0, 1.0))])
+    if solid:
+        return [plate(outline, -half + 0.006 * unit, half - 0.006 * unit, color, paint.edges)]
+    return _cheeks(outline, _LUG[0] * unit, _LUG[1] * unit, color, paint)
+
+
+def _foot(tip: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return distance of a point from a line between two points, where it is nearest, and the line's direction."""
+    along = (end - start) / math.dist(start, end)
+    foot = start + np.clip(float((tip - start) @ along), 0.0, math.dist(start, end)) * along
+    return math.dist(tip, foot), foot, along
+
+
+# -- ground ----------------------------------------------------------------------------------------------------------
+
+
+def pillar(crane: Crane, paint: Paint, floor: float = 0.0) -> list[Graphics]:
+    """Return what is fixed, in world coordinates: a column for each pin on the ground, lugs for cylinders; floor: its height in m."""
+    machine, unit, made = crane.machine, size(crane), []
+    pins = [place(crane, p) for joint, p in joints_of(crane, GROUND) if joint.kind != PRISMATIC]
+    for pin in pins:
+        made += _column(pin, floor, unit, paint)
+    sheath = _sheath(crane, GROUND)
+    if sheath is not None:
+        start, end = sheath
+        made.append(plate(bent(start, 0.5 * (start + end), end, [_RADII[1] * unit] * 3), -0.1 * unit, 0.1 * unit, paint.pillar, paint.edges))
+        made += _column(start, floor, unit, paint)
+    for cylinder in machine.cylinders:
+        for body, point in zip(cylinder.bodies, cylinder.points, strict=True):
+            if body == GROUND:
+                made += _ground_lug(place(crane, point), pins, floor, unit, paint)
+    return made
+
+
+def _column(pin: np.ndarray, floor: float, unit: float, paint: Paint) -> list[Graphics]:
+    """Return foot, column and cheeks that hold a pin on the ground."""
+    x, height = pin[0], pin[1] - floor
+    foot = hull([(x - 0.32 * unit, floor + 0.03, 0.03), (x + 0.42 * unit, floor + 0.03, 0.03)])
+    top = floor + min(0.82 * height, height - 0.1 * unit)
+    column = hull([(x - 0.12 * unit, floor + 0.06, 0.02), (x + 0.12 * unit, floor + 0.06, 0.02), (x, top, 0.13 * unit)])
+    cheeks = hull([(x, top - 0.1 * height, 0.12 * unit), (*pin, 0.085 * unit)])
+    inner = _BEAM * unit + 0.006
     return [
-        _both_sides(knuckle, _OUTER, color, paint),
-        _both_sides(box, _OUTER + 0.004, color, paint),
-        _both_sides(extension, _EXTENSION, color, paint),
-        _pin(e, paint, 0.075),
-    ]  # fmt: skip
+        plate(foot, -0.32 * unit, 0.32 * unit, paint.pillar, paint.edges),
+        plate(column, -0.14 * unit, 0.14 * unit, paint.pillar, paint.edges),
+        *_cheeks(cheeks, inner, inner + 0.03 * unit, paint.pillar, paint),
+        _across(pin, 0.15 * unit, _PIN * unit, paint.pin, paint),
+    ]
+
+
+def _ground_lug(at: np.ndarray, pins: Sequence[np.ndarray], floor: float, unit: float, paint: Paint) -> list[Graphics]:
+    """Return a lug that holds a cylinder's end: on the nearest column, or on the floor."""
+    column = min((p[0] for p in pins), key=lambda x: abs(x - at[0]), default=math.inf)
+    reach = 0.12 * unit
+    if abs(column - at[0]) < 0.6 * unit and at[1] - floor > 2.0 * reach:
+        x = column + math.copysign(0.08 * unit, at[0] - column)
+        feet = [(x, at[1] - reach, 0.02 * unit), (x, at[1] + reach, 0.02 * unit)]
+    else:
+        feet = [(at[0] - reach, floor + 0.02, 0.02), (at[0] + reach, floor + 0.02, 0.02)]
+    outline = hull([(*at, 2.0 * _PIN * unit), *feet])
+    return [*_cheeks(outline, _LUG[0] * unit, _LUG[1] * unit, paint.pillar, paint), _across(at, 0.1 * unit, _PIN * unit, paint.pin, paint)]
+
+
+def ground(
+    low: float, high: float, floor: float = 0.0, color: Color = (0.80, 0.81, 0.78, 1.0), line: Color = (0.70, 0.71, 0.68, 1.0)
+) -> list[Graphics]:
+    """Return the ground from x = low to x = high (m): a plate with lines every half metre."""
+    from exudyn.graphics import Brick, Lines
+
+    middle, length = 0.5 * (low + high), high - low
+    made: list[Graphics] = [
+        Brick([middle, floor - 0.03, 0.0], [length, 0.06, 2 * GROUND_HALF], color=list(color), addEdges=True, edgeColor=list(line))
+    ]
+    top = floor + 0.003
+    for x in np.arange(math.ceil(2.0 * low + 1e-9), 2.0 * high) / 2.0:
+        made.append(Lines([[x, top, -GROUND_HALF], [x, top, GROUND_HALF]], color=list(line)))
+    for z in np.arange(-GROUND_HALF + 0.5, GROUND_HALF, 0.5):
+        made.append(Lines([[low, top, z], [high, top, z]], color=list(line)))
+    return made
+
+
+# -- cylinders -------------------------------------------------------------------------------------------------------
 
 
 def barrel(crane: Crane, cylinder: str, paint: Paint) -> list[Graphics]:
     """Return the barrel of a cylinder in its own frame, with an eye at the base pin; only its caps if oil is to be seen."""
-    radius = crane[f"cylinders.{cylinder}.bore"] / 2.0 + _WALL
+    radius, unit = _outer_radius(crane, cylinder), _bore(crane, cylinder) / _USUAL_BORE
     start, length = _barrel_span(crane, cylinder)
-    eye = _eye(radius, paint)
+    half = 0.05 * unit
+    eye = plate(hull([(0, 0, 0.045 * unit), (0.07 * unit, 0, radius * 0.8)]), -half, half, paint.barrel, paint.edges)
     if not paint.barrels:
         caps = [(start, 0.02), (start + length - 0.03, 0.03)]
         return [eye, *(bar([at, 0, 0], [w, 0, 0], radius, paint.barrel, paint.edges) for at, w in caps)]
@@ -213,33 +411,36 @@ def barrel(crane: Crane, cylinder: str, paint: Paint) -> list[Graphics]:
     return [eye, bar([start, 0, 0], [length, 0, 0], radius, paint.barrel, paint.edges), gland]
 
 
-def _eye(radius: float, paint: Paint) -> Graphics:
-    half = 0.05
-    return plate(hull([(0, 0, 0.045), (0.07, 0, radius * 0.8)]), -half, half, paint.barrel, paint.edges)
+def _bore(crane: Crane, cylinder: str) -> float:
+    return crane[f"cylinders.{cylinder}.bore"]
+
+
+def _outer_radius(crane: Crane, cylinder: str) -> float:
+    """Return the radius of a cylinder's barrel with its wall, m."""
+    return _bore(crane, cylinder) * (0.5 + _WALL / _USUAL_BORE)
 
 
 def _barrel_span(crane: Crane, cylinder: str) -> tuple[float, float]:
     """Return where the barrel begins along the cylinder's axis, and its length: up to short of the rod eye when drawn in."""
-    start = 0.06
-    return start, max(0.25, _shortest(crane, cylinder) - start - 0.1)
+    start, shortest = 0.6 * _bore(crane, cylinder), _shortest(crane, cylinder)
+    return start, max(0.3 * shortest, shortest - start - _bore(crane, cylinder))
 
 
 def _shortest(crane: Crane, cylinder: str) -> float:
     """Return the pin-to-pin length with the rod drawn in.
 
-    A real cylinder is longer than its stroke then, whichever way round the sheet means `empty_length` and
-    `chamber_range` (see the note there); their sum, the greatest length, is the same either way.
+    A real cylinder is longer than its stroke then, whichever way round a sheet means `empty_length` and
+    `chamber_range`; their sum, the greatest length, is the same either way.
     """
     return max(crane[f"cylinders.{cylinder}.empty_length"], crane[f"cylinders.{cylinder}.chamber_range"])
 
 
 def rod(crane: Crane, cylinder: str, paint: Paint) -> list[Graphics]:
     """Return the rod of a cylinder in its own frame: eye at the rod end, rod reaching back into the barrel."""
-    radius = crane[f"cylinders.{cylinder}.rod"] / 2.0
-    back = _rod_length(crane, cylinder)
-    half = 0.048
-    eye = plate(hull([(0, 0, 0.042), (-0.05, 0, radius)]), -half, half, paint.barrel, paint.edges)
-    return [eye, bar([-back, 0, 0], [back - 0.03, 0, 0], max(radius, 0.01), paint.rod, paint.edges)]
+    radius, unit = crane[f"cylinders.{cylinder}.rod"] / 2.0, _bore(crane, cylinder) / _USUAL_BORE
+    back, half = _rod_length(crane, cylinder), 0.048 * unit
+    eye = plate(hull([(0, 0, 0.042 * unit), (-0.05 * unit, 0, radius)]), -half, half, paint.barrel, paint.edges)
+    return [eye, bar([-back, 0, 0], [back - 0.03 * unit, 0, 0], max(radius, 0.1 * _bore(crane, cylinder)), paint.rod, paint.edges)]
 
 
 def _rod_length(crane: Crane, cylinder: str) -> float:
@@ -247,43 +448,9 @@ def _rod_length(crane: Crane, cylinder: str) -> float:
     return _shortest(crane, cylinder) - _barrel_span(crane, cylinder)[0] - 0.03
 
 
-def log(crane: Crane, paint: Paint) -> list[Graphics]:
-    """Return the payload as a log across the plane, centred at E, with bark and sawn ends."""
-    radius = max(0.04, crane["payload.height"] / 2.0)
-    half = _LOG_LENGTH / 2.0
-    ends = [bar([0, 0, z], [0, 0, 0.004], 0.9 * radius, paint.wood, paint.edges) for z in (-half - 0.004, half)]
-    rings = [bar([0, 0, half + 0.004], [0, 0, 0.002], 0.45 * radius, paint.log, paint.edges)]
-    return [bar([0, 0, -half], [0, 0, 2 * half], radius, paint.log, paint.edges), *ends, *rings]
-
-
-def pendulum_length(crane: Crane) -> float:
-    """Return the length in m of the pendulum on which the payload hangs; 0 without one."""
-    return float(hooks.pendulum(crane.effect_vector())[0])
-
-
-def rope(crane: Crane, paint: Paint) -> list[Graphics]:
-    """Return the rod from E down to the payload; nothing where the payload is fixed to the boom."""
-    length = pendulum_length(crane)
-    return [bar([0, 0, 0], [0, -length, 0], 0.016, paint.rod, paint.edges)] if length > 0.0 else []
-
-
-def parts(crane: Crane, paint: Paint) -> Mapping[str, list[Graphics]]:
-    """Return the graphics of every moving part by name, in the order of `PARTS`."""
-    made = {
-        "lift_boom": lift_boom(crane, paint),
-        "bracket_1": bracket_1(crane, paint),
-        "bracket_2": bracket_2(crane, paint),
-        "outer_boom": outer_boom(crane, paint),
-    }
-    for name in LAYOUT.cylinders:
-        made[f"{name}_barrel"] = barrel(crane, name, paint)
-        made[f"{name}_rod"] = rod(crane, name, paint)
-    return made | {"rope": rope(crane, paint), "log": log(crane, paint)}
-
-
 def oil(crane: Crane, cylinder: str, length: float, colors: tuple[Color, Color]) -> list[Graphics]:
     """Return the oil of both chambers in the barrel's frame, at a pin-to-pin length in m: piston side, piston, rod side."""
-    radius = crane[f"cylinders.{cylinder}.bore"] / 2.0 + _WALL * 0.5
+    radius = 0.5 * (_outer_radius(crane, cylinder) + 0.5 * _bore(crane, cylinder))
     start, whole = _barrel_span(crane, cylinder)
     piston = min(max(length - _rod_length(crane, cylinder), start), start + whole - 0.05)
     thick = 0.03
@@ -295,27 +462,117 @@ def oil(crane: Crane, cylinder: str, length: float, colors: tuple[Color, Color])
     ]
 
 
+# -- payload ---------------------------------------------------------------------------------------------------------
+
+
+def payload(crane: Crane, paint: Paint) -> list[Graphics]:
+    """Return the payload about its point: a log across the plane where it is as high as wide, else a heap of soil."""
+    corners = _corners(crane)
+    if corners is not None:
+        return [plate(hull(corners), -_load_half(crane), _load_half(crane), paint.soil, paint.edges)]
+    radius, half = max(0.04, crane["payload.height"] / 2.0), _LOG_LENGTH / 2.0
+    ends = [bar([0, 0, z], [0, 0, 0.004], 0.9 * radius, paint.wood, paint.edges) for z in (-half - 0.004, half)]
+    rings = [bar([0, 0, half + 0.004], [0, 0, 0.002], 0.45 * radius, paint.log, paint.edges)]
+    return [bar([0, 0, -half], [0, 0, 2 * half], radius, paint.log, paint.edges), *ends, *rings]
+
+
+def payload_extent(crane: Crane) -> tuple[float, float]:
+    """Return how far the payload reaches from its point: in the plane and across it, in m; zeros without one."""
+    if not crane.machine.payload[0]:
+        return 0.0, 0.0
+    width, height = crane["payload.width"], crane["payload.height"]
+    round_ = _corners(crane) is None
+    return (max(0.04, height / 2.0), _LOG_LENGTH / 2.0) if round_ else (0.5 * math.hypot(width, height), _load_half(crane))
+
+
+def _corners(crane: Crane) -> list[Disc] | None:
+    """Return the corners of a payload that is wider than high or higher than wide, about its point; else None."""
+    width, height = crane["payload.width"], crane["payload.height"]
+    if abs(width - height) < 0.1 * max(width, height) or min(width, height) <= 0.0:
+        return None
+    r = 0.2 * min(width, height)
+    return [(sx * (width / 2 - r), sy * (height / 2 - r), r) for sx in (-1, 1) for sy in (-1, 1)]
+
+
+def _load_half(crane: Crane) -> float:
+    """Return half of how far soil reaches across the plane, m."""
+    return 0.6 * max(crane["payload.width"], crane["payload.height"])
+
+
+def _bucket(crane: Crane, body: str) -> list[Disc] | None:
+    """Return the corners of the bucket on a body, in its frame: around soil that is fixed to it; None without one."""
+    carrier, point = crane.machine.payload
+    corners = _corners(crane) if carrier == body and pendulum_length(crane) == 0.0 else None
+    at = place(crane, point)
+    return None if corners is None else [(at[0] + x, at[1] + y, r) for x, y, r in corners]
+
+
+def pendulum_length(crane: Crane) -> float:
+    """Return the length in m of the pendulum on which the payload hangs; 0 without one."""
+    return float(hooks.pendulum(crane.effect_vector())[0])
+
+
+def rope(crane: Crane, paint: Paint) -> list[Graphics]:
+    """Return the rod from the payload's point down to the payload; nothing where it is fixed to its body."""
+    length = pendulum_length(crane)
+    return [bar([0, 0, 0], [0, -length, 0], 0.016, paint.rod, paint.edges)] if length > 0.0 else []
+
+
+# -- all parts -------------------------------------------------------------------------------------------------------
+
+
+def parts(crane: Crane, paint: Paint) -> Mapping[str, list[Graphics]]:
+    """Return the graphics of every moving part by name, in the order of `part_names`."""
+    made = {f"bodies.{name}": body_shape(crane, name, paint) for name in crane.machine.bodies}
+    for c in crane.machine.cylinders:
+        made[f"cylinders.{c.name}.barrel"] = barrel(crane, c.name, paint)
+        made[f"cylinders.{c.name}.rod"] = rod(crane, c.name, paint)
+    return made | {"rope": rope(crane, paint), "payload": payload(crane, paint)} if crane.machine.payload[0] else made
+
+
+def part_names(crane: Crane) -> tuple[str, ...]:
+    """Return the names of the moving parts: bodies, then barrel and rod of each cylinder, then rope and payload."""
+    machine = crane.machine
+    cylinders = [f"cylinders.{c.name}.{part}" for c in machine.cylinders for part in ("barrel", "rod")]
+    return (*(f"bodies.{b}" for b in machine.bodies), *cylinders, *(("rope", "payload") if machine.payload[0] else ()))
+
+
+def outlines(crane: Crane, centres: Mapping[str, np.ndarray]) -> dict[str, list[Graphics]]:
+    """Return the graphics of the ground and of each body about its centre (2,) in its frame, with a payload that is fixed to it.
+
+    A payload on a pendulum stands under the name "payload", about itself.
+    """
+    paint = Paint()
+    made = {GROUND: pillar(crane, paint)} | {name: body_shape(crane, name, paint) for name in crane.machine.bodies}
+    body, point = crane.machine.payload
+    if body and pendulum_length(crane) > 0.0:
+        made["payload"] = payload(crane, paint)
+    elif body:
+        made[body] += [moved(g, (*place(crane, point), 0.0)) for g in payload(crane, paint)]
+    for name, (x, y) in centres.items():
+        made[name] = [moved(g, (-x, -y, 0.0)) for g in made[name]]
+    return made
+
+
+def moved(graphics: Graphics, by: tuple[float, float, float], angle: float = 0.0) -> Graphics:
+    """Return graphics turned about the z axis and then moved."""
+    from exudyn.graphics import Move
+
+    c, s = math.cos(angle), math.sin(angle)
+    turned: Graphics = Move(graphics, list(by), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+    return turned
+
+
 def arrow(tip: Sequence[float], direction: Sequence[float], length: float, color: Color) -> Graphics:
-    """Return an arrow in the plane z = 0.3 (in front of the crane) that ends at `tip`, coming along `direction`."""
+    """Return an arrow in front of the machine that ends at `tip`, coming along `direction`."""
     from exudyn.graphics import Arrow
 
     unit = np.asarray(direction, dtype=float) / math.hypot(*direction)
     start = np.asarray(tip, dtype=float) - length * unit
-    made: Graphics = Arrow([*start, 0.3], [*(length * unit), 0.0], radius=0.026, color=list(color), nTiles=24)
+    made: Graphics = Arrow(
+        [*start, FRONT], [*(length * unit), 0.0], radius=0.047 * length, color=list(color), nTiles=24
+    )
     return made
 
 
-def ground(color: Color = (0.80, 0.81, 0.78, 1.0), line: Color = (0.70, 0.71, 0.68, 1.0)) -> list[Graphics]:
-    """Return the ground: a plate with lines every metre."""
-    from exudyn.graphics import Brick, Lines
-
-    plate_ = Brick([2.0, -0.03, 0.0], [10.0, 0.06, 3.6], color=list(color), addEdges=True, edgeColor=list(line))
-    made: list[Graphics] = [plate_]
-    for x in range(-2, 7):
-        made.append(Lines([[x, 0.003, -1.8], [x, 0.003, 1.8]], color=list(line)))
-    for z in (-1.2, -0.6, 0.0, 0.6, 1.2):
-        made.append(Lines([[-3.0, 0.003, z], [7.0, 0.003, z]], color=list(line)))
-    return made
-
-
-__all__ = ["PARTS", "Graphics", "Paint", "arrow", "exu", "ground", "oil", "parts", "pillar"]
+__all__ = ["Graphics", "Paint", "arrow", "body_shape", "exu", "ground", "moved", "oil", "outlines", "part_names", "parts", "pillar"]

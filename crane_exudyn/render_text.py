@@ -9,11 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .parameters import LAYOUT
+from .render_shapes import FRONT
 
 if TYPE_CHECKING:
     from .render import Scene
 
+#: how people read a unit: how many of theirs it is, and their name
+READ = {"Pa": (1e-5, "bar"), "rad": (math.degrees(1.0), "°"), "m": (1e3, "mm")}
+#: colour maps whose lightness rises or falls steadily, so that they read in greyscale
+MAPS = {"pressure": "viridis", "residual": "YlOrRd"}
+_QUANTITIES = {"Pa": "pressure", "rad": "angle", "m": "way"}
 _INK, _SOFT, _MARK = (25, 27, 30), (85, 90, 96), (176, 0, 98)
 
 
@@ -47,9 +52,12 @@ def _font(size: int, bold: bool = False) -> Any:
 def _heading(draw: Any, scene: Scene, time: float, unit: float) -> None:
     title = scene.title or scene.crane.name
     draw.text((28 * unit, 20 * unit), title, font=_font(round(24 * unit), True), fill=_INK)
-    pose = zip(LAYOUT.coordinates, np.degrees(scene.trajectories[0].at(time)), strict=True)
-    words = "    ".join([f"t = {time:6.2f} s", *(f"{name} = {angle:6.1f}°" for name, angle in pose)])
-    draw.text((28 * unit, 54 * unit), words.replace("-", "−"), font=_font(round(17 * unit)), fill=_SOFT)
+    layout = scene.crane.layout
+    words = [f"t = {time:6.2f} s"]
+    for name, value in zip(layout.coordinates, scene.trajectories[0].at(time), strict=True):
+        factor, symbol = READ[layout.unit_of(name)]
+        words.append(f"{name} = {value * factor:6.1f}{'' if symbol == '°' else ' '}{symbol}")
+    draw.text((28 * unit, 54 * unit), "    ".join(words).replace("-", "−"), font=_font(round(17 * unit)), fill=_SOFT)
 
 
 def _legend(draw: Any, scene: Scene, unit: float) -> None:
@@ -64,21 +72,21 @@ def _legend(draw: Any, scene: Scene, unit: float) -> None:
 
 def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, int]) -> None:
     """Draw one bar for each quantity, with the present values written beside it."""
-    rows: list[tuple[str, float, str, tuple[str, ...]]] = [("pressure", 1e-5, "bar", LAYOUT.chambers)]
-    if scene.colour == "residual":
-        rows.append(("angle", math.degrees(1.0), "°", LAYOUT.coordinates))
-    for i, (name, factor, symbol, channels) in enumerate(rows):
+    layout = scene.crane.layout
+    shown = layout.chambers if scene.colour == "pressure" else (*layout.chambers, *layout.coordinates)
+    for i, (unit_name, end) in enumerate(scene.scales.items()):
+        (factor, symbol), channels = READ[unit_name], [c for c in shown if layout.unit_of(c) == unit_name]
         x = size[0] - (330 + 350 * i) * unit
         y = size[1] - 78 * unit
         panel = (x - 16 * unit, y - 32 * unit, x + 318 * unit, y + 62 * unit)
         draw.rounded_rectangle(panel, radius=8 * unit, fill=(255, 255, 255, 200))
-        end = scene.scales[name] * factor
         _bar(draw, scene, (x, y, x + 300 * unit, y + 14 * unit))
-        heading = f"{name} / {symbol}" if scene.colour == "pressure" else f"{name} residual / {symbol}"
+        quantity = _QUANTITIES[unit_name] + ("" if scene.colour == "pressure" else " residual")
+        heading = f"{quantity} / {symbol}"
         draw.text((x, y - 25 * unit), heading, font=_font(round(16 * unit)), fill=_INK)
         for fraction in (0.0, 0.5, 1.0):
             at = (x + 300 * unit * fraction, y + 17 * unit)
-            draw.text(at, f"{end * fraction:g}", font=_font(round(14 * unit)), fill=_INK, anchor="ma")
+            draw.text(at, f"{end * factor * fraction:g}", font=_font(round(14 * unit)), fill=_INK, anchor="ma")
         values = [(c, scene.value(c, time) * factor) for c in channels]
         words = "   ".join(f"{c} {v:.1f}" for c, v in values if not math.isnan(v))
         draw.text((x, y + 36 * unit), words, font=_font(round(14 * unit)), fill=_SOFT)
@@ -86,8 +94,6 @@ def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, 
 
 def _bar(draw: Any, scene: Scene, box: tuple[float, float, float, float]) -> None:
     from matplotlib import colormaps
-
-    from .render import MAPS
 
     left, top, right, bottom = box
     steps = 60
@@ -102,10 +108,10 @@ def _bar(draw: Any, scene: Scene, box: tuple[float, float, float, float]) -> Non
 def _mark(draw: Any, scene: Scene, mark: str, time: float, unit: float) -> None:
     """Write the name of a marked place beside the tail of its arrow, on a white ground."""
     tip, direction = scene.mark_at(mark, time)
-    tail = tip - 0.57 * np.asarray(direction) / math.hypot(*direction)
-    (x, y), (x_tip, y_tip) = scene.project(np.array([[*tail, 0.3], [*tip, 0.3]]))
+    tail = tip - 1.04 * scene.arrow_length * np.asarray(direction) / math.hypot(*direction)
+    (x, y), (x_tip, y_tip) = scene.project(np.array([[*tail, FRONT], [*tip, FRONT]]))
     font = _font(round(19 * unit), True)
-    words = mark if mark not in LAYOUT.cylinders else f"{mark} cylinder"
+    words = mark if mark not in scene.crane.layout.cylinders else f"{mark} cylinder"
     pad = 6 * unit
     x += (draw.textlength(words, font=font) / 2.0 + pad) * (x - x_tip) / math.hypot(x - x_tip, y - y_tip)
     y += 20 * unit * (y - y_tip) / math.hypot(x - x_tip, y - y_tip)

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 _GHOST_NAMES = ("simulated", "estimated", "third", "fourth")
 
 
-def picture_or_film(path: Path) -> None:
-    """Refuse a file with an ending that neither a picture nor a film can be written with."""
+def picture_or_film(path: Path) -> str:
+    """Return what a file is to become; refuse an ending that neither a picture nor a film can be written with."""
     from crane_exudyn.film import kind_of
 
-    kind_of(path)
+    return kind_of(path)
 
 
 def ghost_of(entry: str) -> tuple[str, str]:
@@ -39,7 +39,7 @@ def ghost_of(entry: str) -> tuple[str, str]:
 def command(
     recording: Annotated[
         Path | None,
-        typer.Argument(metavar="REC", help="Recording or result with z1 and z4; none: the crane at its start."),
+        typer.Argument(metavar="REC", help="Recording or result with the coordinates; none: the crane at its start."),
         Reads(),
     ] = None,
     output: Annotated[
@@ -47,6 +47,9 @@ def command(
         typer.Option("-o", "--output", metavar="FILE", help=".png, .jpg, .gif or .mp4"),
         Writes(picture_or_film),
     ] = None,
+    frames: Annotated[
+        bool, typer.Option("--frames", help="Sketch of the crane file instead: every body's frame with its points.")
+    ] = False,
     ghost: Annotated[
         list[str] | None,
         typer.Option("--ghost", metavar="[NAME=]FILE", help="Another run in the same scene; repeatable."),
@@ -67,7 +70,7 @@ def command(
     ] = None,
     mark: Annotated[
         list[str] | None,
-        typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber or joint: lift, p4, A; repeatable."),
+        typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber, joint, point or body by its name; repeatable."),
     ] = None,
     view: Annotated[Literal["side", "oblique"] | None, typer.Option(help="Where it is seen from.")] = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Size in pixels.")] = "1280x720",
@@ -91,6 +94,9 @@ def command(
     if output is None and save_solution is None and not open_viewer:
         raise CraneError("Nothing to do: give -o FILE.png (or .gif, .mp4), --save-solution FILE or --open.")
     described = load_crane(crane, effects)
+    if frames:
+        _sketch(described, output, json)
+        return
     from crane_exudyn.render import Scene, need_screen  # imports compiled code, of which the effects must be part
 
     if open_viewer:
@@ -110,6 +116,20 @@ def command(
         printer.line(f"wrote {path}")
     with saving(printer) as save:
         save.json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
+
+
+def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:
+    """Write the sketch of the frames as a picture."""
+    if output is None or picture_or_film(output) != "picture":
+        raise CraneError("--frames draws one picture: give -o FILE.png.")
+    from crane_exudyn.plots import save as save_figure
+    from crane_exudyn.render_frames import sketch
+
+    save_figure(sketch(crane), output)
+    printer = Printer(json)
+    printer.line(f"wrote {output}")
+    with saving(printer) as save:
+        save.json(json, {"written": [str(output)], "bodies": list(crane.machine.bodies)})
 
 
 def _runs(
