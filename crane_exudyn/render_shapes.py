@@ -44,6 +44,8 @@ _PIN, _WALL, _LOG_LENGTH = 0.026, 0.011, 1.5
 _RADII, _SLIMMEST = (0.08, 0.095, 0.055), 0.2
 #: half of the ground's width, and where arrows stand in front of the machine, m
 GROUND_HALF, FRONT = 1.2, 0.3
+#: a beam is at least so long, m, and bends at most by this share of its length
+_SHORTEST, _MOST_BENT = 0.05, 0.35
 #: share of a sliding body's beam that its sheath covers when it is drawn in
 _SHEATHED = 0.75
 #: a body of two pins that is shorter than this share of the longest body is a link
@@ -236,12 +238,15 @@ def _axis(body: _Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if body.sheath is not None:
         return body.sheath[0], 0.5 * (body.sheath[0] + body.sheath[1]), body.sheath[1]
     others = [p for p in body.pins if math.dist(p, body.root) > 1e-3] or body.ends or [2.0 * body.com - body.root]
-    end = max(others, key=lambda p: math.dist(p, body.com if body.slides else body.root))
+    begin = body.com if body.slides else body.root
+    end = max(others, key=lambda p: math.dist(p, begin))
+    if math.dist(end, begin) < _SHORTEST:
+        end = begin + np.array([_SHORTEST, 0.0])
     if body.slides:
         return 2.0 * body.com - end, body.com, end
     length, along = math.dist(end, body.root), end - body.root
-    share = float((body.com - body.root) @ along) / length**2
-    middle = body.com if 0.2 < share < 0.8 else 0.5 * (body.root + end)
+    share, off = float((body.com - body.root) @ along) / length**2, _cross(along, body.com - body.root) / length**2
+    middle = body.com if 0.2 < share < 0.8 and abs(off) < _MOST_BENT else 0.5 * (body.root + end)
     back = (middle - end) / math.dist(middle, end)
     start = max(_behind(body, end), key=lambda p: float((p - middle) @ back) / max(math.dist(p, middle), 1e-9))
     return start, middle, end

@@ -121,6 +121,22 @@ def test_a_body_of_two_pins_is_a_link_of_two_plates():
         assert {b for b, colors in plates.items() if len(colors) == 2 and np.allclose(colors, dark)} == links
 
 
+def test_any_body_has_a_shape():
+    """Also one whose centre of mass lies in its pin or far away from all points, or whose pins lie in one place."""
+    random = np.random.default_rng(1)
+    for crane in (MACHINES["excavator"], MACHINES["patu655-telescope"]):
+        names = [
+            n
+            for n in crane.machine.names
+            if n.startswith(("bodies.", "joints.", "cylinders.")) and n.endswith((".x", ".y"))
+        ]
+        for size in (0.0, 0.3, 3.0):
+            other = crane.with_parameters({n: size * random.normal() for n in names})
+            for body in crane.machine.bodies:
+                made = shapes.body_shape(other, body, shapes.Paint())
+                assert made and all(np.isfinite(g["points"]).all() for g in made)
+
+
 def test_a_sliding_body_is_drawn_inside_its_carrier():
     crane = MACHINES["patu655-telescope"]
     sheath, inner = (shapes.body_shape(crane, b, shapes.Paint())[0] for b in ("outer_boom", "extension"))
