@@ -70,7 +70,9 @@ def command(
     ] = None,
     mark: Annotated[
         list[str] | None,
-        typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber, joint, point or body by its name; repeatable."),
+        typer.Option(
+            metavar="PLACE", help="Arrow at a cylinder, chamber, joint, point or body by its name; repeatable."
+        ),
     ] = None,
     view: Annotated[Literal["side", "oblique"] | None, typer.Option(help="Where it is seen from.")] = None,
     size: Annotated[str, typer.Option(metavar="WxH", help="Size in pixels.")] = "1280x720",
