@@ -466,7 +466,7 @@ class Scene:
         """Return the pixels (n, 2), from the top left, at which points (n, 3) in m are seen."""
         width, height = self.size
         seen = np.asarray(points, dtype=float) @ self._rotation().T - self.center
-        return np.array([width / 2.0, height / 2.0]) + seen[:, :2] * (height / self.height) * [1.0, -1.0]
+        return np.array([width / 2.0, height / 2.0]) + seen[:, [0, 1]] * (height / self.height) * [1.0, -1.0]
 
     def save(
         self,
