@@ -317,8 +317,8 @@ class Scene:
             boxes.append(_boxes(np.vstack(list(closed.points.values())), thick, thick))
             if machine.payload[0]:
                 placed = coordinates(self.crane, t.positions[::step], 0.0 if t.theta is None else t.theta[::step])
-                at = placed.reshape(len(placed), -1, 3)[:, shapes.part_names(self.crane).index("payload"), :2]
-                boxes.append(_boxes(at, *shapes.payload_extent(self.crane)))
+                payload = placed.reshape(len(placed), -1, 3)[:, shapes.part_names(self.crane).index("payload")]
+                boxes.append(_boxes(np.delete(payload, 2, axis=1), *shapes.payload_extent(self.crane)))
         machine_box = np.vstack(boxes)
         floor = min(0.0, float(machine_box[:, 1].min()))
         reach = (float(machine_box[:, 0].min()) - 0.3, float(machine_box[:, 0].max()) + 0.3)
@@ -466,7 +466,11 @@ class Scene:
         """Return the pixels (n, 2), from the top left, at which points (n, 3) in m are seen."""
         width, height = self.size
         seen = np.asarray(points, dtype=float) @ self._rotation().T - self.center
+<<<<<<< HEAD
         return np.array([width / 2.0, height / 2.0]) + seen[:, [0, 1]] * (height / self.height) * [1.0, -1.0]
+=======
+        return np.array([width / 2.0, height / 2.0]) + np.delete(seen, 2, axis=1) * (height / self.height) * [1.0, -1.0]
+>>>>>>> render
 
     def save(
         self,
