@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from .channels import CHANNELS, COMMANDS, UNSEEN, Channel
 from .errors import CraneError, nearest
+from .mapping import Column
 from .tables import RawColumn, RawTable, remarks, split_header
 from .units import factor_to_si
 
@@ -24,23 +26,12 @@ _SPLIT, _SPLIT_RATIO, _DAY = 10.0, 100.0, 86400.0
 _MEASURED = tuple(name for name in CHANNELS if name not in UNSEEN)
 
 
-def check_mapping(mapping: Mapping[str, str]) -> None:
-    known = ["time", *CHANNELS]
-    for name in mapping:
-        if name not in known:
-            raise CraneError(f"--map {name}={mapping[name]}: there is no channel {name!r}.{nearest(name, known)}")
-    columns = list(mapping.values())
-    for column in columns:
-        if columns.count(column) > 1:
-            raise CraneError(f"--map takes column {column!r} for two channels. Map each column once.")
+def wanted(mapping: Mapping[str, Column]) -> set[str]:
+    """Return the names of columns that matter."""
+    return {"time", *CHANNELS}.union(*(column.names for column in mapping.values()))
 
 
-def wanted(mapping: Mapping[str, str]) -> set[str]:
-    mapped = {part for column in mapping.values() for part in (column, split_header(column)[0])}
-    return {"time", *CHANNELS, *mapped}
-
-
-def assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> dict[str, Any]:
+def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column]) -> dict[str, Any]:
     """Return name, channels, source and notes of the recording that a file's columns make.
 
     Names, units and clocks are judged, missing samples dropped.
@@ -60,7 +51,7 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> dict[st
         own = _clock_of(path, named[name], clock, table)
         if id(own) not in times:
             times[id(own)] = _seconds(path, own, table)
-        channel = _channel(path, name, named[name], times[id(own)], table)
+        channel = _channel(path, name, named[name], times[id(own)], table, mapping.get(name))
         if channel is None:
             notes.append(f"channel {name} has no sample")
             continue
@@ -72,17 +63,25 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, str]) -> dict[st
         raise CraneError(f"{path}: found fewer than two samples, expected a recording over time. Record longer.")
     channels, split = _longest_stretch(channels)
     notes += split
-    return {"name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes)}
+    origin = named | ({} if clock is None else {"time": clock})
+    read_from = {
+        n: replace(mapping.get(n, Column("")), header=column.header, unit=unit)
+        for n, (column, unit) in origin.items()
+        if n == "time" or n in channels
+    }
+    return {
+        "name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes), "columns": read_from,
+    }  # fmt: skip
 
 
 def _name_columns(
-    path: Path, table: RawTable, mapping: Mapping[str, str]
+    path: Path, table: RawTable, mapping: Mapping[str, Column]
 ) -> tuple[dict[str, tuple[RawColumn, str | None]], list[str]]:
     """Return {channel: (column, unit)} and remarks on columns that were left alone.
 
     A column that merely has the name of something unseen, without a unit, is somebody's own.
     """
-    by_column = {id(_find(path, table, column)): name for name, column in mapping.items()}
+    by_column = {id(_find(path, table, column.header, column.said)): name for name, column in mapping.items()}
     named: dict[str, tuple[RawColumn, str | None]] = {}
     notes: list[str] = []
     ignored: list[str] = []
@@ -91,7 +90,7 @@ def _name_columns(
         unit = column.unit if unit is None else unit
         if id(column) in by_column:
             name = by_column[id(column)]
-            unit = _mapped_unit(path, column.header, unit, split_header(mapping[name])[1])
+            unit = _mapped_unit(path, column.header, unit, mapping[name])
         elif name in mapping or name not in ("time", *CHANNELS) or (name in UNSEEN and unit is None):
             if name in mapping or _like(name):
                 notes.append(_remark(column.header, name, mapping))
@@ -107,9 +106,9 @@ def _name_columns(
     return named, notes + remarks("column", ignored, "was ignored")
 
 
-def _remark(header: str, name: str, mapping: Mapping[str, str]) -> str:
+def _remark(header: str, name: str, mapping: Mapping[str, Column]) -> str:
     if name in mapping:
-        return f"column {header!r} was put aside for {mapping[name]!r}"
+        return f"column {header!r} was put aside for {mapping[name].header!r}"
     return f"column {header!r} was ignored, did you mean {_like(name)}?"
 
 
@@ -118,7 +117,7 @@ def _like(name: str) -> str | None:
     return next((c for c in CHANNELS if c.lower() == name.lower()), None)
 
 
-def _find(path: Path, table: RawTable, wanted: str) -> RawColumn:
+def _find(path: Path, table: RawTable, wanted: str, said: str) -> RawColumn:
     """Return the column that a mapping names: by its whole header, else by its name without unit."""
     whole = [c for c in table.columns if c.header.strip() == wanted.strip()]
     name = split_header(wanted)[0]
@@ -126,15 +125,18 @@ def _find(path: Path, table: RawTable, wanted: str) -> RawColumn:
     if len(found) == 1:
         return found[0]
     if found:
-        raise CraneError(f"{path}: column {wanted!r} of --map stands there {len(found)} times. Rename one.")
+        raise CraneError(f"{path}: column {wanted!r} of {said} stands there {len(found)} times. Rename one.")
     headers = [split_header(c.header)[0] for c in table.columns]
-    raise CraneError(f"{path}: there is no column {name!r}, as --map says.{nearest(name, headers)}")
+    raise CraneError(f"{path}: there is no column {name!r}, as {said} says.{nearest(name, headers)}")
 
 
-def _mapped_unit(path: Path, header: str, own: str | None, given: str | None) -> str | None:
+def _mapped_unit(path: Path, header: str, own: str | None, column: Column) -> str | None:
+    given = split_header(column.header)[1]
+    if column.unit is not None:
+        return column.unit
     if own is not None and given is not None and own != given:
         raise CraneError(
-            f"{path}, column {header}: the file says [{own}], --map says [{given}]. Leave the unit of --map out, or mend one."
+            f"{path}, column {header}: the file says [{own}], {column.said} says [{given}]. Leave the unit of {column.said} out, or mend one."
         )
     return own if given is None else given
 
@@ -230,7 +232,12 @@ def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) 
 
 
 def _channel(
-    path: Path, name: str, column: tuple[RawColumn, str | None], time: np.ndarray, table: RawTable
+    path: Path,
+    name: str,
+    column: tuple[RawColumn, str | None],
+    time: np.ndarray,
+    table: RawTable,
+    mapped: Column | None,
 ) -> Channel | None:
     raw, unit = column
     if raw.values.shape != time.shape:
@@ -240,6 +247,8 @@ def _channel(
         )
     with np.errstate(over="ignore"):  # what is infinite in SI is refused below
         values = raw.values * _factor(path, name, raw.header, unit, CHANNELS[name])
+    if mapped is not None:
+        values, time = mapped.factor * values + mapped.offset, mapped.stamped(time)
     there = ~np.isnan(values)
     infinite = np.flatnonzero(np.isinf(values))
     if len(infinite):

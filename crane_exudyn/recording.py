@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import signals
-from .assembly import assemble, check_mapping, wanted
+from .assembly import assemble, wanted
 from .channels import CHANNELS, COMMANDS, SENSORS, SUPPLY, VOLTAGES, Channel
 from .errors import CraneError, nearest
+from .mapping import Column, columns_of
 from .tables import RawColumn, RawTable
 
 if TYPE_CHECKING:
@@ -34,12 +35,16 @@ class Recording:
         channels: name -> Channel; names as in `CHANNELS`.
         source: the file, for messages.
         notes: what was left out or changed while reading, in words.
+        columns: what each channel was read from, where that is known.
+        vouched: whether its contents have been looked at, or are to be used anyway (`vetting`).
     """
 
     name: str
     channels: Mapping[str, Channel]
     source: str = ""
     notes: tuple[str, ...] = field(default=())
+    columns: Mapping[str, Column] = field(default_factory=dict)
+    vouched: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
@@ -47,22 +52,21 @@ class Recording:
     # -- making one ----------------------------------------------------------------------------------------------
 
     @classmethod
-    def load(cls, path: str | Path, mapping: Mapping[str, str] | None = None) -> Recording:
+    def load(cls, path: str | Path, mapping: Mapping[str, str | Column] | None = None) -> Recording:
         """Return the recording in a file: CSV (also .csv.gz), MATLAB v5 and v7.3, Parquet, MDF4.
 
         Args:
             path: the file; its content, not its ending, tells the format.
             mapping: channel -> column of the file, such as {"z1": "BoomAngle[deg]"}; the unit may be left out where the
-                file gives one.
+                file gives one. A minus before the column turns the sign; a `mapping.Column` says more.
 
         Raises:
             CraneError: names file, line or sample, column, what was found, what was expected and how to mend it.
         """
         from .formats import read
 
-        mapping = dict(mapping or {})
-        check_mapping(mapping)
-        return cls(**assemble(Path(path), read(Path(path), wanted=wanted(mapping)), mapping))._with_gaps_told()
+        columns = columns_of(mapping or {})
+        return cls(**assemble(Path(path), read(Path(path), wanted=wanted(columns)), columns))._with_gaps_told()
 
     @classmethod
     def from_arrays(cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray]) -> Recording:

@@ -15,6 +15,7 @@ from .options import (
     EffectsOption,
     EngineOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     RecordingArgument,
     ReportOption,
@@ -49,6 +50,7 @@ def command(
     report: ReportOption = None,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
     json: JsonOption = None,
 ) -> None:
     """Lay the model beside a measurement: how large the errors are, when they arise, which balance is violated.
@@ -57,7 +59,7 @@ def command(
     sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, mapping)
+    measured = load_recording(recording, mapping, map_file)
     announce_compilation()
     from validation.compare import compare
 

@@ -14,6 +14,7 @@ from .options import (
     EffectsOption,
     JobsOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     RecordingArgument,
     ReportOption,
@@ -34,6 +35,7 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
     jobs: JobsOption = 2,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the weighing."), Writes(picture)
@@ -47,8 +49,8 @@ def command(
     pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, mapping)
-    other = None if check is None else load_recording(check, mapping)
+    measured = load_recording(recording, mapping, map_file)
+    other = None if check is None else load_recording(check, mapping, map_file)
     announce_compilation()
     from validation.diagnosis import diagnose
 

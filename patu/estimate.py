@@ -17,6 +17,7 @@ from .options import (
     EffectsOption,
     EngineOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     OutputOption,
     RecordingArgument,
@@ -61,6 +62,7 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
     json: JsonOption = None,
 ) -> None:
     """Estimate the whole state of the crane from a recording: states with 95 % intervals, innovations, consistency.
@@ -73,7 +75,7 @@ def command(
     chosen = load_crane(crane, effects)
     from crane_exudyn.vetting import vetted  # imports compiled code, of which the effects must be part
 
-    measured = vetted(load_recording(recording, mapping).require(sensors=1), chosen)
+    measured = vetted(load_recording(recording, mapping, map_file).require(sensors=1), chosen)
     std = sensor_noise(chosen, measured, sensors)
     announce_compilation()
     from ukf.estimator import Estimator

@@ -14,6 +14,7 @@ from .options import (
     EffectsOption,
     JobsOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     RecordingArgument,
     ReportOption,
@@ -35,6 +36,7 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
     jobs: JobsOption = 2,
     most: Annotated[int, typer.Option("--most", metavar="N", help="At most so many steps.", min=1)] = 4,
     plot: Annotated[
@@ -49,8 +51,8 @@ def command(
     which evidence; `patu remove` undoes it.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, mapping)
-    other = None if check is None else load_recording(check, mapping)
+    measured = load_recording(recording, mapping, map_file)
+    other = None if check is None else load_recording(check, mapping, map_file)
     announce_compilation()
     from validation.improvement import improve
 

@@ -15,6 +15,7 @@ from .outputs import Reads, Writes
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
+    from crane_exudyn.mapping import Column
     from crane_exudyn.recording import Recording
 
 DEFAULT_CRANE = "patu655"
@@ -50,8 +51,15 @@ EffectsOption = Annotated[
 MapOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--map", metavar="NAME=COLUMN[UNIT]", help="Other column name, such as z1=BoomAngle[deg]; repeatable."
+        "--map",
+        metavar="NAME=COLUMN[UNIT]",
+        help="Other column name, such as z1=BoomAngle[deg], or sign, z1=-z1; repeatable.",
     ),
+]
+MapFileOption = Annotated[
+    Path | None,
+    typer.Option("--map-file", metavar="FILE.toml", help="Names, units, signs and offsets of the recording's columns."),
+    Reads(),
 ]
 JsonOption = Annotated[
     str | None,
@@ -94,29 +102,19 @@ def load_crane(crane: str, effects: Sequence[Path] | None = None) -> Crane:
         return Crane.load(crane)
 
 
-def parse_map(entries: Sequence[str] | None) -> dict[str, str]:
-    """Return {channel: column} of `--map z1=BoomAngle[deg]` options.
-
-    Raises:
-        CraneError: an entry without "=", or a channel mapped twice.
-    """
-    mapping: dict[str, str] = {}
-    for entry in entries or ():
-        name, equals, column = (part.strip() for part in entry.partition("="))
-        if not (name and equals and column):
-            raise CraneError(f"--map {entry!r} is not of the form NAME=COLUMN[UNIT], such as z1=BoomAngle[deg].")
-        if name in mapping:
-            raise CraneError(f"--map gives {name!r} twice: {mapping[name]!r} and {column!r}. Keep one.")
-        mapping[name] = column
-    return mapping
-
-
-def load_recording(path: Path, entries: Sequence[str] | None = None) -> Recording:
-    """Return the recording at `path`, its columns mapped as `--map` says."""
+def load_recording(path: Path, entries: Sequence[str] | None = None, map_file: Path | None = None) -> Recording:
+    """Return the recording at `path`, its columns mapped as `--map-file` says, and `--map`, which goes before it."""
     from crane_exudyn.recording import Recording
 
     with doing(f"reading {path}"):
-        return Recording.load(path, mapping=parse_map(entries))
+        return Recording.load(path, mapping=load_mapping(entries, map_file))
+
+
+def load_mapping(entries: Sequence[str] | None, map_file: Path | None) -> dict[str, Column]:
+    """Return {channel: column} of `--map-file`, and of `--map`, which goes before it."""
+    from crane_exudyn.mapping import load_map, parse_map
+
+    return (load_map(map_file) if map_file is not None else {}) | parse_map(entries)
 
 
 def make_engine(name: EngineName, crane: Crane) -> Any:
