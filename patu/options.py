@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -61,6 +62,9 @@ MapFileOption = Annotated[
     typer.Option("--map-file", metavar="FILE.toml", help="Names, units, signs and offsets of the recording's columns."),
     Reads(),
 ]
+AnywayOption = Annotated[
+    bool, typer.Option("--anyway", help="Use a recording in which `patu check` finds errors all the same.")
+]
 JsonOption = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the result as JSON; - for standard output."),
@@ -108,6 +112,26 @@ def load_recording(path: Path, entries: Sequence[str] | None = None, map_file: P
 
     with doing(f"reading {path}"):
         return Recording.load(path, mapping=load_mapping(entries, map_file))
+
+
+def load_checked(
+    path: Path, crane: Crane, entries: Sequence[str] | None, map_file: Path | None, *, anyway: bool
+) -> Recording:
+    """Return the recording at `path` after `patu check` has looked at it; what is hardly plausible about it is told on standard error.
+
+    Raises:
+        CraneError: something in it is surely wrong, and it is not to be used anyway; every such finding with its mend.
+    """
+    from crane_exudyn.vetting import accepted, vet  # imports compiled code, of which the effects must be part
+
+    recording = load_recording(path, entries, map_file)
+    findings = vet(recording, crane)
+    for finding in (f for f in findings if f.severity == "warning" or anyway):
+        print(f"{path}: {finding.severity}: {finding.text}. {finding.mend}", file=sys.stderr)
+    try:
+        return accepted(recording, findings, anyway=anyway)
+    except CraneError as problem:
+        raise CraneError(f"{problem} To use it all the same, give --anyway.") from None
 
 
 def load_mapping(entries: Sequence[str] | None, map_file: Path | None) -> dict[str, Column]:
