@@ -40,13 +40,20 @@ def clock_of(machine: Machine, grid: Grid) -> Clock | None:
     stands = _misfits(machine, grid, np.zeros(1))
     if stands is None or np.isnan(stands).all():
         return None
-    late = _best(machine, grid, np.zeros(stands.shape[1]), _COARSE)[1]
-    misfit, late = _best(machine, grid, late, _FINE)
+    late, misfit = np.where(np.isnan(stands[0]), np.nan, 0.0), stands[0]
+    if _could_gain(misfit).any():
+        late = _best(machine, grid, np.zeros(stands.shape[1]), _COARSE)[1]
+        misfit, late = _best(machine, grid, late, _FINE)
     told = np.log((stands[0] + _BEST) / (misfit + _BEST)) > _BETTER
     late = np.where(misfit < _FOLLOWS, np.where(told, late, 0.0), np.nan)
     if np.isnan(late).all():
         return None
     return Clock(late, _drift(machine, grid, late, misfit))
+
+
+def _could_gain(misfit: np.ndarray) -> np.ndarray:
+    """Return where misfits (n,) leave room for a clock that is better by enough."""
+    return np.asarray(np.log((misfit + _BEST) / _BEST) > _BETTER)
 
 
 def _misfits(machine: Machine, grid: Grid, late: np.ndarray, drift: float = 0.0) -> np.ndarray | None:
@@ -68,6 +75,8 @@ def _best(
 def _drift(machine: Machine, grid: Grid, late: np.ndarray, misfit: np.ndarray) -> float:
     """Return the drift with which every piston follows its commands far better, 0 if there is none."""
     steps, seen = np.arange(-0.4, 0.401, 0.1), ~np.isnan(late)
+    if not _could_gain(misfit[seen]).any():
+        return 0.0
 
     def left(drift: float) -> float:
         return float(np.mean(np.log(_best(machine, grid, late, steps, drift)[0][seen] + _BEST)))

@@ -25,7 +25,9 @@ from .statics import static_start, vapour_pressure
 #: s: step of the common grid, what of a recording is looked at, width of the smoothing, what a window spans, and what a load's change takes
 STEP, LONGEST, SMOOTH, SPAN, LOAD_SPAN = 0.02, 60.0, 0.16, 0.4, 1.2
 #: windows begin every so many steps of the grid; the statics are solved at so many poses
-_EVERY, _POSES = 5, 60
+_EVERY, _POSES = 5, 40
+#: rad within which the statics are those of one pose
+_NEAR = 0.01
 #: by this factor wear, another valve or an effect may change a flow or a stiffness
 _GAIN = 2.5
 #: Pa above the lowest pressure below which a chamber may hold a void, so that its oil is not shut in
@@ -170,11 +172,12 @@ class Machine:
         return np.asarray((lengths > low - PLAY) & (lengths < high + PLAY))
 
     def holding(self, z: np.ndarray) -> np.ndarray:
-        """Return the forces (2, K, cylinders) in N that hold the machine at z (K, n), with the least and the greatest payload; NaN where none do."""
-        key = z.tobytes()
-        if key not in self._forces:
-            self._forces[key] = np.array([[self._held(crane, pose) for pose in z] for crane in self._loads])
-        return self._forces[key]
+        """Return the forces (2, K, cylinders) in N that hold the machine near z (K, n), with the least and the greatest payload; NaN where none do."""
+        near = np.round(z / _NEAR) * _NEAR
+        for pose in near:
+            if pose.tobytes() not in self._forces:
+                self._forces[pose.tobytes()] = np.array([self._held(crane, pose) for crane in self._loads])
+        return np.stack([self._forces[pose.tobytes()] for pose in near], axis=1)
 
     def _held(self, crane: Crane, pose: np.ndarray) -> list[float]:
         count = len(self.layout.cylinders)
@@ -193,14 +196,19 @@ class Machine:
 
 def misfits(machine: Machine, grid: Grid) -> Misfits:
     """Return how far each balance is off that the channels of a recording can tell."""
+    return motions(machine, grid) | loads(machine, grid)
+
+
+def motions(machine: Machine, grid: Grid) -> Misfits:
+    """Return how far all balances are off but those of loads, which take longest."""
     ch, z = grid.channels, positions(machine, grid)
     lengths = machine.lengths(z)
-    out = _sums(machine, ch) | _rates(machine, grid, ch) | _lengths(machine, ch, lengths) | _reach(machine, ch, lengths)
+    out = _sums(machine, ch) | _rates(machine, grid, ch) | _lengths(machine, ch, lengths) | reach(machine, grid)
     spools = _spools(machine, grid, ch)
     if spools is not None:
         for c in range(len(machine.layout.cylinders)):
             out |= _flows(machine, grid, ch, c, lengths[:, c], spools[:, c])
-    return out | _moments(machine, grid, ch, z, spools)
+    return out
 
 
 def positions(machine: Machine, grid: Grid) -> np.ndarray:
@@ -256,9 +264,9 @@ def _lengths(machine: Machine, ch: Channels, lengths: np.ndarray) -> Misfits:
     }
 
 
-def _reach(machine: Machine, ch: Channels, lengths: np.ndarray) -> Misfits:
-    """A pose that the linkage or a cylinder cannot have, as a share of the time."""
-    lay, good = machine.layout, machine.reaches(lengths)
+def reach(machine: Machine, grid: Grid) -> Misfits:
+    """Return for which share of the time each cylinder does not reach the pose, or the linkage cannot have it."""
+    lay, ch, good = machine.layout, grid.channels, machine.reaches(machine.lengths(positions(machine, grid)))
     measured = {n: n in ch or f"{n}_abs" in ch for n in lay.coordinates}
     return {
         ("reach", c): Misfit(1.0 - float(good[:, i].mean()))
@@ -327,9 +335,10 @@ def _noise_of_length(machine: Machine, grid: Grid, c: int, length: np.ndarray) -
     return 0.3 * max((grid.noise[n] for n in angles), default=0.0)
 
 
-def _moments(machine: Machine, grid: Grid, ch: Channels, z: np.ndarray, spools: np.ndarray | None) -> Misfits:
-    """What the cylinders hold is what the weights ask for, with some payload; and changes as that does while the valve is closed."""
-    lay, out = machine.layout, {}
+def loads(machine: Machine, grid: Grid) -> Misfits:
+    """Return how far what the cylinders hold is from what the weights ask for, with some payload; and its changes while the valve is closed."""
+    lay, out, ch, z = machine.layout, Misfits(), grid.channels, positions(machine, grid)
+    spools = _spools(machine, grid, ch)
     if not np.isfinite(z).all():
         return {}
     at = np.linspace(0, len(grid.time) - 1, min(_POSES, len(grid.time))).astype(int)

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from .consistency import CLOSES, WORN, Channels, Grid, Machine, Misfit, Misfits, misfits
+from .consistency import CLOSES, WORN, Channels, Grid, Machine, Misfit, Misfits, loads, misfits, motions, reach
 from .sensors import SENSORS
 
 Kind = Literal["sign", "swapped", "absolute", "scale", "offset"]
@@ -169,16 +169,26 @@ def plausible(machine: Machine, grid: Grid, names: Iterable[str]) -> bool:
     return True
 
 
-def weigh(machine: Machine, grid: Grid) -> list[Weighed]:
-    """Return all other readings of a recording's channels that are of a plausible size, best first."""
+def weigh(machine: Machine, grid: Grid, least: float) -> list[Weighed]:
+    """Return the other readings of a recording's channels that are of a plausible size and better by `least`, best first."""
     before = misfits(machine, grid)
+    hope = sum(_ratio(k, m, Misfit(0.0)) for k, m in before.items() if k[0] in ("moment", "held"))
     found = []
     for reading in readings(machine, grid.channels):
         other = reading.of(grid)
-        if plausible(machine, other, reading.made):
-            after = misfits(machine, other)
-            found.append(Weighed(reading, _gain(reading.kind, before, after), before, after))
-    return sorted(found, key=lambda w: -w.gain)
+        if not (plausible(machine, other, reading.made) and _within(reach(machine, other), before)):
+            continue
+        after = motions(machine, other)
+        if _gain(reading.kind, before, after) + hope < least:
+            continue
+        after |= loads(machine, other)
+        found.append(Weighed(reading, _gain(reading.kind, before, after), before, after))
+    return sorted((w for w in found if w.gain > least and w.closes), key=lambda w: -w.gain)
+
+
+def _within(poses: Misfits, before: Misfits) -> bool:
+    """Whether poses are not out of reach more often than they were."""
+    return all(m.off <= CLOSES[k[0]] or m.off <= before[k].off for k, m in poses.items() if k in before)
 
 
 def _gain(kind: Kind, before: Misfits, after: Misfits) -> float:
@@ -192,7 +202,7 @@ def mistaken(machine: Machine, grid: Grid, least: float) -> tuple[list[list[Weig
     """Return the readings that a recording asks for, one after the other, each with its rivals behind it; and the channels so read."""
     found: list[list[Weighed]] = []
     for _ in range(_MOST):
-        ranked = [w for w in weigh(machine, grid) if w.gain > least and w.closes]
+        ranked = weigh(machine, grid, least)
         if not ranked:
             break
         found.append([w for w in ranked if w.gain > ranked[0].gain - _TIED])

@@ -45,8 +45,10 @@ _POSES, _SHARE = 400, 0.05
 _SEEN, _DECISIVE = 1.0, 1.5
 #: s: motion before its command that no error of a model makes, delays that two valves have not, or hardly, and that no valve has; within which they are equal
 _EARLY, _DELAYED, _LONG, _TOGETHER = 0.04, 0.1, 0.6, 0.06
-#: share of samples that stand at a limit beyond which a channel is cut off; share of what a channel shows that makes a step coarse
-_CUT, _COARSE = 0.01, 0.01
+#: share of samples that stay at a limit beyond which a channel is cut off, where of the others not so many stay
+_CUT, _KEPT = 0.01, 0.2
+#: share of what a channel shows that makes a step coarse
+_COARSE = 0.01
 #: a spool command above this opens a valve enough to be felt
 OPEN = 0.05
 #: s in which a machine does not ring; correlation of neighbouring samples from which noise is not white
@@ -401,17 +403,18 @@ def _clock(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 
 def _saturation(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    """Find channels that are cut off: they stand exactly at their largest or smallest value again and again, for several samples."""
-    for name in recording.sensors:
+    """Find channels that are cut off: they keep exactly their largest or smallest value, and no other."""
+    for name in (n for n in recording.sensors if n not in recording.noise_free() and not _is_constant(recording[n])):
         values = recording[name].values
-        if _is_constant(recording[name]) or quantisation(values) > _COARSE * float(np.ptp(values)):
-            continue
+        kept = values[1:] == values[:-1]
         for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
-            stuck = values == limit
-            share = float((stuck[1:] & stuck[:-1]).mean())
-            at_floor = SENSORS[name] == "Pa" and limit <= vapour_pressure(crane)
-            if share > _CUT and not at_floor:
-                text = f"{name} stands at its {word} value {limit:.4g} {SENSORS[name]} in {100 * share:.0f} % of its samples: it is cut off, frozen or not connected"
+            there = values[1:] == limit
+            cut = (kept & there).mean() > _CUT and kept[~there].mean() < _KEPT
+            if cut and not (SENSORS[name] == "Pa" and limit <= vapour_pressure(crane)):
+                text = (
+                    f"{name} stands at its {word} value {limit:.4g} {SENSORS[name]} in {100 * there.mean():.0f} % of its samples: "
+                    "it is cut off, frozen or not connected"
+                )
                 yield Finding("saturation", (name,), "warning", text, "Mend its range, or leave the channel out.")
 
 
