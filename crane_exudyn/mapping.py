@@ -175,8 +175,8 @@ def _table(name: str, column: Column) -> str:
     lines = [f"[{name}]", f"column = {_quoted(column.header)}"]
     lines += [f"unit = {_quoted(column.unit)}"] if column.unit is not None else []
     lines += ["sign = -1"] if column.factor < 0.0 else []
-    lines += [f"scale = {size:.6g}"] if size != 1.0 else []
-    lines += [f"offset = {_quoted(f'{column.offset:.6g} {unit}'.strip())}"] if column.offset else []
+    lines += [f"scale = {size:.12g}"] if size != 1.0 else []
+    lines += [f"offset = {_quoted(f'{column.offset:.12g} {unit}'.strip())}"] if column.offset else []
     lines += [f'late = "{column.late:.6g} s"'] if column.late else []
     lines += [f"drift = {column.drift:.6g}"] if column.drift else []
     return "\n".join(lines) + "\n"

@@ -42,7 +42,7 @@ _SLOWEST_CLOCK, _FASTEST_CLOCK = 2.0, 2e5
 #: how many poses are looked at, and the share of them beyond reach that is no longer an outlier
 _POSES, _SHARE = 400, 0.05
 #: logs by which another reading must be better to be told, and to be decisive
-_SEEN, _DECISIVE = 1.0, 1.5
+_SEEN, _DECISIVE = 1.2, 1.5
 #: s: motion before its command that no error of a model makes, delays that two valves have not, or hardly, and that no valve has; within which they are equal
 _EARLY, _DELAYED, _LONG, _TOGETHER = 0.04, 0.1, 0.6, 0.06
 #: share of samples that stay at a limit beyond which a channel is cut off, where of the others not so many stay

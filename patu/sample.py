@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import DEFAULT_CRANE, CraneOption, JsonOption, load_crane
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
 from .output import Printer, announce_compilation
 from .outputs import Writes, saving
 
@@ -21,10 +21,11 @@ _FILES = ("*.csv", "logger.toml")
 def command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write to."), Writes(files=_FILES)],
     crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
     """Write recordings to play with, simulated on the spot: a sound one, a hidden effect, and what loggers make of one."""
-    chosen = load_crane(crane)
+    chosen = load_crane(crane, effects)
     announce_compilation()
     from validation.sample import samples
 
