@@ -13,16 +13,18 @@ from crane_exudyn.errors import CraneError
 
 from .options import (
     DEFAULT_CRANE,
+    AnywayOption,
     CraneOption,
     EffectsOption,
     EngineOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     OutputOption,
     RecordingArgument,
     ReportOption,
+    load_checked,
     load_crane,
-    load_recording,
     picture,
 )
 from .output import Printer, announce_compilation, progress
@@ -61,6 +63,8 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
+    anyway: AnywayOption = False,
     json: JsonOption = None,
 ) -> None:
     """Estimate the whole state of the crane from a recording: states with 95 % intervals, innovations, consistency.
@@ -71,9 +75,7 @@ def command(
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
     chosen = load_crane(crane, effects)
-    from crane_exudyn.vetting import vetted  # imports compiled code, of which the effects must be part
-
-    measured = vetted(load_recording(recording, chosen, mapping).require(sensors=1), chosen)
+    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
     announce_compilation()
     from ukf.estimator import Estimator
