@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +15,10 @@ _DRIFTS, _FINE_DRIFTS = (
     np.array([-0.05, -0.03, -0.02, -0.01, -0.005, 0.005, 0.01, 0.02, 0.03, 0.05]),
     np.linspace(-0.5, 0.5, 9),
 )
-#: misfit of flows that the best machine has; what counts as following; log by which another clock must be better
-_BEST, _FOLLOWS, _BETTER = 0.003, 0.25, 1.0
+#: misfit of flows that the best machine has; what counts as following
+_BEST, _FOLLOWS = 0.003, 0.25
+#: logs by which another clock must be better, and by which clocks of their own must be better for the valves than one for all
+_BETTER, _APART = 1.0, 0.7
 
 
 @dataclass(frozen=True)
@@ -37,54 +40,59 @@ class Clock:
 
 def clock_of(machine: Machine, grid: Grid) -> Clock | None:
     """Return how late the machine acts on its commands; None where no piston follows them however late."""
-    stands = _misfits(machine, grid, np.zeros(1))
+    stands = _logs(machine, grid, np.zeros(1))
     if stands is None or np.isnan(stands).all():
         return None
-    late, misfit = np.where(np.isnan(stands[0]), np.nan, 0.0), stands[0]
-    if _could_gain(misfit).any():
-        late = _best(machine, grid, np.zeros(stands.shape[1]), _COARSE)[1]
-        misfit, late = _best(machine, grid, late, _FINE)
-    told = np.log((stands[0] + _BEST) / (misfit + _BEST)) > _BETTER
-    late = np.where(misfit < _FOLLOWS, np.where(told, late, 0.0), np.nan)
+    seen = np.flatnonzero(~np.isnan(stands[0]))
+    late = np.full(stands.shape[1], np.nan)
+    late[seen] = _late(machine, grid, stands[0, seen], seen)
+    after = _logs(machine, grid, late[seen])
+    assert after is not None
+    left = after[np.arange(len(seen)), seen]
+    late[seen[left > math.log(_FOLLOWS)]] = np.nan
     if np.isnan(late).all():
         return None
-    return Clock(late, _drift(machine, grid, late, misfit))
+    return Clock(late, _drift(machine, grid, late, left[left <= math.log(_FOLLOWS)]))
 
 
-def _could_gain(misfit: np.ndarray) -> np.ndarray:
-    """Return where misfits (n,) leave room for a clock that is better by enough."""
-    return np.asarray(np.log((misfit + _BEST) / _BEST) > _BETTER)
+def _late(machine: Machine, grid: Grid, stands: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return how late each piston that is seen (s,) follows: all alike, unless they follow far better each with its own lateness."""
+    if (stands - math.log(_BEST)).sum() < _BETTER:  # no room for anything better
+        return np.zeros(len(seen))
+    tried = _COARSE
+    for _ in range(2):
+        logs = _logs(machine, grid, tried)
+        assert logs is not None
+        own, alike = logs[:, seen].argmin(axis=0), logs[:, seen].sum(axis=1).argmin()
+        tried, last = np.unique(np.round(np.append(tried[own], tried[alike])[:, None] + _FINE, 6)), tried
+    logs = logs[:, seen]
+    if stands.sum() - logs[alike].sum() > _BETTER and logs[alike].sum() - logs.min(axis=0).sum() < _APART:
+        return np.full(len(seen), last[alike])
+    return np.where(stands - logs.min(axis=0) > _BETTER, last[own], 0.0)
 
 
-def _misfits(machine: Machine, grid: Grid, late: np.ndarray, drift: float = 0.0) -> np.ndarray | None:
-    return flow_misfits(machine, grid, late[:, None] + drift * (grid.time - grid.time.mean()))
+def _logs(machine: Machine, grid: Grid, late: np.ndarray, drift: float = 0.0) -> np.ndarray | None:
+    """Return the logarithms of the misfits of each cylinder's flows (L, cylinders) for some lateness (L,)."""
+    found = flow_misfits(machine, grid, late[:, None] + drift * (grid.time - grid.time.mean()))
+    return None if found is None else np.log(found + _BEST)
 
 
-def _best(
-    machine: Machine, grid: Grid, around: np.ndarray, steps: np.ndarray, drift: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least misfit of each cylinder (cylinders,) and the lateness that has it, by steps around given ones."""
-    tried = np.unique(np.round(np.nan_to_num(around)[:, None] + steps, 6))
-    found = _misfits(machine, grid, tried, drift)
-    assert found is not None
-    known = ~np.isnan(found).all(axis=0)
-    at = np.nanargmin(np.where(known, found, 0.0), axis=0)
-    return np.where(known, found[at, np.arange(found.shape[1])], np.nan), np.where(known, tried[at], np.nan)
-
-
-def _drift(machine: Machine, grid: Grid, late: np.ndarray, misfit: np.ndarray) -> float:
-    """Return the drift with which every piston follows its commands far better, 0 if there is none."""
-    steps, seen = np.arange(-0.4, 0.401, 0.1), ~np.isnan(late)
-    if not _could_gain(misfit[seen]).any():
+def _drift(machine: Machine, grid: Grid, late: np.ndarray, stands: np.ndarray) -> float:
+    """Return the drift with which the pistons follow their commands far better, 0 if there is none."""
+    seen = np.flatnonzero(~np.isnan(late))
+    if (stands - math.log(_BEST)).sum() < _BETTER:
         return 0.0
+    around = np.unique(np.round(late[seen][:, None] + np.arange(-0.4, 0.401, 0.1), 6))
 
-    def left(drift: float) -> float:
-        return float(np.mean(np.log(_best(machine, grid, late, steps, drift)[0][seen] + _BEST)))
+    def left(drift: float) -> np.ndarray:
+        logs = _logs(machine, grid, around, drift)
+        assert logs is not None
+        return np.asarray(logs[:, seen].min(axis=0))
 
-    coarse = min(_DRIFTS.tolist(), key=left)
-    fine = min((coarse + 0.5 * abs(coarse) * _FINE_DRIFTS).tolist(), key=left)
-    gains = np.log(misfit[seen] + _BEST) - np.log(_best(machine, grid, late, steps, fine)[0][seen] + _BEST)
-    return fine if gains.min() > 0.0 and gains.mean() > _BETTER else 0.0
+    coarse = min(_DRIFTS.tolist(), key=lambda drift: left(drift).sum())
+    fine = min((coarse + 0.5 * abs(coarse) * _FINE_DRIFTS).tolist(), key=lambda drift: left(drift).sum())
+    gains = stands - left(fine)
+    return float(fine) if gains.sum() > _BETTER and gains.min() > 0.0 else 0.0
 
 
 def mended(grid: Grid, clock: Clock, commands: tuple[str, ...]) -> Grid:

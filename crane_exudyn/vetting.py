@@ -43,9 +43,9 @@ _SLOWEST_CLOCK, _FASTEST_CLOCK = 2.0, 2e5
 #: how many poses are looked at, and the share of them beyond reach that is no longer an outlier
 _POSES, _SHARE = 400, 0.05
 #: logs by which another reading must be better to be told, and to be decisive
-_SEEN, _DECISIVE = 1.2, 1.5
-#: s: motion before its command that no error of a model makes, delays that two valves have not, or hardly, and that no valve has; within which they are equal
-_EARLY, _DELAYED, _LONG, _TOGETHER = 0.04, 0.1, 0.6, 0.06
+_SEEN, _DECISIVE = 0.9, 1.4
+#: s: motion before its command that no error of a model makes, delays that two valves have not, or hardly, and that no valve has
+_EARLY, _DELAYED, _LONG = 0.04, 0.1, 0.6
 #: share of samples that stay at a limit beyond which a channel is cut off, where of the others not so many stay
 _CUT, _KEPT = 0.01, 0.2
 #: share of what a channel shows that makes a step coarse
@@ -103,7 +103,11 @@ def vet(recording: Recording, crane: Crane) -> list[Finding]:
 def contents(recording: Recording, crane: Crane) -> list[Finding]:
     """Return what cannot be true of single channels, or hardly, worst first; in well under a second."""
     looks = (_pressures, _supply, _motion, _lengths, _poses, _clock, _saturation, _steps, _noise, _start)
-    found = [finding for look in looks for finding in look(recording, crane)]
+    found: list[Finding] = []
+    for finding in (f for look in looks for f in look(recording, crane)):
+        wrong = {n for f in found if f.severity == "error" for n in f.channels}
+        if not wrong.intersection(finding.channels):  # one reason is enough
+            found.append(finding)
     return sorted(found, key=lambda f: _SEVERITIES.index(f.severity))
 
 
@@ -210,21 +214,14 @@ def _of_clock(
         yield Finding("clock", names, "error", text, _typed(crane, fix), fix)
         return
     told = clock.late[~np.isnan(clock.late)]
-    together = bool(np.ptp(told) < _TOGETHER)
-    groups = (
-        [(commands, float(told.mean()))]
-        if together
-        else [((n,), float(v)) for n, v in zip(commands, clock.late, strict=True)]
-    )
-    for group, late in groups:
-        names = _recorded(recording, crane, group)
-        if not (late < -_EARLY or late > (_DELAYED if together and len(told) > 1 else _LONG)):
-            continue
-        words = "before they command it" if late < 0.0 else "after they command it"
-        severity: Severity = "error" if late < -2.0 * _EARLY or late > _LONG else "warning"
-        text = f"{' and '.join(names)}: the machine moves {abs(late):.2g} s {words}"
-        fix = {n: replace(columns[n], late=-late) for n in names}
-        delay = "" if late < 0.0 else " Or the valves delay: see the effect command_delay."
+    shift = float(told.min())  # a valve may delay, but nothing moves before its command
+    if shift < -_EARLY or shift > (_DELAYED if len(told) > 1 else _LONG):
+        names = _recorded(recording, crane, commands)
+        words = "before they command it" if shift < 0.0 else "after they command it"
+        severity: Severity = "error" if shift < -2.0 * _EARLY or shift > _LONG else "warning"
+        text = f"{' and '.join(names)}: the machine moves {abs(shift):.2g} s {words}"
+        fix = {n: replace(columns[n], late=-shift) for n in names}
+        delay = "" if shift < 0.0 else " Or the valves delay: see the effect command_delay."
         yield Finding("clock", names, severity, text, _typed(crane, fix) + delay, fix)
 
 
@@ -406,7 +403,8 @@ def _clock(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 def _saturation(recording: Recording, crane: Crane) -> Iterator[Finding]:
     """Find channels that are cut off: they keep exactly their largest or smallest value, and no other."""
-    for name in (n for n in recording.sensors if n not in recording.noise_free() and not _is_constant(recording[n])):
+    free = recording.noise_free()
+    for name in (n for n in recording.sensors if n not in free and not _is_constant(recording[n])):
         values, unit = recording[name].values, recording[name].unit
         kept = values[1:] == values[:-1]
         for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
@@ -432,10 +430,11 @@ def _steps(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 def _noise(recording: Recording, crane: Crane) -> Iterator[Finding]:
     """Find sensors whose noise is not white: neighbouring samples err alike, as those of loggers that smooth do, or of hum."""
-    for name in recording.sensors:
+    free = recording.noise_free()
+    for name in (n for n in recording.sensors if n not in free):
         channel = recording[name]
-        wide = round(_RING * sampling_rate(channel.time))
-        if wide < 6 or len(channel) < 10 * wide or name in recording.noise_free():
+        wide = 1 + 2 * round(0.5 * _RING * sampling_rate(channel.time))
+        if wide < 6 or len(channel) < 10 * wide:
             continue
         alike = _alike(channel.values, wide)
         if alike > _ALIKE:
