@@ -1,4 +1,4 @@
-"""Unknown quantities that the filter estimates along with the state, each as a slow random walk.
+"""Unknown quantities that the filter estimates along with the state, each as a slow random walk or as noise with a memory.
 
 | name | unit | what is unknown |
 |---|---|---|
@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -42,12 +43,15 @@ class Augment:
         std: standard deviation at the start, SI; None takes the crane file's uncertainty of it.
         drift: growth of the standard deviation of its random walk, SI per √s; 0 for a constant.
         lower: hard lower limit (a mass is not negative).
+        memory: time constant, s, with which it returns to its nominal value while noise keeps it at `std` around that (first-order
+            Gauss-Markov); infinite for what stays.
     """
 
     name: str
     std: float | None = None
     drift: float = 0.0
     lower: float = -np.inf
+    memory: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,15 @@ class Extra:
     std: float
     drift: float
     lower: float
+    memory: float = np.inf
+
+    def kept(self, dt: float) -> float:
+        """Return the share of its deviation from `value` that is left after `dt` s."""
+        return math.exp(-dt / self.memory)
+
+    def variance(self, dt: float) -> float:
+        """Return the variance that `dt` s add."""
+        return self.drift**2 * dt + self.std**2 * -math.expm1(-2.0 * dt / self.memory)
 
 
 def resolve(crane: Crane, augment: Iterable[Augment | str]) -> tuple[Extra, ...]:
@@ -84,7 +97,7 @@ def _resolve_one(crane: Crane, wanted: Augment) -> Extra:
             f"augmented state {wanted.name!r}: a standard deviation of {std:g} at the start cannot be used. "
             f'Give a positive one: Augment("{wanted.name}", std=…).'
         )
-    return Extra(wanted.name, kind, value, std, wanted.drift, max(wanted.lower, lower))
+    return Extra(wanted.name, kind, value, std, wanted.drift, max(wanted.lower, lower), wanted.memory)
 
 
 def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:

@@ -302,24 +302,24 @@ class Recorder:
         size = count if smooth else 0
         self._keeps = smooth or keep_covariance
         self.covariance = np.empty((count if self._keeps else 0, n, n))
-        self._prior_covariance, self._cross = np.empty((size, n, n)), np.empty((size, n, n))
-        self._prior_mean = np.empty((size, n))
+        self.prior_covariance, self.cross = np.empty((size, n, n)), np.empty((size, n, n))
+        self.prior_mean = np.empty((size, n))
 
     def start(self, belief: Any) -> None:
         """Note the belief before the first step."""
         self._keep(0, belief)
         if self.smooth:
-            self._prior_mean[0], self._prior_covariance[0], self._cross[0] = belief.mean, belief.covariance, 0.0
+            self.prior_mean[0], self.prior_covariance[0], self.cross[0] = belief.mean, belief.covariance, 0.0
 
     def predicted(self, prior: Any) -> None:
         """Note a prediction for the smoother."""
         k = self._at + 1
-        self._prior_mean[k], self._prior_covariance[k], self._cross[k] = prior.mean, prior.covariance, prior.cross
+        self.prior_mean[k], self.prior_covariance[k], self.cross[k] = prior.mean, prior.covariance, prior.cross
 
     def cut(self, belief: Any) -> None:
         """Tell the smoother that the filter was restarted: nothing passes back over this instant."""
         k = self._at + 1
-        self._prior_mean[k], self._prior_covariance[k], self._cross[k] = belief.mean, belief.covariance, 0.0
+        self.prior_mean[k], self.prior_covariance[k], self.cross[k] = belief.mean, belief.covariance, 0.0
 
     def note(
         self,
@@ -387,7 +387,7 @@ class Recorder:
 
     def _smoothed(self, pressures: slice, floor: float) -> dict[str, Any]:
         """Return what the smoother makes of mean, std and covariance."""
-        mean, covariance = smooth(self.mean, self.covariance, self._prior_mean, self._prior_covariance, self._cross)
+        mean, covariance = smooth(self.mean, self.covariance, self.prior_mean, self.prior_covariance, self.cross)
         variance = np.einsum("nii->ni", covariance).copy()
         show(mean, variance, pressures, floor)
         return {"mean": mean, "std": _root_of(variance), "covariance": covariance}

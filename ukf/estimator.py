@@ -34,7 +34,7 @@ from .process import Process, engine_of
 from .samples import command_of, first_stamp, impossible, number, readings_of
 from .second_opinion import SecondOpinion
 from .signals import LONG_GAP, Plan, Signals
-from .start import ANGLE, RIVALS, showing, start_belief, taken
+from .start import ANGLE, PRESSURE, RIVALS, showing, start_belief, taken
 from .visible import show
 
 #: in the first so many seconds of a recording a leap puts the start in doubt
@@ -82,6 +82,7 @@ class Estimator:
         start: mean and covariance (8, …) of the state to start with; without it, the crane at rest as measured first.
         gate: how many standard deviations an innovation may leap before the sample is rejected; None for no gate.
         max_step: longest integration step of the engine, s; longer intervals are cut evenly.
+        pressure_std: standard deviation at the start of a pressure that no sensor shows, Pa.
 
     Raises:
         CraneError: an unknown sensor, filter, engine or quantity, or a noise that is not positive.
@@ -98,6 +99,7 @@ class Estimator:
         start: Belief | None = None,
         gate: float | None = 6.0,
         max_step: float = 1e-3,
+        pressure_std: float = PRESSURE,
     ) -> None:
         self.crane = crane
         self.engine = engine_of(engine, crane)
@@ -120,7 +122,7 @@ class Estimator:
         self._method_name = method
         self._method = method_of(method, np.ones(self.size))
         self._gate = np.inf if gate is None else float(gate)
-        self._start = start
+        self._start, self._pressure_std = start, float(pressure_std)
         self._noises: dict[int, np.ndarray] = {}
         self._spool: Any = None
         self.reset()
@@ -140,6 +142,15 @@ class Estimator:
     def size(self) -> int:
         """Number of estimated quantities."""
         return self._engine_states + len(self._channels.lags) + len(self._extras)
+
+    @property
+    def sensor_variance(self) -> np.ndarray:
+        """Variance (k,) of the noise of each sensor."""
+        return self._variance.diagonal()
+
+    def observe(self, points: np.ndarray) -> np.ndarray:
+        """Return what the sensors (m, k) show of states (m, n)."""
+        return self._channels.observe(points)
 
     def reset(self) -> None:
         """Forget everything that was measured."""
@@ -309,7 +320,7 @@ class Estimator:
     def _shown(self, first: Mapping[str, float], spread: Mapping[str, float]) -> Belief:
         """Return the belief (8, …) in which the sensors show `first`, give or take their noise and `spread`."""
         std = {n: float(np.hypot(self.std_of.get(n, 0.0), spread.get(n, 0.0))) for n in {*self.std_of, *spread}}
-        return start_belief(self.crane, self.engine, first, std)
+        return start_belief(self.crane, self.engine, first, std, self._pressure_std)
 
     def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
         """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n, n)."""
@@ -386,7 +397,7 @@ class Estimator:
             prior = self._method.predict(
                 self._opinion.belief,
                 self._process.over(inputs, times),
-                self._process_noise(times[-1] - times[0]),
+                self.process_noise(times[-1] - times[0]),
                 self.count,
             )
             second, innovation, variance = self._correct_some(prior, values, rows)
@@ -464,7 +475,7 @@ class Estimator:
     def _predict_and_correct(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-        noise = self._process_noise(float(times[-1] - times[0]))
+        noise = self.process_noise(float(times[-1] - times[0]))
         prior = self._method.predict(self.belief, self._process.over(inputs, times), noise, self.count)
         if recorder is not None and recorder.smooth:
             recorder.predicted(prior)
@@ -508,7 +519,8 @@ class Estimator:
         innovation[rows], variance[rows] = result.innovation, result.innovation_covariance.diagonal()
         return result, innovation, variance
 
-    def _process_noise(self, dt: float) -> np.ndarray:
+    def process_noise(self, dt: float) -> np.ndarray:
+        """Return the covariance (n, n) that `dt` s add to all that is estimated."""
         key = int(1e9 * dt + 0.5)  # round(dt, 9) costs ten times as much
         if key not in self._noises:
             if len(self._noises) > 1000:
@@ -518,7 +530,7 @@ class Estimator:
             full[: len(known), : len(known)] = known
             for k, extra in enumerate(self._extras):
                 at = self._engine_states + len(self._channels.lags) + k
-                full[at, at] = extra.drift**2 * dt
+                full[at, at] = extra.variance(dt)
             self._noises[key] = full
         return self._noises[key]
 
@@ -561,6 +573,18 @@ class Estimator:
         Raises:
             CraneError: the recording has none of the sensors, or no commands.
         """
+        recorder, plan = self.recorded(recording, smooth=smooth, keep_covariance=keep_covariance, progress=progress)
+        return recorder.estimate(plan, self.events, self.crane, self._method_name, self._std, self._floor)
+
+    def recorded(
+        self,
+        recording: Any,
+        *,
+        smooth: bool = False,
+        keep_covariance: bool = False,
+        progress: Callable[[float], None] | None = None,
+    ) -> tuple[Recorder, Plan]:
+        """Return what a run over a recording leaves behind, and the instants that it went over; see `run`."""
         signals = recording if isinstance(recording, Signals) else Signals.of(recording, self.crane)
         self.reset()
         plan = signals.plan(self.crane, self.channel_names, self.max_step)
@@ -579,7 +603,7 @@ class Estimator:
             recorder.note(k, self.belief, *result)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
-        return recorder.estimate(plan, self.events, self.crane, self._method_name, self._std, self._floor)
+        return recorder, plan
 
     def _on_plan(
         self, plan: Plan, k: int, recorder: Recorder | None = None

@@ -37,8 +37,12 @@ def taken(first: Mapping[str, float]) -> tuple[str, ...]:
     return tuple(n for n in known if not set(RIVALS.get(n, ())) & set(known))
 
 
-def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Mapping[str, float]) -> Belief:
+def start_belief(
+    crane: Crane, engine: Any, first: Mapping[str, float], std: Mapping[str, float], pressure: float = PRESSURE
+) -> Belief:
     """Return the belief (8, …) from the first measurements `first` (SI, NaN for missing) and their noise `std`.
+
+    `pressure` is the standard deviation of a pressure that no sensor shows, Pa.
 
     Angles come from z1, z4, z4_abs or the cylinder lengths, else from the crane file. Pressures follow from the balance
     of moments at rest (`engine.static_start`): the cylinder's force is known, so one measured pressure gives the other.
@@ -52,7 +56,7 @@ def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Map
     for name in lay.coordinates:
         carried = sum(known.get(f"d{n}", 0.0) for n in lay.absolute(name)[:-1])
         mean[lay.index(f"d{name}")] = known.get(f"d{name}", known.get(f"d{name}_abs", 0.0) - carried)
-    deviation[lay.positions], deviation[lay.pressures] = z_std, PRESSURE
+    deviation[lay.positions], deviation[lay.pressures] = z_std, pressure
     deviation[lay.velocities] = np.hypot(RATE, 0.5 * mean[lay.velocities])
     for cylinder in range(len(lay.cylinders)):
         _set_pressures(crane, cylinder, mean, deviation, known, std)

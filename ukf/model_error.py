@@ -1,0 +1,208 @@
+"""What the model may be wrong about, as states with a memory whose sizes the innovations tell.
+
+Process noise that is white says that a model errs anew at every instant, and averages out. Errors of a model do not: a leak, a load
+or a valve that is not as the file says acts for seconds in one direction, and what no sensor measures follows it. So the
+filter estimates along with the state what may act so, each unknown as first-order Gauss-Markov noise:
+
+| unknown | acts | size that is expected | memory |
+|---|---|---|---|
+| a moment on each joint | always | 5 % of what its cylinder can do | 10 s |
+| a flow into each chamber | always | 0.5 % of the valve's flow under full pump pressure | 3 s |
+| flow coefficient of each valve | while its spool is open | 10 % | 3 s |
+| pump pressure | while a valve draws from it | 5 % | 3 s |
+| volume of the hoses, which stands for softness of the oil | while the pressure changes | 50 % | 1 s |
+| a parameter that the crane file calls unknown, such as the payload | as the model says | 100 kg for a payload | constant |
+
+How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the innovations are
+most likely (`replay`), held back from leaving what is expected by a prior of half a power of ten. Then each size is opened by
+half a power of ten: the innovations tell of an unknown what it does to the sensors, and what is not measured may suffer more.
+With a model that is right all sizes fall, and the intervals are those of the filter without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn import parameters
+from crane_exudyn.crane import Crane
+from crane_exudyn.geometry import cylinder_lengths
+
+from .augment import Augment, resolve
+from .estimator import Estimator, sensor_std
+from .noise import ProcessNoise
+from .replay import Replay
+from .signals import Signals
+from .tuning import LIMITS, busiest, descend, logs_of, noise_of
+
+#: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are opened afterwards
+_PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.5
+#: how far a size is searched from what is expected, powers of ten
+_BELOW, _ABOVE = -4.0, 1.0
+#: unknowns whose size is so many powers of ten below what is expected are left out
+_NOTHING = -2.5
+#: finest step of the search in powers of ten, what a round of it must gain in log-likelihood, runs that are replayed
+_FINEST, _GAIN, _RUNS = 0.3, 2.0, 2
+#: most samples a second and longest integration step that the search uses
+_RATE, _STEP = 100.0, 5e-3
+#: standard deviation of a pressure that no sensor shows at the start, in parts of the pump pressure: the balance of moments may be wrong
+_PRESSURE = 0.3
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Quantities that share a size: their names, the size that is expected (SI) and how long they last (s)."""
+
+    names: tuple[str, ...]
+    size: float
+    memory: float
+
+    def augments(self, size: float) -> tuple[Augment, ...]:
+        """Return the quantities as states of the filter, of a given size."""
+        return tuple(Augment(n, size, memory=self.memory) for n in self.names)
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """What the filter estimates along with the state because the model may be wrong, with sizes.
+
+    Attributes:
+        unknowns, sizes: what may be wrong, and how large each is (SI).
+        noise: the white noise beside them.
+        pressure_std: of a pressure that no sensor shows, at the start, Pa.
+    """
+
+    unknowns: tuple[Unknown, ...]
+    sizes: tuple[float, ...]
+    noise: ProcessNoise
+    pressure_std: float
+
+    @property
+    def augment(self) -> tuple[Augment, ...]:
+        """The unknowns as states of the filter."""
+        pairs = zip(self.unknowns, self.sizes, strict=True)
+        return tuple(a for unknown, size in pairs for a in unknown.augments(size))
+
+    def estimator(
+        self, crane: Crane, engine: Any, sensors: Mapping[str, float] | Sequence[str], method: str = "ukf", **more: Any
+    ) -> Estimator:
+        """Return an estimator with these unknowns behind those of `augment`; other arguments as of `Estimator`."""
+        augment = (*more.pop("augment", ()), *self.augment)
+        return Estimator(crane, engine, sensors, self.noise, method, augment, pressure_std=self.pressure_std, **more)
+
+    def __repr__(self) -> str:
+        pairs = zip(self.unknowns, self.sizes, strict=True)
+        listed = [f"{' '.join(u.names)} ± {size:.2g}" for u, size in pairs]
+        return f"<ModelError: {', '.join(listed) or 'nothing'}>"
+
+
+def unknowns(crane: Crane, without: Collection[str] = ()) -> tuple[Unknown, ...]:
+    """Return what may be wrong about a crane's model, with the sizes that are expected; `without` some names."""
+    lay, pump = crane.layout, crane["supply.pump_pressure"]
+    found = [Unknown((name,), 0.05 * most, 10.0) for name, most in zip(lay.torques, _moments(crane), strict=True)]
+    for cylinder, sides in zip(lay.cylinders, lay.sides, strict=True):
+        valve = f"valves.{cylinder}.flow_coefficient"
+        hoses = tuple(f"cylinders.{cylinder}.hose_volume_{side}" for side in ("piston", "rod"))
+        found += [
+            Unknown(tuple(f"flow.{chamber}" for chamber in sides), 0.005 * crane[valve] * np.sqrt(pump), 3.0),
+            Unknown((valve,), 0.1 * crane[valve], 3.0),
+            Unknown(hoses, 0.5 * float(np.mean([crane[h] for h in hoses])), 1.0),
+        ]
+    found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0))
+    free = [n for n, known in crane.uncertainty.items() if not np.isfinite(known.std) and n in parameters.INDEX]
+    found += [Unknown((e.name,), e.std, np.inf) for e in resolve(crane, free)]
+    return tuple(u for u in found if not set(u.names) & set(without))
+
+
+def _moments(crane: Crane) -> list[float]:
+    """Return the moment (N m) that each joint's cylinder can do under pump pressure, in the pose to start with."""
+    lay, pose, step = crane.layout, np.array(crane.initial.pose), 1e-4
+    out = []
+    for i, name in enumerate(lay.coordinates):
+        c = lay.driven.index(name)
+        ends = np.tile(pose, (2, 1))
+        ends[:, i] += (-step, step)
+        lengths = cylinder_lengths(crane, ends)[:, c]
+        area = np.pi / 4.0 * crane[f"cylinders.{lay.cylinders[c]}.bore"] ** 2
+        out.append(float(crane["supply.pump_pressure"] * area * abs(lengths[1] - lengths[0]) / (2.0 * step)))
+    return out
+
+
+def expected(crane: Crane, without: Collection[str] = ()) -> ModelError:
+    """Return the model error with the sizes that are expected, for live use where nothing has been recorded yet."""
+    found = unknowns(crane, without)
+    return ModelError(found, tuple(u.size for u in found), ProcessNoise(), _PRESSURE * crane["supply.pump_pressure"])
+
+
+def find(
+    crane: Crane,
+    recording: Any,
+    sensors: Mapping[str, float],
+    *,
+    engine: Any = "semi-recursive",
+    augment: tuple[Any, ...] = (),
+    seconds: float = 15.0,
+    progress: Callable[[float], None] | None = None,
+) -> ModelError:
+    """Return the model error under which the innovations of a recording are most likely, opened by half a power of ten.
+
+    Args:
+        crane: the model.
+        recording: a Recording or Signals.
+        sensors: channels with noise standard deviations (SI).
+        augment: quantities that are estimated anyway.
+        seconds: how much of the recording is used, around its busiest part.
+        progress: called with the fraction done.
+    """
+    std = sensor_std(crane, sensors)
+    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
+    piece = busiest(signals, seconds).thinned(_RATE)
+    start = expected(crane, [a if isinstance(a, str) else a.name for a in augment])
+    search = _Search(start)
+    logs = search.first
+    for k in range(_RUNS):
+        if progress is not None:
+            progress(k / _RUNS)
+        now = search.model_error(logs)
+        estimator = now.estimator(crane, engine, std, augment=augment, max_step=_STEP)
+        extras = resolve(crane, now.augment)
+        logs = search.climb(Replay(estimator, piece, extras), logs)
+    return search.opened(logs)
+
+
+class _Search:
+    """The search over the logarithms [size of each unknown over what is expected, white noise as in `tuning`]."""
+
+    def __init__(self, start: ModelError) -> None:
+        self.start, self.count = start, len(start.unknowns)
+        self.first = np.concatenate([np.zeros(self.count), logs_of(start.noise)])
+        self._width = np.concatenate([np.full(self.count, _PRIOR), np.full(self.first.size - self.count, _PRIOR_NOISE)])
+        self._limits = [(_BELOW, _ABOVE)] * self.count + list(LIMITS)
+
+    def model_error(self, logs: np.ndarray) -> ModelError:
+        """Return the model error of some logarithms."""
+        sizes = tuple(float(u.size * 10.0**e) for u, e in zip(self.start.unknowns, logs, strict=False))
+        return ModelError(self.start.unknowns, sizes, noise_of(logs[self.count :]), self.start.pressure_std)
+
+    def climb(self, replay: Replay, logs: np.ndarray) -> np.ndarray:
+        """Return the most likely logarithms."""
+
+        def cost(trial: np.ndarray) -> float:
+            now = self.model_error(trial)
+            sizes = [size for u, size in zip(now.unknowns, now.sizes, strict=True) for _ in u.names]
+            prior = 0.5 * float(np.sum(((trial - self.first) / self._width) ** 2))
+            return prior - replay.log_likelihood(now.noise, sizes)
+
+        return descend(cost, logs, cost(logs), self._limits, finest=_FINEST, gain=_GAIN)[0]
+
+    def opened(self, logs: np.ndarray) -> ModelError:
+        """Return the model error with sizes that are opened, without unknowns of no account."""
+        wide = logs + np.concatenate([np.full(self.count, _OPENED), np.zeros(logs.size - self.count)])
+        found = self.model_error(wide)
+        kept = [k for k in range(self.count) if wide[k] > _NOTHING]
+        return ModelError(
+            tuple(found.unknowns[k] for k in kept), tuple(found.sizes[k] for k in kept), found.noise, found.pressure_std
+        )
