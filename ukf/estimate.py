@@ -21,6 +21,8 @@ from .visible import show
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from .model_error import Account
+
 #: shares of a sensor's noise below which its innovations are small, and below which they cannot hold that noise
 _SMALL, _NO_NOISE = 0.5, 0.25
 #: share of the steps at which a filter may fail and still be judged
@@ -59,6 +61,7 @@ class Estimate:
         covariance: (N, n, n) of the filter's own state, which remembers voids, if it was kept.
         floor: Pa, the lowest pressure that a gauge shows; pressures: which of the n quantities are those of chambers.
         noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed (`consistency.guessed_noise`).
+        model_error: what became of the model error, if that was asked.
         smoothed: the smoothed estimate if it was asked for.
     """
 
@@ -83,12 +86,26 @@ class Estimate:
     floor: float = -np.inf
     pressures: slice = field(default_factory=lambda: slice(0))
     noise_slack: float = 0.0
+    model_error: Account | None = None
     smoothed: Estimate | None = None
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return the estimated mean (N,) of one quantity by its name."""
         return self.mean[:, self.state_names.index(name)]
+
+    def first(self, count: int, **changes: Any) -> Estimate:
+        """Return the estimate of the first `count` quantities only, with other attributes changed; the smoothed one too."""
+        covariance = None if self.covariance is None else self.covariance[:, :count, :count]
+        return replace(
+            self,
+            state_names=self.state_names[:count],
+            mean=self.mean[:, :count],
+            std=self.std[:, :count],
+            covariance=covariance,
+            smoothed=self.smoothed and self.smoothed.first(count, **changes),
+            **changes,
+        )
 
     def interval(self, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper limits (N, n) of the intervals that hold each quantity with this probability."""
@@ -193,6 +210,11 @@ class Estimate:
         return self.noiseless or bool(low <= self.nis_mean <= high and not self.coloured)
 
     @property
+    def allowed(self) -> bool:
+        """Whether the intervals allow for an error of the model."""
+        return self.model_error is not None and self.model_error.used
+
+    @property
     def verdict(self) -> str:
         """In words, whether the filter's intervals can be believed.
 
@@ -205,6 +227,8 @@ class Estimate:
             return "consistent; the recording has no noise" if self.noiseless else "consistent"
         if self.nis_mean > self.nis_bounds[1]:
             return "not consistent: intervals too narrow"
+        if self.allowed:
+            return "not consistent: the model lacks something; the intervals allow for it"
         if self.persistent:
             return "not consistent: the model lacks something"
         return "not consistent: intervals too wide"
@@ -235,6 +259,7 @@ class Estimate:
                 "verdict": self.verdict,
                 "log_likelihood": self.log_likelihood,
             },
+            **({} if self.model_error is None else {"model_error": self.model_error.document()}),
             "used": {n: int((self.flags[:, i] == USED).sum()) for i, n in enumerate(self.channel_names)},
             "final": last,
             "events": [

@@ -113,19 +113,31 @@ class Estimator:
         self._floor = vapour_pressure(crane)
         self._std = np.array(list(self.std_of.values()))
         self._variance = measurement_noise(self._std)
-        self._extras = resolve(crane, augment)
+        self.augment = tuple(augment)
+        self.extras = resolve(crane, self.augment)
         self._engine_states = len(self.engine.state_names)
-        self._channels = Channels(crane, list(self.std_of), self._engine_states, self._extras)
+        self._channels = Channels(crane, list(self.std_of), self._engine_states, self.extras)
         self._bounds = self._all_bounds(partial(cylinder_lengths, crane))
         self._limits = self._bounds.without(crane.layout.positions)
-        self._process = Process(self.engine, self._channels, self._extras, self._bounds)
+        self._process = Process(self.engine, self._channels, self.extras, self._bounds)
         self._method_name = method
         self._method = method_of(method, np.ones(self.size))
         self._gate = np.inf if gate is None else float(gate)
         self._start, self._pressure_std = start, float(pressure_std)
+        self._given: dict[str, Any] = {"start": start, "gate": gate, "max_step": max_step, "pressure_std": pressure_std}
         self._noises: dict[int, np.ndarray] = {}
         self._spool: Any = None
         self.reset()
+
+    def varied(self, **changes: Any) -> Estimator:
+        """Return a fresh estimator with some arguments changed."""
+        same: dict[str, Any] = {
+            "noise": self.noise,
+            "method": self._method_name,
+            "augment": self.augment,
+            **self._given,
+        }
+        return Estimator(self.crane, self.engine, self.std_of, **(same | changes))
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -136,12 +148,12 @@ class Estimator:
     def state_names(self) -> tuple[str, ...]:
         """Names of everything that is estimated: engine states, lagged readings, augmented quantities."""
         lagged = tuple(f"reading.{self._channels.names[row]}" for row, _ in self._channels.lags)
-        return (*self.engine.state_names, *lagged, *(e.name for e in self._extras))
+        return (*self.engine.state_names, *lagged, *(e.name for e in self.extras))
 
     @property
     def size(self) -> int:
         """Number of estimated quantities."""
-        return self._engine_states + len(self._channels.lags) + len(self._extras)
+        return self._engine_states + len(self._channels.lags) + len(self.extras)
 
     @property
     def sensor_variance(self) -> np.ndarray:
@@ -302,8 +314,8 @@ class Estimator:
         start = self._start if self._start is not None else self._shown(first, spread or {})
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         extras = slice(self._engine_states + len(self._channels.lags), None)
-        mean[extras] = [e.value for e in self._extras]
-        covariance[extras, extras] = np.diag([e.std**2 for e in self._extras])
+        mean[extras] = [e.value for e in self.extras]
+        covariance[extras, extras] = np.diag([e.std**2 for e in self.extras])
         self._set_states(start, mean, covariance)
         self._opened = covariance
         self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)))
@@ -528,7 +540,7 @@ class Estimator:
             full = np.zeros((self.size, self.size))
             known = self.noise.covariance(dt)
             full[: len(known), : len(known)] = known
-            for k, extra in enumerate(self._extras):
+            for k, extra in enumerate(self.extras):
                 at = self._engine_states + len(self._channels.lags) + k
                 full[at, at] = extra.variance(dt)
             self._noises[key] = full
@@ -546,7 +558,7 @@ class Estimator:
     def _all_bounds(self, lengths: Callable[[np.ndarray], np.ndarray] | None) -> Bounds:
         engine = crane_bounds(self.crane, lengths, self._engine_states)
         lagged = np.full(len(self._channels.lags), np.inf)
-        extra = np.array([e.lower for e in self._extras], float)
+        extra = np.array([e.lower for e in self.extras], float)
         return Bounds(
             np.concatenate([engine.lower, -lagged, extra]),
             np.concatenate([engine.upper, lagged, np.full(extra.size, np.inf)]),

@@ -21,17 +21,20 @@ With a model that is right all sizes fall, and the intervals are those of the fi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from crane_exudyn import parameters
 from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import cylinder_lengths
 
 from .augment import Augment, resolve
+from .estimate import Estimate, unit_of
 from .estimator import Estimator, sensor_std
 from .noise import ProcessNoise
 from .replay import Replay
@@ -46,6 +49,10 @@ _BELOW, _ABOVE = -4.0, 1.0
 _NOTHING = -2.5
 #: finest step of the search in powers of ten, what a round of it must gain in log-likelihood, runs that are replayed
 _FINEST, _GAIN, _RUNS = 0.3, 2.0, 2
+#: how much of a recording the search uses, around its busiest part, s
+_SECONDS = 15.0
+#: what `patu estimate --model-error` may say
+MODES = ("auto", "off", "on")
 #: most samples a second and longest integration step that the search uses
 _RATE, _STEP = 100.0, 5e-3
 #: standard deviation of a pressure that no sensor shows at the start, in parts of the pump pressure: the balance of moments may be wrong
@@ -86,12 +93,9 @@ class ModelError:
         pairs = zip(self.unknowns, self.sizes, strict=True)
         return tuple(a for unknown, size in pairs for a in unknown.augments(size))
 
-    def estimator(
-        self, crane: Crane, engine: Any, sensors: Mapping[str, float] | Sequence[str], method: str = "ukf", **more: Any
-    ) -> Estimator:
-        """Return an estimator with these unknowns behind those of `augment`; other arguments as of `Estimator`."""
-        augment = (*more.pop("augment", ()), *self.augment)
-        return Estimator(crane, engine, sensors, self.noise, method, augment, pressure_std=self.pressure_std, **more)
+    def behind(self, plain: Estimator) -> Estimator:
+        """Return an estimator as `plain`, with these unknowns behind all that it estimates."""
+        return plain.varied(noise=self.noise, augment=(*plain.augment, *self.augment), pressure_std=self.pressure_std)
 
     def __repr__(self) -> str:
         pairs = zip(self.unknowns, self.sizes, strict=True)
@@ -144,7 +148,7 @@ def find(
     *,
     engine: Any = "semi-recursive",
     augment: tuple[Any, ...] = (),
-    seconds: float = 15.0,
+    seconds: float = _SECONDS,
     progress: Callable[[float], None] | None = None,
 ) -> ModelError:
     """Return the model error under which the innovations of a recording are most likely, opened by half a power of ten.
@@ -167,9 +171,8 @@ def find(
         if progress is not None:
             progress(k / _RUNS)
         now = search.model_error(logs)
-        estimator = now.estimator(crane, engine, std, augment=augment, max_step=_STEP)
-        extras = resolve(crane, now.augment)
-        logs = search.climb(Replay(estimator, piece, extras), logs)
+        estimator = now.behind(Estimator(crane, engine, std, augment=augment, max_step=_STEP))
+        logs = search.climb(Replay(estimator, piece, estimator.extras[len(augment) :]), logs)
     return search.opened(logs)
 
 
@@ -206,3 +209,109 @@ class _Search:
         return ModelError(
             tuple(found.unknowns[k] for k in kept), tuple(found.sizes[k] for k in kept), found.noise, found.pressure_std
         )
+
+
+@dataclass(frozen=True)
+class Account:
+    """What became of the model error in an estimate.
+
+    Attributes:
+        mode: "auto", "off" or "on", as asked for.
+        used: whether it is part of the estimate.
+        why: in words.
+        found: {name: {"size", "nominal", "value", "std", "unit"}} of each unknown, SI: its size, what it would be if the
+            model were right, and what it was at the end.
+    """
+
+    mode: str
+    used: bool
+    why: str
+    found: Mapping[str, Mapping[str, Any]]
+
+    def document(self) -> dict[str, Any]:
+        """Return what the command writes as JSON."""
+        return {"mode": self.mode, "used": self.used, "why": self.why, "unknowns": dict(self.found)}
+
+
+#: makes a function that takes the fraction done of what its text says
+Stage = Callable[[str], AbstractContextManager[Callable[[float], None]]]
+
+
+@contextmanager
+def _silent(_: str) -> Iterator[Callable[[float], None]]:
+    yield lambda fraction: None
+
+
+def estimate(
+    plain: Estimator,
+    recording: Any,
+    *,
+    mode: str = "auto",
+    smooth: bool = False,
+    noise_slack: float = 0.0,
+    stage: Stage = _silent,
+) -> Estimate:
+    """Return the estimate over a recording, with intervals that allow for an error of the model where the innovations ask for it.
+
+    Args:
+        plain: the estimator without model error.
+        recording: a Recording or Signals.
+        mode: "off"; "on", whatever the innovations say; or "auto": where the plain filter's innovations are larger than it
+            believes or keep their sign, and are more likely with it.
+        smooth: as of `Estimator.run`.
+        noise_slack: as of `Estimate`.
+        stage: shows progress.
+
+    Raises:
+        CraneError: no such mode, or as `Estimator.run`.
+    """
+    if mode not in MODES:
+        raise CraneError(f"There is no model error {mode!r}.{nearest(mode, list(MODES))}")
+    if mode != "on":
+        with stage("Estimate") as done:
+            first = _run(plain, recording, smooth, noise_slack, done)
+        why = "not asked for" if mode == "off" else unasked(first)
+        if why:
+            return replace(first, model_error=Account(mode, False, why, {}))
+    with stage("Model error") as done:
+        found = find(plain.crane, recording, plain.std_of, augment=plain.augment, progress=done)
+    with stage("Estimate") as done:
+        second = _run(found.behind(plain), recording, smooth, noise_slack, done)
+    if mode == "auto" and second.log_likelihood <= first.log_likelihood:
+        why = "the innovations are no more likely with it"
+        return replace(first, model_error=Account(mode, False, why, {}))
+    why = "asked for" if mode == "on" else f"without it, {first.verdict}"
+    return _told(plain.crane, second, found, Account(mode, True, why, {}))
+
+
+def _run(
+    estimator: Estimator, recording: Any, smooth: bool, noise_slack: float, progress: Callable[[float], None]
+) -> Estimate:
+    result = estimator.run(recording, smooth=smooth, progress=progress)
+    smoothed = result.smoothed and replace(result.smoothed, noise_slack=noise_slack)
+    return replace(result, noise_slack=noise_slack, smoothed=smoothed)
+
+
+def unasked(plain: Estimate) -> str:
+    """Return why the innovations of a filter do not ask for model error, in words; "" where they do."""
+    if plain.unjudged or plain.consistent:
+        return plain.verdict
+    if plain.nis_mean > plain.nis_bounds[1] or plain.persistent:
+        return ""
+    return plain.verdict
+
+
+def _told(crane: Crane, result: Estimate, found: ModelError, account: Account) -> Estimate:
+    """Return an estimate without the unknowns among its states, and with an account of them."""
+    count = len(result.state_names) - len(found.augment)
+    ends = {
+        e.name: {
+            "size": e.std,
+            "nominal": e.value,
+            "value": float(result.mean[-1, count + k]),
+            "std": float(result.std[-1, count + k]),
+            "unit": unit_of(e.name),
+        }
+        for k, e in enumerate(resolve(crane, found.augment))
+    }
+    return result.first(count, model_error=replace(account, found=ends))
