@@ -98,7 +98,7 @@ def test_an_unknown_mode_is_refused():
 
 
 def test_what_is_estimated_anyway_is_no_unknown():
-    names = [n for u in model_error.unknowns(NOMINAL, ["payload.mass", "flow.p2"]) for n in u.names]
+    names = [n for u in model_error.unknowns(NOMINAL, STD, ["payload.mass", "flow.p2"]) for n in u.names]
     assert "payload.mass" not in names and "flow.p2" not in names and set(LAYOUT.torques) <= set(names)
 
 

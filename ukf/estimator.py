@@ -22,7 +22,7 @@ from crane_exudyn.parameters import LAYOUT
 from crane_exudyn.sensors import SENSORS, sensor
 from crane_exudyn.statics import vapour_pressure
 
-from .augment import Augment, resolve
+from .augment import Augment, Sizes, resolve
 from .bounds import Bounds, crane_bounds
 from .channels import Channels
 from .estimate import REJECTED, Estimate, Recorder
@@ -83,6 +83,7 @@ class Estimator:
         gate: how many standard deviations an innovation may leap before the sample is rejected; None for no gate.
         max_step: longest integration step of the engine, s; longer intervals are cut evenly.
         pressure_std: standard deviation at the start of a pressure that no sensor shows, Pa.
+        adapt: time constant, s, with which the sizes of unknowns with a memory follow what is found (`augment.Sizes`).
 
     Raises:
         CraneError: an unknown sensor, filter, engine or quantity, or a noise that is not positive.
@@ -100,6 +101,7 @@ class Estimator:
         gate: float | None = 6.0,
         max_step: float = 1e-3,
         pressure_std: float = PRESSURE,
+        adapt: float = np.inf,
     ) -> None:
         self.crane = crane
         self.engine = engine_of(engine, crane)
@@ -124,7 +126,10 @@ class Estimator:
         self._method = method_of(method, np.ones(self.size))
         self._gate = np.inf if gate is None else float(gate)
         self._start, self._pressure_std = start, float(pressure_std)
-        self._given: dict[str, Any] = {"start": start, "gate": gate, "max_step": max_step, "pressure_std": pressure_std}
+        self._adapt = float(adapt)
+        self._given: dict[str, Any] = {
+            "start": start, "gate": gate, "max_step": max_step, "pressure_std": pressure_std, "adapt": adapt,
+        }  # fmt: skip
         self._noises: dict[int, np.ndarray] = {}
         self._spool: Any = None
         self.reset()
@@ -178,6 +183,7 @@ class Estimator:
         self._last_command: np.ndarray | None = None
         self._late = _IN_ORDER
         self._flags = np.zeros(len(self.std_of), np.uint8)
+        self._sizes = Sizes(self.extras, self._engine_states + len(self._channels.lags), self._adapt)
 
     # -- live ----------------------------------------------------------------------------------------------------
 
@@ -510,6 +516,8 @@ class Estimator:
             self.belief = prior
             return innovation, variance, flags, float("nan"), 0.0
         self.belief = self._inside(result)
+        if self._sizes.adapted:
+            self._sizes.follow(self.belief.mean, self.belief.covariance.diagonal(), time - self._clock)
         return innovation, variance, flags, result.nis, result.log_likelihood
 
     def _inside(self, belief: Any) -> Any:
@@ -544,7 +552,11 @@ class Estimator:
                 at = self._engine_states + len(self._channels.lags) + k
                 full[at, at] = extra.variance(dt)
             self._noises[key] = full
-        return self._noises[key]
+        if not self._sizes.adapted:
+            return self._noises[key]
+        noise, rows = self._noises[key].copy(), self._sizes.rows
+        noise[rows, rows] = self._sizes.added(dt)
+        return noise
 
     def _restart(self, time: float, why: str) -> None:
         """Open the belief again around the last good mean: a filter that has lost its covariance knows nothing."""

@@ -11,6 +11,7 @@ filter estimates along with the state what may act so, each unknown as first-ord
 | flow coefficient of each valve | while its spool is open | 10 % | 3 s |
 | pump pressure | while a valve draws from it | 5 % | 3 s |
 | volume of the hoses, which stands for softness of the oil | while the pressure changes | 50 % | 1 s |
+| an offset of each pressure sensor | always | a third of its noise | constant |
 | a parameter that the crane file calls unknown, such as the payload | as the model says | 100 kg for a payload | constant |
 
 How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the innovations are
@@ -21,7 +22,7 @@ With a model that is right all sizes fall, and the intervals are those of the fi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,6 +33,7 @@ from crane_exudyn import parameters
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import cylinder_lengths
+from crane_exudyn.sensors import sensor
 
 from .augment import Augment, resolve
 from .estimate import Estimate, unit_of
@@ -44,11 +46,13 @@ from .tuning import LIMITS, busiest, descend, logs_of, noise_of
 #: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are opened afterwards
 _PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.5
 #: how far a size is searched from what is expected, powers of ten
-_BELOW, _ABOVE = -4.0, 1.0
+_BELOW, _ABOVE = -4.0, 2.0
 #: unknowns whose size is so many powers of ten below what is expected are left out
 _NOTHING = -2.5
 #: finest step of the search in powers of ten, what a round of it must gain in log-likelihood, runs that are replayed
 _FINEST, _GAIN, _RUNS = 0.3, 2.0, 2
+#: time constant of sizes in live use, s
+_ADAPT = 4.0
 #: how much of a recording the search uses, around its busiest part, s
 _SECONDS = 15.0
 #: what `patu estimate --model-error` may say
@@ -69,7 +73,7 @@ class Unknown:
 
     def augments(self, size: float) -> tuple[Augment, ...]:
         """Return the quantities as states of the filter, of a given size."""
-        return tuple(Augment(n, size, memory=self.memory) for n in self.names)
+        return tuple(Augment(n, size, memory=self.memory, shared=self.names[0]) for n in self.names)
 
 
 @dataclass(frozen=True)
@@ -103,8 +107,11 @@ class ModelError:
         return f"<ModelError: {', '.join(listed) or 'nothing'}>"
 
 
-def unknowns(crane: Crane, without: Collection[str] = ()) -> tuple[Unknown, ...]:
-    """Return what may be wrong about a crane's model, with the sizes that are expected; `without` some names."""
+def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> tuple[Unknown, ...]:
+    """Return what may be wrong about a crane's model and its sensors, with the sizes that are expected; `without` some names.
+
+    `sensors` are channels with the standard deviation of their noise, SI.
+    """
     lay, pump = crane.layout, crane["supply.pump_pressure"]
     found = [Unknown((name,), 0.05 * most, 10.0) for name, most in zip(lay.torques, _moments(crane), strict=True)]
     for cylinder, sides in zip(lay.cylinders, lay.sides, strict=True):
@@ -116,6 +123,8 @@ def unknowns(crane: Crane, without: Collection[str] = ()) -> tuple[Unknown, ...]
             Unknown(hoses, 0.5 * float(np.mean([crane[h] for h in hoses])), 1.0),
         ]
     found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0))
+    gauges = [n for n in sensors if sensor(n).unit == "Pa"]
+    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, np.inf) for n in gauges]
     free = [n for n, known in crane.uncertainty.items() if not np.isfinite(known.std) and n in parameters.INDEX]
     found += [Unknown((e.name,), e.std, np.inf) for e in resolve(crane, free)]
     return tuple(u for u in found if not set(u.names) & set(without))
@@ -135,10 +144,23 @@ def _moments(crane: Crane) -> list[float]:
     return out
 
 
-def expected(crane: Crane, without: Collection[str] = ()) -> ModelError:
-    """Return the model error with the sizes that are expected, for live use where nothing has been recorded yet."""
-    found = unknowns(crane, without)
+def expected(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> ModelError:
+    """Return the model error with the sizes that are expected; arguments as of `unknowns`."""
+    found = unknowns(crane, sensors, without)
     return ModelError(found, tuple(u.size for u in found), ProcessNoise(), _PRESSURE * crane["supply.pump_pressure"])
+
+
+def live(plain: Estimator, adapt: float = _ADAPT) -> Estimator:
+    """Return an estimator as `plain` that allows for an error of the model, for live use.
+
+    Where nothing has been recorded yet the sizes begin wide and follow what is found with a time constant `adapt`, s.
+    """
+    start = _Search(expected(plain.crane, plain.std_of, _names(plain.augment)))
+    return start.opened(start.first).behind(plain).varied(adapt=adapt)
+
+
+def _names(augment: Iterable[Any]) -> list[str]:
+    return [a if isinstance(a, str) else a.name for a in augment]
 
 
 def find(
@@ -164,7 +186,7 @@ def find(
     std = sensor_std(crane, sensors)
     signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
     piece = busiest(signals, seconds).thinned(_RATE)
-    start = expected(crane, [a if isinstance(a, str) else a.name for a in augment])
+    start = expected(crane, std, _names(augment))
     search = _Search(start)
     logs = search.first
     for k in range(_RUNS):

@@ -39,7 +39,7 @@ class Replay:
         self._stretches = list(zip([0, *(cuts + 1)], [*cuts, len(self._dt)], strict=True))
         self._prior_covariance = recorder.prior_covariance
         seen = estimator.observe(prior[1:])
-        self._slope = _slopes(estimator, recorder, self._first)
+        self._slope = _slopes(estimator, recorder)
         self._innovation = np.where(recorder.flags[1:] == USED, plan.values[1:] - seen, np.nan)
         self._variance = estimator.sensor_variance
         self.used = int(np.isfinite(self._innovation).sum())
@@ -111,12 +111,12 @@ def _transitions(covariance: np.ndarray, cross: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.swapaxes(solved, 1, 2) / scale[:, None, :])
 
 
-def _slopes(estimator: Estimator, recorder: Any, columns: int) -> np.ndarray:
-    """Return the derivative (N - 1, k, columns) of what the sensors show by the states, by central differences."""
+def _slopes(estimator: Estimator, recorder: Any) -> np.ndarray:
+    """Return the derivative (N - 1, k, n) of what the sensors show by the states, by central differences."""
     prior = recorder.prior_mean[1:]
     step = _SLOPE * np.sqrt(np.einsum("kii->ki", recorder.prior_covariance[1:]))
     out = []
-    for j in range(columns):
+    for j in range(estimator.size):
         above, below = prior.copy(), prior.copy()
         above[:, j] += step[:, j]
         below[:, j] -= step[:, j]
@@ -170,16 +170,16 @@ def _predict(deviation, covariance, carried, transition, noise, kept, added, off
 @njit()
 def _correct(deviation, covariance, gain, slope, innovation, variance):  # type: ignore[no-untyped-def]
     """Correct by one sensor and return minus its log-likelihood, in units of its noise."""
-    n, columns = deviation.size, slope.size
+    n = deviation.size
     spread, error = variance, innovation
     gain[:] = 0.0
-    for m in range(columns):
+    for m in range(n):
         h = slope[m]
         if h != 0.0:
             error -= h * deviation[m]
             for i in range(n):
                 gain[i] += covariance[i, m] * h
-    for m in range(columns):
+    for m in range(n):
         spread += slope[m] * gain[m]
     for i in range(n):
         share = gain[i] / spread
