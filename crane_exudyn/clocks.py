@@ -61,11 +61,11 @@ def _late(machine: Machine, grid: Grid, stands: np.ndarray, seen: np.ndarray) ->
         return np.zeros(len(seen))
     tried = _COARSE
     for _ in range(2):
-        logs = _logs(machine, grid, tried)
-        assert logs is not None
-        own, alike = logs[:, seen].argmin(axis=0), logs[:, seen].sum(axis=1).argmin()
+        found = _logs(machine, grid, tried)
+        assert found is not None
+        logs = found[:, seen]
+        own, alike = logs.argmin(axis=0), logs.sum(axis=1).argmin()
         tried, last = np.unique(np.round(np.append(tried[own], tried[alike])[:, None] + _FINE, 6)), tried
-    logs = logs[:, seen]
     if stands.sum() - logs[alike].sum() > _BETTER and logs[alike].sum() - logs.min(axis=0).sum() < _APART:
         return np.full(len(seen), last[alike])
     return np.where(stands - logs.min(axis=0) > _BETTER, last[own], 0.0)
