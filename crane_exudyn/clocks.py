@@ -46,9 +46,7 @@ def clock_of(machine: Machine, grid: Grid) -> Clock | None:
     seen = np.flatnonzero(~np.isnan(stands[0]))
     late = np.full(stands.shape[1], np.nan)
     late[seen] = _late(machine, grid, stands[0, seen], seen)
-    after = _logs(machine, grid, late[seen])
-    assert after is not None
-    left = after[np.arange(len(seen)), seen]
+    left = np.diag(_seen_logs(machine, grid, late[seen], seen))
     late[seen[left > math.log(_FOLLOWS)]] = np.nan
     if np.isnan(late).all():
         return None
@@ -59,22 +57,27 @@ def _late(machine: Machine, grid: Grid, stands: np.ndarray, seen: np.ndarray) ->
     """Return how late each piston that is seen (s,) follows: all alike, unless they follow far better each with its own lateness."""
     if (stands - math.log(_BEST)).sum() < _BETTER:  # no room for anything better
         return np.zeros(len(seen))
-    tried = _COARSE
-    for _ in range(2):
-        found = _logs(machine, grid, tried)
-        assert found is not None
-        logs = found[:, seen]
-        own, alike = logs.argmin(axis=0), logs.sum(axis=1).argmin()
-        tried, last = np.unique(np.round(np.append(tried[own], tried[alike])[:, None] + _FINE, 6)), tried
+    tried, logs = _COARSE, _seen_logs(machine, grid, _COARSE, seen)
+    own, alike = logs.argmin(axis=0), logs.sum(axis=1).argmin()
+    tried = np.unique(np.round(np.append(tried[own], tried[alike])[:, None] + _FINE, 6))
+    logs = _seen_logs(machine, grid, tried, seen)
+    own, alike = logs.argmin(axis=0), logs.sum(axis=1).argmin()
     if stands.sum() - logs[alike].sum() > _BETTER and logs[alike].sum() - logs.min(axis=0).sum() < _APART:
-        return np.full(len(seen), last[alike])
-    return np.where(stands - logs.min(axis=0) > _BETTER, last[own], 0.0)
+        return np.full(len(seen), tried[alike])
+    return np.where(stands - logs.min(axis=0) > _BETTER, tried[own], 0.0)
 
 
 def _logs(machine: Machine, grid: Grid, late: np.ndarray, drift: float = 0.0) -> np.ndarray | None:
     """Return the logarithms of the misfits of each cylinder's flows (L, cylinders) for some lateness (L,)."""
     found = flow_misfits(machine, grid, late[:, None] + drift * (grid.time - grid.time.mean()))
     return None if found is None else np.log(found + _BEST)
+
+
+def _seen_logs(machine: Machine, grid: Grid, late: np.ndarray, seen: np.ndarray, drift: float = 0.0) -> np.ndarray:
+    """Return `_logs` of the cylinders that are seen (L, s)."""
+    logs = _logs(machine, grid, late, drift)
+    assert logs is not None, "of cylinders that were seen there are commands"
+    return logs[:, seen]
 
 
 def _drift(machine: Machine, grid: Grid, late: np.ndarray, stands: np.ndarray) -> float:
@@ -85,9 +88,7 @@ def _drift(machine: Machine, grid: Grid, late: np.ndarray, stands: np.ndarray) -
     around = np.unique(np.round(late[seen][:, None] + np.arange(-0.4, 0.401, 0.1), 6))
 
     def left(drift: float) -> np.ndarray:
-        logs = _logs(machine, grid, around, drift)
-        assert logs is not None
-        return np.asarray(logs[:, seen].min(axis=0))
+        return np.asarray(_seen_logs(machine, grid, around, seen, drift).min(axis=0))
 
     coarse = min(_DRIFTS.tolist(), key=lambda drift: left(drift).sum())
     fine = min((coarse + 0.5 * abs(coarse) * _FINE_DRIFTS).tolist(), key=lambda drift: left(drift).sum())

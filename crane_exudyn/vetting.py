@@ -24,7 +24,7 @@ from .crane import Crane
 from .errors import CraneError
 from .geometry import cylinder_lengths
 from .mapping import Column, map_text
-from .readings import Weighed, mistaken
+from .readings import Reading, Weighed, mistaken
 from .recording import Recording
 from .signals import noise_std, quantisation, sampling_rate
 from .statics import vapour_pressure
@@ -167,24 +167,33 @@ def _of_reading(recording: Recording, crane: Crane, rivals: list[Weighed], colum
     reading = rivals[0].reading
     (balance, of), before, after = rivals[0].best
     names = _recorded(recording, crane, reading.channels)
-    others = [w.reading for w in rivals[1:] if set(w.reading.channels) != set(reading.channels)]
+    others = [w.reading for w in rivals[1:] if set(w.reading.channels) != set(reading.channels)][:2]
     text = (
         f"{' and '.join(names)} agree{'s' * (len(names) == 1)} with the other channels only {reading.words}: "
         f"{_BALANCES[balance].format(of)} is then off by {after:.2g} instead of {before:.2g} (0: closes, 1: knows nothing of the rest)"
     )
     if others:
-        rival = [f"{' and '.join(r.channels)} {r.words}" for r in others[:2]]
+        rival = [f"{' and '.join(_recorded(recording, crane, r.channels))} {r.words}" for r in others]
         text += f"; nearly as well {' or '.join(rival)}"
     severity: Severity = "error" if rivals[0].gain > _DECISIVE else "warning"
-    if any(s.channel not in columns for s in reading.made.values()):  # commands that were recorded as voltages
+    fix = _columns_of(reading, columns)
+    if not fix:
         mend = "Mend the valves' calibration in the crane file, or the columns of the voltages."
         return Finding(reading.kind, names, severity, text, mend)
-    fix = {}
-    for name, source in reading.made.items():
-        was = columns[source.channel]
-        fix[name] = replace(was, factor=source.factor * was.factor, offset=source.factor * was.offset + source.offset)
+    mend = " Or: ".join(_typed(crane, c) for c in (fix, *(_columns_of(r, columns) for r in others)) if c)
     columns |= fix
-    return Finding(reading.kind, names, severity, text, _typed(crane, fix), fix)
+    return Finding(reading.kind, names, severity, text, mend, fix)
+
+
+def _columns_of(reading: Reading, columns: Mapping[str, Column]) -> dict[str, Column]:
+    """Return what channels are read from under a reading; nothing where it is of commands that were recorded as voltages."""
+    if any(s.channel not in columns for s in reading.made.values()):
+        return {}
+    was = {name: columns[s.channel] for name, s in reading.made.items()}
+    return {
+        name: replace(was[name], factor=s.factor * was[name].factor, offset=s.factor * was[name].offset + s.offset)
+        for name, s in reading.made.items()
+    }
 
 
 _BALANCES = {
