@@ -52,7 +52,7 @@ _FINEST, _GAIN, _RUNS = 0.3, 2.0, 2
 #: time constant of sizes in live use, s
 _ADAPT = 4.0
 #: how much of a recording the search uses, around its busiest part, s
-_SECONDS = 15.0
+_SECONDS = 10.0
 #: what `patu estimate --model-error` may say
 MODES = ("auto", "off", "on")
 #: most samples a second and longest integration step that the search uses
