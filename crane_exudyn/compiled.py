@@ -65,7 +65,7 @@ def cache_folder(package: str = _FOUNDATION) -> Path:
         for source in sorted((_ROOT / name).rglob("*.py")):
             text = source.read_bytes()
             law = source.parent.name == "effects" and source.stem not in ("registry", "checks", "__init__")
-            if b"njit" in text or law or source.name in ("layout.py", "parameters.py", "sensors.py"):
+            if b"njit" in text or law or source.name in ("layout.py", "machine.py", "parameters.py", "sensors.py"):
                 digest.update(str(source.relative_to(_ROOT)).encode() + b"\0" + text)
     return _base() / digest.hexdigest()[:16]
 

@@ -318,7 +318,9 @@ def _outlines(plant: Plant) -> dict[str, list[dict[str, Any]]]:
     """Return the shapes of ground and bodies, each about its centre of mass."""
     from .render_shapes import outlines  # only where somebody may look
 
-    return outlines(plant.crane, dict(zip(plant.crane.machine.bodies, plant.inertia[0, :, [red.COM_X, red.COM_Y]].T, strict=False)))
+    return outlines(
+        plant.crane, dict(zip(plant.crane.machine.bodies, plant.inertia[0, :, [red.COM_X, red.COM_Y]].T, strict=False))
+    )
 
 
 def start_pose(crane: Crane) -> np.ndarray:

@@ -133,14 +133,21 @@ def coordinates(crane: Crane, positions: np.ndarray, theta: np.ndarray | float =
     placed = {}
     for name in machine.bodies:
         point = next(p for p, body in machine.points.items() if body == name)
-        placed[f"bodies.{name}"] = (_origin(closed, name, short[point], shapes.place(crane, point)), closed.angles[name])
+        placed[f"bodies.{name}"] = (
+            _origin(closed, name, short[point], shapes.place(crane, point)),
+            closed.angles[name],
+        )
     for cylinder in machine.cylinders:
         base, end = (closed.points[short[p]] for p in cylinder.points)
         line = np.arctan2(*(end - base).T[::-1])
         placed |= {f"cylinders.{cylinder.name}.barrel": (base, line), f"cylinders.{cylinder.name}.rod": (end, line)}
     body, point = machine.payload
     if body:
-        tip, length, swing = closed.points[short[point]], shapes.pendulum_length(crane), np.broadcast_to(theta, len(closed.lengths))
+        tip, length, swing = (
+            closed.points[short[point]],
+            shapes.pendulum_length(crane),
+            np.broadcast_to(theta, len(closed.lengths)),
+        )
         hanging = tip + length * np.column_stack([np.sin(swing), -np.cos(swing)])
         placed |= {"rope": (tip, swing), "payload": (hanging, swing if length > 0.0 else closed.angles[body])}
     return np.column_stack([np.column_stack(placed[part]) for part in shapes.part_names(crane)])
@@ -245,7 +252,8 @@ class Scene:
 
     def _add_crane(self, paint: shapes.Paint, hidden: Sequence[str], depth: float) -> None:
         graphics = {
-            part: [shapes.moved(g, (0.0, 0.0, depth)) for g in made] for part, made in shapes.parts(self.crane, paint).items()
+            part: [shapes.moved(g, (0.0, 0.0, depth)) for g in made]
+            for part, made in shapes.parts(self.crane, paint).items()
         }
         for part in shapes.part_names(self.crane):
             node = self.mbs.AddNode(items.NodeRigidBody2D(referenceCoordinates=[0.0, 0.0, 0.0]))
@@ -327,7 +335,8 @@ class Scene:
     def show(self, time: float) -> None:
         """Move every crane to where it is at `time` in s."""
         rows = [
-            coordinates(self.crane, trajectory.at(time), trajectory.swing_at(time))[0] for trajectory in self.trajectories
+            coordinates(self.crane, trajectory.at(time), trajectory.swing_at(time))[0]
+            for trajectory in self.trajectories
         ]  # interpolating independent coordinates keeps loops closed, interpolating bodies would not
         for configuration in (exu.ConfigurationType.Current, exu.ConfigurationType.Visualization):
             self.mbs.systemData.SetODE2Coordinates(np.concatenate(rows).tolist(), configuration)
@@ -457,7 +466,7 @@ class Scene:
         """Return the pixels (n, 2), from the top left, at which points (n, 3) in m are seen."""
         width, height = self.size
         seen = np.asarray(points, dtype=float) @ self._rotation().T - self.center
-        return np.array([width / 2.0, height / 2.0]) + seen[:, :2] * (height / self.height) * [1.0, -1.0]
+        return np.array([width / 2.0, height / 2.0]) + seen[:, [0, 1]] * (height / self.height) * [1.0, -1.0]
 
     def save(
         self,

@@ -21,7 +21,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _INK, _SOFT, _CYLINDER, _COORDINATE = "#1b1b1b", "#666666", "#0072B2", "#B00062"
-_WIDTH, _WHOLE, _PANEL, _TITLE, _GAP = 11.0, 5.6, 3.1, 0.34, 0.2  # inches: page, the whole machine, a body, a title, between
+_WIDTH, _WHOLE, _PANEL, _TITLE, _GAP = (
+    11.0,
+    5.6,
+    3.1,
+    0.34,
+    0.2,
+)  # inches: page, the whole machine, a body, a title, between
 _SIZE = 8.5  # points of most texts
 _MARGIN = 0.13  # share of a panel left free on each side for labels
 _PALER = 0.62
@@ -103,9 +109,9 @@ class _Panel:
             tip = 36.0 * scale * _toward(turn)
             _arrow(self.axes, np.zeros(2), tip)
             self.keep_clear([np.zeros(2), 1.3 * tip])
-            self.axes.text(*(1.2 * tip), name, ha="center", va="center", fontsize=_SIZE, color=_SOFT)
+            self.axes.text(1.2 * tip[0], 1.2 * tip[1], name, ha="center", va="center", fontsize=_SIZE, color=_SOFT)
 
-    def keep_clear(self, line: Iterable[Sequence[float]]) -> None:
+    def keep_clear(self, line: Iterable[np.ndarray]) -> None:
         """Keep labels off a line through places in m."""
         (x0, x1), (y0, y1) = self.axes.get_xlim(), self.axes.get_ylim()
         per = 72.0 * np.array(self.inches) / [x1 - x0, y1 - y0]
@@ -127,27 +133,29 @@ class _Panel:
         page = 72.0 * np.array(self.inches)
         own = (at - [x0, y0]) * page / [x1 - x0, y1 - y0]
         lines = text.split("\n")
-        wide, high = 0.58 * _SIZE * max(map(len, lines)) + 4.0, 1.25 * _SIZE * len(lines) + 2.0
-        best = min(self._candidates(own, wide, high, page), key=lambda c: c[0])[1]
-        self.taken.append((*(best - [wide / 2, high / 2]), *(best + [wide / 2, high / 2])))
+        half = 0.5 * np.array([0.58 * _SIZE * max(map(len, lines)) + 4.0, 1.25 * _SIZE * len(lines) + 2.0])
+        best = min(self._candidates(own, half, page), key=lambda c: c[0])[1]
+        self.taken.append((*(best - half), *(best + half)))
         middle = np.array([x0, y0]) + best * [x1 - x0, y1 - y0] / page
-        edge = np.clip(own, best - [wide / 2, high / 2], best + [wide / 2, high / 2])
+        edge = np.clip(own, best - half, best + half)
         if math.dist(edge, own) > 9.0:
             end = np.array([x0, y0]) + edge * [x1 - x0, y1 - y0] / page
             self.axes.plot(*zip(at, end, strict=True), color=_SOFT, lw=0.6, zorder=7)
-        self.axes.text(*middle, text, ha="center", va="center", fontsize=_SIZE, zorder=9, **({"color": _INK} | look))
+        self.axes.text(
+            middle[0], middle[1], text, ha="center", va="center", fontsize=_SIZE, zorder=9, **({"color": _INK} | look)
+        )
 
-    def _candidates(self, own: np.ndarray, wide: float, high: float, page: np.ndarray) -> Iterable[tuple[float, np.ndarray]]:
+    def _candidates(self, own: np.ndarray, half: np.ndarray, page: np.ndarray) -> Iterable[tuple[float, np.ndarray]]:
         """Yield places for the middle of a label with what speaks against each."""
         dots = np.array(self.dots).reshape(-1, 2)
         taken = np.array(self.taken).reshape(-1, 4)
         for away in (6.0, 14.0, 26.0, 40.0, 58.0, 80.0):
             for turn in np.radians(np.arange(0.0, 360.0, 22.5)):
                 toward = np.array([math.cos(turn), math.sin(turn)])
-                middle = own + toward * (away + np.array([0.5 * wide, 0.5 * high]))
-                low, top = middle - [wide / 2, high / 2], middle + [wide / 2, high / 2]
+                middle = own + toward * (away + half)
+                low, top = middle - half, middle + half
                 outside = float(np.maximum(2.0 - low, 0.0).sum() + np.maximum(top - page + 2.0, 0.0).sum())
-                near = np.minimum(top, taken[:, 2:]) - np.maximum(low, taken[:, :2])
+                near = np.minimum(top, taken[:, [2, 3]]) - np.maximum(low, taken[:, [0, 1]])
                 over = float((np.maximum(near[:, 0], 0.0) * np.maximum(near[:, 1], 0.0)).sum())
                 hit = int(((dots > low - 1.5) & (dots < top + 1.5)).all(axis=1).sum())
                 yield 50.0 * outside + 5.0 * over + 20.0 * hit + away, middle
@@ -159,7 +167,11 @@ class _Panel:
 def _draw_frame(panel: _Panel, crane: Crane, body: str) -> None:
     """Draw a body (or the ground) in its frame: shape, origin and axes, points with coordinates, centre of mass."""
     machine = crane.machine
-    points = {name: shapes.place(crane, p) for (p, b), name in zip(machine.points.items(), machine.point_names, strict=True) if b == body}
+    points = {
+        name: shapes.place(crane, p)
+        for (p, b), name in zip(machine.points.items(), machine.point_names, strict=True)
+        if b == body
+    }
     mass = [] if body == GROUND else [shapes.place(crane, f"bodies.{body}.com")]
     made = shapes.pillar(crane, _paint()) if body == GROUND else shapes.body_shape(crane, body, _paint())
     corners = _fill(panel.axes, [(made, (0.0, 0.0, 0.0))])
@@ -187,7 +199,10 @@ def _draw_machine(panel: _Panel, crane: Crane) -> None:
     points = {name: at[0] for name, at in closed.points.items()}
     short = dict(zip(machine.points, machine.point_names, strict=True))
     frames = coordinates(crane, start)[0].reshape(-1, 3)
-    made = [*zip(shapes.parts(crane, _paint()).values(), frames, strict=True), (shapes.pillar(crane, _paint()), np.zeros(3))]
+    made = [
+        *zip(shapes.parts(crane, _paint()).values(), frames, strict=True),
+        (shapes.pillar(crane, _paint()), np.zeros(3)),
+    ]
     scale = panel.show(np.vstack([np.zeros((1, 2)), _fill(panel.axes, made)]))
     panel.draw_axes(scale)
     angles = {GROUND: 0.0} | {name: float(angle[0]) for name, angle in closed.angles.items()}
@@ -204,11 +219,17 @@ def _draw_machine(panel: _Panel, crane: Crane) -> None:
         panel.axes.plot(*at, "s" if joint.kind == PRISMATIC else "o", ms=5, mfc="white", mec=_INK, zorder=8)
         panel.keep_clear([at])
         own = joint.coordinate if joint.coordinate in machine.independent else ""
-        panel.label(joint.name + (f": {own}" if own else ""), at, fontweight="bold", **({"color": _COORDINATE} if own else {}))
+        panel.label(
+            joint.name + (f": {own}" if own else ""), at, fontweight="bold", **({"color": _COORDINATE} if own else {})
+        )
     for cylinder in machine.cylinders:
         base, end = (points[short[p]] for p in cylinder.points)
         panel.keep_clear([base, end])
-        panel.label(f"{cylinder.name} cylinder\n{cylinder.chambers[0]}, {cylinder.chambers[1]}", 0.5 * (base + end), color=_CYLINDER)
+        panel.label(
+            f"{cylinder.name} cylinder\n{cylinder.chambers[0]}, {cylinder.chambers[1]}",
+            0.5 * (base + end),
+            color=_CYLINDER,
+        )
     body, point = machine.payload
     if body:
         panel.axes.plot(*points[short[point]], "D", ms=4, mfc="white", mec=_INK, zorder=8)
@@ -216,15 +237,19 @@ def _draw_machine(panel: _Panel, crane: Crane) -> None:
     for name, frame in zip(machine.bodies, frames, strict=False):
         com, (x, y, angle) = shapes.place(crane, f"bodies.{name}.com"), frame
         c, s = math.cos(angle), math.sin(angle)
-        panel.label(name, np.array([x + c * com[0] - s * com[1], y + s * com[0] + c * com[1]]), color=_SOFT, fontstyle="italic")
+        panel.label(
+            name, np.array([x + c * com[0] - s * com[1], y + s * com[0] + c * com[1]]), color=_SOFT, fontstyle="italic"
+        )
     panel.place_labels()
 
 
 def _paint() -> shapes.Paint:
     """Return the usual paint, paler, so that labels read on it."""
     usual = vars(shapes.Paint())
-    pale = {k: tuple(c + _PALER * (1.0 - c) for c in v[:3]) + (1.0,) for k, v in usual.items() if k not in ("edges", "barrels")}
-    return shapes.Paint(**pale)
+    pale = {
+        k: (*(c + _PALER * (1.0 - c) for c in v[:3]), 1.0) for k, v in usual.items() if k not in ("edges", "barrels")
+    }
+    return shapes.Paint(**pale)  # type: ignore[arg-type]
 
 
 def _fill(axes: Axes, parts: Iterable[tuple[Sequence[shapes.Graphics], Sequence[float]]]) -> np.ndarray:
@@ -236,12 +261,15 @@ def _fill(axes: Axes, parts: Iterable[tuple[Sequence[shapes.Graphics], Sequence[
         turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         for part in made:
             points = np.reshape(part["points"], (-1, 3))
-            seen.append((points[:, 2].max(), points[:, :2] @ turn + [x, y], part))
+            seen.append((points[:, 2].max(), points[:, [0, 1]] @ turn + [x, y], part))
     for _, corners, part in sorted(seen, key=lambda s: s[0]):
         color = tuple(np.reshape(part["colors"], (-1, 4))[0])
-        triangles = np.array(part["triangles"] if "triangles" in part else part["triangles6"])[:, :3]  # the first three are corners
+        triangles = np.array(part["triangles"] if "triangles" in part else part["triangles6"])[
+            :, :3
+        ]  # the first three are corners
         axes.add_collection(
-            PolyCollection(list(corners[triangles]), facecolors=[color], edgecolors=[color], linewidths=0.4), autolim=False
+            PolyCollection(list(corners[triangles]), facecolors=[color], edgecolors=[color], linewidths=0.4),
+            autolim=False,
         )
     return np.vstack([corners for _, corners, _ in seen])
 
@@ -264,7 +292,7 @@ def _toward(angle: float) -> np.ndarray:
 
 def _arrow(axes: Axes, start: np.ndarray, end: np.ndarray, color: str = _SOFT) -> None:
     look = {"arrowstyle": "-|>", "color": color, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", end, start, arrowprops=look, zorder=6)
+    axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=look, zorder=6)
 
 
 def _pair(at: np.ndarray) -> str:

@@ -44,6 +44,8 @@ _PIN, _WALL, _LOG_LENGTH = 0.026, 0.011, 1.5
 _RADII, _SLIMMEST = (0.08, 0.095, 0.055), 0.2
 #: half of the ground's width, and where arrows stand in front of the machine, m
 GROUND_HALF, FRONT = 1.2, 0.3
+#: a beam is at least so long, m, and bends at most by this share of its length
+_SHORTEST, _MOST_BENT = 0.05, 0.35
 #: share of a sliding body's beam that its sheath covers when it is drawn in
 _SHEATHED = 0.75
 #: a body of two pins that is shorter than this share of the longest body is a link
@@ -114,7 +116,9 @@ def bent(start: np.ndarray, middle: np.ndarray, end: np.ndarray, radii: Sequence
     """
     share = float(np.clip(math.dist(start, middle) / (math.dist(start, middle) + math.dist(middle, end)), 0.2, 0.8))
     t = np.linspace(0.0, 1.0, steps)
-    weights = np.column_stack([(t - share) * (t - 1) / share, t * (t - 1) / (share * (share - 1)), t * (t - share) / (1 - share)])
+    weights = np.column_stack(
+        [(t - share) * (t - 1) / share, t * (t - 1) / (share * (share - 1)), t * (t - share) / (1 - share)]
+    )
     line, radius = weights @ np.array([start, middle, end]), weights @ np.asarray(radii)
     along = np.gradient(line, axis=0)
     across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
@@ -148,7 +152,7 @@ def bar(start: Sequence[float], axis: Sequence[float], radius: float, color: Col
     return made
 
 
-def _across(at: Sequence[float], half: float, radius: float, color: Color, paint: Paint) -> Graphics:
+def _across(at: np.ndarray, half: float, radius: float, color: Color, paint: Paint) -> Graphics:
     """Return a bar across the plane, such as a pin."""
     return bar([at[0], at[1], -half], [0, 0, 2 * half], radius, color, paint.edges)
 
@@ -234,12 +238,15 @@ def _axis(body: _Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if body.sheath is not None:
         return body.sheath[0], 0.5 * (body.sheath[0] + body.sheath[1]), body.sheath[1]
     others = [p for p in body.pins if math.dist(p, body.root) > 1e-3] or body.ends or [2.0 * body.com - body.root]
-    end = max(others, key=lambda p: math.dist(p, body.com if body.slides else body.root))
+    begin = body.com if body.slides else body.root
+    end = max(others, key=lambda p: math.dist(p, begin))
+    if math.dist(end, begin) < _SHORTEST:
+        end = begin + np.array([_SHORTEST, 0.0])
     if body.slides:
         return 2.0 * body.com - end, body.com, end
     length, along = math.dist(end, body.root), end - body.root
-    share = float((body.com - body.root) @ along) / length**2
-    middle = body.com if 0.2 < share < 0.8 else 0.5 * (body.root + end)
+    share, off = float((body.com - body.root) @ along) / length**2, _cross(along, body.com - body.root) / length**2
+    middle = body.com if 0.2 < share < 0.8 and abs(off) < _MOST_BENT else 0.5 * (body.root + end)
     back = (middle - end) / math.dist(middle, end)
     start = max(_behind(body, end), key=lambda p: float((p - middle) @ back) / max(math.dist(p, middle), 1e-9))
     return start, middle, end
@@ -283,7 +290,10 @@ def _link(body: _Body, unit: float, lane: int, paint: Paint) -> list[Graphics]:
     near, far = (unit * (s + _LANE * lane) for s in _LINK)
     start, end = body.pins
     outline = hull([(*start, 0.05 * unit), (*(0.5 * (start + end)), 0.055 * unit), (*end, 0.05 * unit)])
-    return [*_cheeks(outline, near, far, paint.link, paint), *(_across(p, 0.16 * unit, _PIN * unit, paint.pin, paint) for p in body.pins)]
+    return [
+        *_cheeks(outline, near, far, paint.link, paint),
+        *(_across(p, 0.16 * unit, _PIN * unit, paint.pin, paint) for p in body.pins),
+    ]
 
 
 def _beam(body: _Body, unit: float, half: float, paint: Paint, color: Color) -> list[Graphics]:
@@ -295,19 +305,29 @@ def _beam(body: _Body, unit: float, half: float, paint: Paint, color: Color) -> 
     made = [plate(bent(start, middle, end, radii), -half, half, color, paint.edges)]
     root = start + 0.35 * (middle - start)
     knuckle = _behind(body, end)
-    if len(knuckle) > 1 or math.dist(start, body.root) > 1e-3 and not body.slides:
+    if len(knuckle) > 1 or (math.dist(start, body.root) > 1e-3 and not body.slides):
         discs = [*((*p, 0.07 * unit) for p in knuckle), (*root, 0.8 * radii[1])]
         made.append(plate(hull(discs), -half + 0.004 * unit, half - 0.004 * unit, color, paint.edges))
     for p in (*body.pins, *body.ends):
         if not any(p is k for k in knuckle):
-            made += _lug(p, (start, middle, end), radii[1], unit, half, paint, color, solid=any(p is q for q in body.pins))
+            made += _lug(
+                p, (start, middle, end), radii[1], unit, half, paint, color, solid=any(p is q for q in body.pins)
+            )
         made.append(_across(p, half + 0.012 * unit, 1.8 * _PIN * unit, color, paint))
         made.append(_across(p, half + 0.05 * unit, _PIN * unit, paint.pin, paint))
     return made
 
 
 def _lug(
-    tip: np.ndarray, line: Sequence[np.ndarray], radius: float, unit: float, half: float, paint: Paint, color: Color, *, solid: bool
+    tip: np.ndarray,
+    line: Sequence[np.ndarray],
+    radius: float,
+    unit: float,
+    half: float,
+    paint: Paint,
+    color: Color,
+    *,
+    solid: bool,
 ) -> list[Graphics]:
     """Return what holds a pin at `tip` that stands off a beam along `line`: two cheeks, or a solid plate for a joint."""
     distance, foot, along = min((_foot(tip, a, b) for a, b in pairwise(line)), key=lambda found: found[0])
@@ -339,7 +359,15 @@ def pillar(crane: Crane, paint: Paint, floor: float = 0.0) -> list[Graphics]:
     sheath = _sheath(crane, GROUND)
     if sheath is not None:
         start, end = sheath
-        made.append(plate(bent(start, 0.5 * (start + end), end, [_RADII[1] * unit] * 3), -0.1 * unit, 0.1 * unit, paint.pillar, paint.edges))
+        made.append(
+            plate(
+                bent(start, 0.5 * (start + end), end, [_RADII[1] * unit] * 3),
+                -0.1 * unit,
+                0.1 * unit,
+                paint.pillar,
+                paint.edges,
+            )
+        )
         made += _column(start, floor, unit, paint)
     for cylinder in machine.cylinders:
         for body, point in zip(cylinder.bodies, cylinder.points, strict=True):
@@ -374,18 +402,31 @@ def _ground_lug(at: np.ndarray, pins: Sequence[np.ndarray], floor: float, unit: 
     else:
         feet = [(at[0] - reach, floor + 0.02, 0.02), (at[0] + reach, floor + 0.02, 0.02)]
     outline = hull([(*at, 2.0 * _PIN * unit), *feet])
-    return [*_cheeks(outline, _LUG[0] * unit, _LUG[1] * unit, paint.pillar, paint), _across(at, 0.1 * unit, _PIN * unit, paint.pin, paint)]
+    return [
+        *_cheeks(outline, _LUG[0] * unit, _LUG[1] * unit, paint.pillar, paint),
+        _across(at, 0.1 * unit, _PIN * unit, paint.pin, paint),
+    ]
 
 
 def ground(
-    low: float, high: float, floor: float = 0.0, color: Color = (0.80, 0.81, 0.78, 1.0), line: Color = (0.70, 0.71, 0.68, 1.0)
+    low: float,
+    high: float,
+    floor: float = 0.0,
+    color: Color = (0.80, 0.81, 0.78, 1.0),
+    line: Color = (0.70, 0.71, 0.68, 1.0),
 ) -> list[Graphics]:
     """Return the ground from x = low to x = high (m): a plate with lines every half metre."""
     from exudyn.graphics import Brick, Lines
 
     middle, length = 0.5 * (low + high), high - low
     made: list[Graphics] = [
-        Brick([middle, floor - 0.03, 0.0], [length, 0.06, 2 * GROUND_HALF], color=list(color), addEdges=True, edgeColor=list(line))
+        Brick(
+            [middle, floor - 0.03, 0.0],
+            [length, 0.06, 2 * GROUND_HALF],
+            color=list(color),
+            addEdges=True,
+            edgeColor=list(line),
+        )
     ]
     top = floor + 0.003
     for x in np.arange(math.ceil(2.0 * low + 1e-9), 2.0 * high) / 2.0:
@@ -440,7 +481,12 @@ def rod(crane: Crane, cylinder: str, paint: Paint) -> list[Graphics]:
     radius, unit = crane[f"cylinders.{cylinder}.rod"] / 2.0, _bore(crane, cylinder) / _USUAL_BORE
     back, half = _rod_length(crane, cylinder), 0.048 * unit
     eye = plate(hull([(0, 0, 0.042 * unit), (-0.05 * unit, 0, radius)]), -half, half, paint.barrel, paint.edges)
-    return [eye, bar([-back, 0, 0], [back - 0.03 * unit, 0, 0], max(radius, 0.1 * _bore(crane, cylinder)), paint.rod, paint.edges)]
+    return [
+        eye,
+        bar(
+            [-back, 0, 0], [back - 0.03 * unit, 0, 0], max(radius, 0.1 * _bore(crane, cylinder)), paint.rod, paint.edges
+        ),
+    ]
 
 
 def _rod_length(crane: Crane, cylinder: str) -> float:
@@ -482,7 +528,9 @@ def payload_extent(crane: Crane) -> tuple[float, float]:
         return 0.0, 0.0
     width, height = crane["payload.width"], crane["payload.height"]
     round_ = _corners(crane) is None
-    return (max(0.04, height / 2.0), _LOG_LENGTH / 2.0) if round_ else (0.5 * math.hypot(width, height), _load_half(crane))
+    return (
+        (max(0.04, height / 2.0), _LOG_LENGTH / 2.0) if round_ else (0.5 * math.hypot(width, height), _load_half(crane))
+    )
 
 
 def _corners(crane: Crane) -> list[Disc] | None:
@@ -575,4 +623,17 @@ def arrow(tip: Sequence[float], direction: Sequence[float], length: float, color
     return made
 
 
-__all__ = ["Graphics", "Paint", "arrow", "body_shape", "exu", "ground", "moved", "oil", "outlines", "part_names", "parts", "pillar"]
+__all__ = [
+    "Graphics",
+    "Paint",
+    "arrow",
+    "body_shape",
+    "exu",
+    "ground",
+    "moved",
+    "oil",
+    "outlines",
+    "part_names",
+    "parts",
+    "pillar",
+]

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 READ = {"Pa": (1e-5, "bar"), "rad": (math.degrees(1.0), "°"), "m": (1e3, "mm")}
 #: colour maps whose lightness rises or falls steadily, so that they read in greyscale
 MAPS = {"pressure": "viridis", "residual": "YlOrRd"}
+#: values in a line of a colour scale
+_PER_LINE = 4
 _QUANTITIES = {"Pa": "pressure", "rad": "angle", "m": "way"}
 _INK, _SOFT, _MARK = (25, 27, 30), (85, 90, 96), (176, 0, 98)
 
@@ -77,8 +79,11 @@ def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, 
     for i, (unit_name, end) in enumerate(scene.scales.items()):
         (factor, symbol), channels = READ[unit_name], [c for c in shown if layout.unit_of(c) == unit_name]
         x = size[0] - (330 + 350 * i) * unit
-        y = size[1] - 78 * unit
-        panel = (x - 16 * unit, y - 32 * unit, x + 318 * unit, y + 62 * unit)
+        values = [(c, scene.value(c, time) * factor) for c in channels]
+        words = [f"{c} {v:.1f}" for c, v in values if not math.isnan(v)]
+        lines = ["   ".join(words[k : k + _PER_LINE]) for k in range(0, len(words), _PER_LINE)]
+        y = size[1] - (78 + 18 * max(len(lines) - 1, 0)) * unit
+        panel = (x - 16 * unit, y - 32 * unit, x + 318 * unit, size[1] - 16 * unit)
         draw.rounded_rectangle(panel, radius=8 * unit, fill=(255, 255, 255, 200))
         _bar(draw, scene, (x, y, x + 300 * unit, y + 14 * unit))
         quantity = _QUANTITIES[unit_name] + ("" if scene.colour == "pressure" else " residual")
@@ -87,9 +92,7 @@ def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, 
         for fraction in (0.0, 0.5, 1.0):
             at = (x + 300 * unit * fraction, y + 17 * unit)
             draw.text(at, f"{end * factor * fraction:g}", font=_font(round(14 * unit)), fill=_INK, anchor="ma")
-        values = [(c, scene.value(c, time) * factor) for c in channels]
-        words = "   ".join(f"{c} {v:.1f}" for c, v in values if not math.isnan(v))
-        draw.text((x, y + 36 * unit), words, font=_font(round(14 * unit)), fill=_SOFT)
+        draw.text((x, y + 36 * unit), "\n".join(lines), font=_font(round(14 * unit)), fill=_SOFT)
 
 
 def _bar(draw: Any, scene: Scene, box: tuple[float, float, float, float]) -> None:

@@ -24,7 +24,7 @@ SIZE = (960, 540)
 
 def trajectory(label: str, run: Simulation) -> Trajectory:
     """Return a run as a trajectory of a scene."""
-    return Trajectory.from_states(label, run.time, run.states)
+    return Trajectory.from_states(label, run.time, run.states, run.crane.layout)
 
 
 def estimated(model: Simulation, true: Simulation) -> Trajectory:
@@ -39,7 +39,7 @@ def estimated(model: Simulation, true: Simulation) -> Trajectory:
         "seen", true.time[every], {"u1": true["u1"][every], "u2": true["u2"][every], **seen}
     )
     estimate = Estimator(model.crane, engine="semi-recursive", sensors=sensors).run(recording)
-    return Trajectory("estimated", estimate.time, estimate.mean[:, 0], estimate.mean[:, 1])
+    return Trajectory("estimated", estimate.time, estimate.mean[:, model.crane.layout.positions])
 
 
 def main(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Draws the sketches of docs/physics.md from the crane file, and the rendered pictures of the other pages.
+"""Draws the sketches of docs/physics.md and docs/howto/own-crane.md from the crane files.
 
 python docs/make_sketches.py [FOLDER]     # default: docs/images
 """
@@ -16,17 +16,19 @@ from matplotlib.patches import Arc, Circle, FancyArrowPatch, Polygon, Rectangle
 
 from crane_exudyn import Crane
 from crane_exudyn.geometry import pose
-from crane_exudyn.parameters import POINT_NAMES
+from crane_exudyn.render_frames import sketch
 from validation.plots import save, style
 
 INK, SOFT, LIFT, TILT = "#1b1b1b", "#777777", "#D55E00", "#0072B2"
+#: what the sketch calls ends of cylinders
+_LETTERS = {"lift_base": "F", "lift_rod_end": "G", "tilt_base": "H"}
 Z1, Z4 = math.radians(20.0), math.radians(-55.0)
 
 
 def crane_sketch(crane: Crane) -> Figure:
     """Return the crane at a pose with its points, angles, lengths and chambers named."""
     figure, axes = _page(8.2, 5.0)
-    points = {name: p for name, p in zip(POINT_NAMES, pose(crane, Z1, Z4).points[0], strict=True)}
+    points = {_LETTERS.get(name, name): at[0] for name, at in pose(crane, Z1, Z4).points.items()}
     o, f, g, h, b, a, c, d, e = (points[n] for n in ("O", "F", "G", "H", "B", "A", "C", "D", "E"))
     axes.add_patch(
         Polygon([(-0.30, 0), (0.06, 0), np.add(o, (0.07, 0.02)), np.add(o, (-0.07, 0.02))], fc="#e3e3e3", ec=SOFT)
@@ -164,6 +166,8 @@ def main(folder: Path) -> None:
     crane = Crane.load("patu655")
     save(crane_sketch(crane), folder / "crane.svg")
     save(hydraulic_sketch(), folder / "cylinder.svg")
+    for name in ("loader", "excavator"):
+        save(sketch(Crane.load(name)), folder / f"{name}-frames.png")
 
 
 if __name__ == "__main__":

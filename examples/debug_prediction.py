@@ -31,7 +31,10 @@ lines = {"measured": measured, "simulated": {name: model[name] for name in recor
 plots.save(plots.trajectories(model.time, lines, marks=[(when, when + 0.3, "leaves here")]), folder / "channels.png")
 
 place = {"z1": "O", "z4": "A"}.get(worst, worst)
-runs = [Trajectory.from_recording(recording), Trajectory.from_states("simulated", model.time, model.states)]
+runs = [
+    Trajectory.from_recording(recording),
+    Trajectory.from_states("simulated", model.time, model.states, model.crane.layout),
+]
 scene = Scene(crane, runs, colour="residual", marks=[place], title=recording.name, size=(640, 360))
 scene.save(folder / "scene.png", time=min(when + 1.0, scene.end))
 scene.save(folder / "film.gif", fps=4.0, speed=4.0)

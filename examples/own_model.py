@@ -20,7 +20,7 @@ start = ExudynEngine(crane).static_start(np.radians(20.0), np.radians(-50.0))
 _, mbs = mechanism.main_system()
 plant = mechanism.build(mbs, crane, states=start, inputs=lambda t: np.array([0.3 * (t > 0.2), 0, np.nan, np.nan]))
 
-stump, tip = np.array([4.2, 0.0, 0.0]), np.append(pose(crane, *start[:2]).points[0, -1], 0.0)
+stump, tip = np.array([4.2, 0.0, 0.0]), np.append(pose(crane, *start[:2]).points["E"][0], 0.0)
 on_boom = [crane["joints.E.x"] - plant.inertia[0, 3, 1], crane["joints.E.y"] - plant.inertia[0, 3, 2], 0.0]
 top = mbs.AddMarker(ei.MarkerBodyPosition(bodyNumber=plant.bodies[0]["outer_boom"], localPosition=on_boom))
 foot = mbs.AddMarker(ei.MarkerBodyPosition(bodyNumber=mbs.AddObject(ei.ObjectGround(referencePosition=stump))))
@@ -32,8 +32,8 @@ mbs.SolveDynamic(mechanism.settings(step=2e-3, duration=1.5))
 z1, outer = (mbs.GetNodeOutput(plant.nodes[0][b], Output.Coordinates)[2] for b in ("lift_boom", "outer_boom"))
 force = np.linalg.norm(mbs.GetObjectOutput(rope, Output.Force))
 print(f"The rope pulls with {force:.0f} N; z1 went from {np.degrees(start[0]):.1f} to {np.degrees(z1):.1f} deg.")
-end = Trajectory("end", np.array([0.0, 1.5]), np.array([start[0], z1]), np.array([start[1], outer - z1]))
-line = np.append(pose(crane, z1, outer - z1).points[0, -1], 0.0) - stump
+end = Trajectory("end", np.array([0.0, 1.5]), np.array([start[:2], [z1, outer - z1]]))
+line = np.append(pose(crane, z1, outer - z1).points["E"][0], 0.0) - stump
 look = ei.VObjectGround(graphicsData=[Cylinder(stump, line, 0.02, color=[0.1, 0.3, 0.1, 1.0])])
 scene = Scene(crane, [end], title="Held by a rope", own=lambda m: m.AddObject(ei.ObjectGround(visualization=look)))
 scene.save(Path(sys.argv[1] if len(sys.argv) > 1 else ".") / "rope.png")

@@ -131,10 +131,10 @@ def test_only_what_is_left_by_newtons_methods_has_no_order(crane: Crane) -> None
             for h, size in zip(cc.ORDER_STEPS, sizes, strict=True)
         ]
 
-    assert_ok(cc._orders(runs([3e-10, 1e-10, 2e-10])))
-    assert_ok(cc._orders(runs([16e-7, 4e-7, 1e-7])))
+    assert_ok(cc._orders(crane.layout, runs([3e-10, 1e-10, 2e-10])))
+    assert_ok(cc._orders(crane.layout, runs([16e-7, 4e-7, 1e-7])))
     for sizes in ([16e-7, 8e-7, 4e-7], [1e-7, 1e-7, 1e-7], [1e-10, 1e-9, 1e-8], [0.0, 0.0, 0.0]):
-        assert not any(q.ok for q in cc._orders(runs(sizes)))
+        assert not any(q.ok for q in cc._orders(crane.layout, runs(sizes)))
 
 
 def test_joystick_keeps_off_the_ends(crane: Crane, semi_recursive: SemiRecursiveEngine) -> None:
@@ -232,7 +232,7 @@ def test_a_faulty_trajectory_is_caught(crane: Crane, exudyn: ExudynEngine) -> No
     time = np.arange(2401) * 1e-3
     w = cases.spool_inputs(crane, time, np.column_stack([0.3 * (time > 0.2), 0.0 * time]))
     quantities, _ = cc.compare_runs("lift", exudyn, off, time, w, 1e-3, lambda fraction: None)
-    assert {"lift: z1", "lift: p1", "lift: order of angles"} <= {q.name for q in quantities if not q.ok}
+    assert {"lift: z1", "lift: p1", "lift: order of positions"} <= {q.name for q in quantities if not q.ok}
 
 
 def test_what_is_not_a_number_is_never_ok() -> None:
@@ -260,7 +260,7 @@ def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -
         crane, states=20, seconds=2.4, step=1e-3, make_first=make, make_second=make, progress=seen.append
     )
     assert {q.name for q in result.failures} == {
-        f"{m}: order of {o}" for m in cc.by_name(result.runs) for o in ("angles", "pressures")
+        f"{m}: order of {o}" for m in cc.by_name(result.runs) for o in ("positions", "pressures")
     }
     document = json.loads(json.dumps(result.to_json(), allow_nan=True))
     assert {"F1", "dz2_dz4", "static start: p1", "payload_swing", "drawn at random", "paper's cycle: p1"} <= set(

@@ -55,7 +55,9 @@ def test_what_a_page_says_works(page, tmp_path, monkeypatch):
     for block in blocks(page):
         where = f"{page_id(page)}, line {block.line}"
         if block.title is not None:
-            Path(block.title).write_text(block.body, encoding="utf-8")
+            name, more, _ = block.title.partition(", continued")
+            with Path(name).open("a" if more else "w", encoding="utf-8") as file:
+                file.write(block.body)
         elif block.kind == "python":
             exec(compile(block.body, where, "exec"), names)
         elif block.kind == "console":

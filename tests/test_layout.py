@@ -136,8 +136,6 @@ NAMES = {
 OWN = {
     "patu/paper.py", "validation/paper.py", "validation/paper_figures.py", "validation/hidden.py", "validation/hidden_plant.py",
 }  # fmt: skip
-#: what still knows one machine: how the linkage is drawn
-LATER = {"crane_exudyn/render.py", "crane_exudyn/render_shapes.py"}
 #: what may fall back on the layout of patu655: where a user names no crane, and the PATU's own studies
 DEFAULTS = {
     "crane_exudyn/recording.py", "crane_exudyn/plots.py", "ukf/estimate.py", "validation/hidden.py", "validation/study.py"
@@ -163,7 +161,7 @@ def _knows_one_machine(text: str) -> bool:
 
 def test_only_listed_files_know_where_things_stand():
     found = {path for path, text in sources().items() if _knows_one_machine(text)}
-    assert found == OWN | LATER
+    assert found == OWN
 
 
 def test_only_listed_files_fall_back_on_one_machine():

@@ -95,15 +95,15 @@ TIP_AT = 2
 CUT, NESTED = range(2)
 # a cylinder: its pins and its direction
 BASE_AT, ROD_AT, ALONG = range(3)
-# a body: w of Z_j, its joint's rate, mass and moment of inertia that its joint carries, moment of the force, and R_z' z_i'
-OMEGA, RATE, MASS, INERTIA, COUPLE, FOLLOWED = range(6)
+# a body: w of Z_j, mass and moment of inertia that its joint carries, moment of the force, and R_z' z_i'
+OMEGA, MASS, INERTIA, COUPLE, FOLLOWED = range(5)
 # a cylinder: length and rate of the line between its pins, opening of its valve, flows over the edges to pump and tank, length and rate of the
 # piston-side chamber, flows of valve and leakages, friction, force, rates of the amounts, and the Oil of both sides
 LENGTH, SPEED_S, OPENING, DRAWN, RETURNED, LA, SPEED_LA, QA, QB, LEAK_A, LEAK_B, FMU, F, GA, GB = range(15)
 OIL_A, OIL_B = 15, 21
 PRESSURE, AMOUNT, BY_PRESSURE, BY_VOLUME, DENSITY = range(1, 6)
 # row 0: pressures at the valves' ports, length of a pendulum, what accelerates it without the coordinates' accelerations, and its angle's acceleration
-PUMP, TANK, PENDULUM, OWN, SWINGING = range(6, 11)
+PUMP, TANK, PENDULUM, OWN, SWINGING = range(5, 10)
 # every row, from here on: what it is by each independent coordinate. A body: its row of R_z, and behind it of M R_z; a cylinder: generalised
 # force of a unit force; two rows behind all others: the velocity of the payload's point
 BY = 27
@@ -416,7 +416,6 @@ def move_joint(j, rate, s):
         turning = w + rate
         s.numbers[j, OMEGA] = turning
         s.vectors[j, PRODUCT] = s.vectors[c, PRODUCT] + (turning * turning - w * w) * axis
-    s.numbers[j, RATE] = rate
 
 
 @part
