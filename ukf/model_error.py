@@ -11,7 +11,7 @@ filter estimates along with the state what may act so, each unknown as first-ord
 | flow coefficient of each valve | while its spool is open | 10 % | 3 s |
 | pump pressure | while a valve draws from it | 5 % | 3 s |
 | volume of the hoses, which stands for softness of the oil | while the pressure changes | 50 % | 1 s |
-| an offset of each pressure sensor | always | a third of its noise | constant |
+| an offset of each pressure sensor | always | a third of its noise | 10 s |
 | a parameter that the crane file calls unknown, such as the payload | as the model says | 100 kg for a payload | constant |
 
 How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the innovations are
@@ -43,8 +43,8 @@ from .tuning import busiest, descend, limits_of, logs_of, noise_of
 
 #: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are opened afterwards
 _PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.5
-#: how far a size is searched from what is expected, powers of ten
-_BELOW, _ABOVE = -4.0, 2.0
+#: how far below what is expected a size is searched, powers of ten
+_BELOW = -4.0
 #: unknowns whose size is so many powers of ten below what is expected are left out
 _NOTHING = -2.5
 #: finest step of the search in powers of ten, what a round of it must gain in log-likelihood, runs that are replayed
@@ -63,11 +63,12 @@ _PRESSURE = 0.3
 
 @dataclass(frozen=True)
 class Unknown:
-    """Quantities that share a size: their names, the size that is expected (SI) and how long they last (s)."""
+    """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest size."""
 
     names: tuple[str, ...]
     size: float
     memory: float
+    most: float
 
     def augments(self, size: float) -> tuple[Augment, ...]:
         """Return the quantities as states of the filter, of a given size."""
@@ -111,21 +112,22 @@ def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str
     `sensors` are channels with the standard deviation of their noise, SI.
     """
     lay, pump = crane.layout, crane["supply.pump_pressure"]
-    found = [Unknown((name,), 0.05 * most, 10.0) for name, most in zip(lay.torques, _moments(crane), strict=True)]
+    found = [Unknown((name,), 0.05 * most, 10.0, most) for name, most in zip(lay.torques, _moments(crane), strict=True)]
     for cylinder, sides in zip(lay.cylinders, lay.sides, strict=True):
         valve = f"valves.{cylinder}.flow_coefficient"
         hoses = tuple(f"cylinders.{cylinder}.hose_volume_{side}" for side in ("piston", "rod"))
+        flow, volume = crane[valve] * np.sqrt(pump), float(np.mean([crane[h] for h in hoses]))
         found += [
-            Unknown(tuple(f"flow.{chamber}" for chamber in sides), 0.005 * crane[valve] * np.sqrt(pump), 3.0),
-            Unknown((valve,), 0.1 * crane[valve], 3.0),
-            Unknown(hoses, 0.5 * float(np.mean([crane[h] for h in hoses])), 1.0),
+            Unknown(tuple(f"flow.{chamber}" for chamber in sides), 0.005 * flow, 3.0, flow),
+            Unknown((valve,), 0.1 * crane[valve], 3.0, crane[valve]),
+            Unknown(hoses, 0.5 * volume, 1.0, volume),
         ]
-    found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0))
+    found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0, pump))
     gauges = [n for n in sensors if lay.sensors[n].unit == "Pa"]
-    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, np.inf) for n in gauges]
+    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 10.0, 30.0 * sensors[n]) for n in gauges]
     free = [n for n, known in crane.uncertainty.items() if not np.isfinite(known.std) and n in crane.machine.index]
-    found += [Unknown((e.name,), e.std, np.inf) for e in resolve(crane, free)]
-    return tuple(u for u in found if not set(u.names) & set(without))
+    found += [Unknown((e.name,), e.std, np.inf, 10.0 * e.std) for e in resolve(crane, free)]
+    return tuple(u for u in found if u.size > 0.0 and not set(u.names) & set(without))  # machines without hoses
 
 
 def _moments(crane: Crane) -> list[float]:
@@ -205,7 +207,8 @@ class _Search:
         noise = logs_of(start.noise)
         self.first = np.concatenate([np.zeros(self.count), noise])
         self._width = np.concatenate([np.full(self.count, _PRIOR), np.full(self.first.size - self.count, _PRIOR_NOISE)])
-        self._limits = [(_BELOW, _ABOVE)] * self.count + limits_of(noise)
+        self._most = np.log10([u.most / u.size for u in start.unknowns])
+        self._limits = [*((_BELOW, float(most)) for most in self._most), *limits_of(noise)]
 
     def model_error(self, logs: np.ndarray) -> ModelError:
         """Return the model error of some logarithms."""
@@ -225,7 +228,8 @@ class _Search:
 
     def opened(self, logs: np.ndarray) -> ModelError:
         """Return the model error with sizes that are opened, without unknowns of no account."""
-        wide = logs + np.concatenate([np.full(self.count, _OPENED), np.zeros(logs.size - self.count)])
+        wide = logs.copy()
+        wide[: self.count] = np.minimum(wide[: self.count] + _OPENED, self._most)
         found = self.model_error(wide)
         kept = [k for k in range(self.count) if wide[k] > _NOTHING]
         return ModelError(
