@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from . import channels as channel_names
 from .channels import Channel
 from .errors import CraneError, nearest
 from .layout import Layout
+from .mapping import Column
 from .tables import RawColumn, RawTable, remarks, split_header
 from .units import factor_to_si
 
@@ -25,30 +27,19 @@ _MOST_REPEATED = 0.1
 _SPLIT, _SPLIT_RATIO, _DAY = 10.0, 100.0, 86400.0
 
 
-def check_mapping(mapping: Mapping[str, str], layout: Layout) -> None:
-    known = ["time", *channel_names.of(layout)]
-    for name in mapping:
-        if name not in known:
-            raise CraneError(f"--map {name}={mapping[name]}: there is no channel {name!r}.{nearest(name, known)}")
-    columns = list(mapping.values())
-    for column in columns:
-        if columns.count(column) > 1:
-            raise CraneError(f"--map takes column {column!r} for two channels. Map each column once.")
-
-
 def example(layout: Layout) -> str:
     """Return an example of what `--map` takes, such as "z1=BoomAngle[deg]"."""
     name = layout.coordinates[0]
     return f"{name}=BoomAngle[{EXAMPLE[layout.unit_of(name)]}]"
 
 
-def wanted(mapping: Mapping[str, str], layout: Layout) -> set[str]:
-    mapped = {part for column in mapping.values() for part in (column, split_header(column)[0])}
-    return {"time", *channel_names.of(layout), *mapped}
+def wanted(mapping: Mapping[str, Column], layout: Layout) -> set[str]:
+    """Return the names of columns that matter."""
+    return {"time", *channel_names.of(layout)}.union(*(column.names for column in mapping.values()))
 
 
-def assemble(path: Path, table: RawTable, mapping: Mapping[str, str], layout: Layout) -> dict[str, Any]:
-    """Return name, channels, source, notes and layout of the recording that a file's columns make.
+def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column], layout: Layout) -> dict[str, Any]:
+    """Return name, channels, source, notes, columns and layout of the recording that a file's columns make.
 
     Names, units and clocks are judged, missing samples dropped.
     """
@@ -68,7 +59,7 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, str], layout: La
         own = _clock_of(path, named[name], clock, table)
         if id(own) not in times:
             times[id(own)] = _seconds(path, own, table)
-        channel = _channel(path, name, named[name], times[id(own)], table, layout)
+        channel = _channel(path, name, named[name], times[id(own)], table, mapping.get(name), layout)
         if channel is None:
             notes.append(f"channel {name} has no sample")
             continue
@@ -80,24 +71,27 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, str], layout: La
         raise CraneError(f"{path}: found fewer than two samples, expected a recording over time. Record longer.")
     channels, split = _longest_stretch(channels)
     notes += split
-    return {
-        "name": path.name.partition(".")[0],
-        "channels": channels,
-        "source": str(path),
-        "notes": tuple(notes),
-        "layout": layout,
+    origin = named | ({} if clock is None else {"time": clock})
+    read_from = {
+        n: replace(mapping.get(n, Column("")), header=column.header, unit=unit)
+        for n, (column, unit) in origin.items()
+        if n == "time" or n in channels
     }
+    return {
+        "name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes), "columns": read_from,
+        "layout": layout,
+    }  # fmt: skip
 
 
 def _name_columns(
-    path: Path, table: RawTable, mapping: Mapping[str, str], layout: Layout
+    path: Path, table: RawTable, mapping: Mapping[str, Column], layout: Layout
 ) -> tuple[dict[str, tuple[RawColumn, str | None]], list[str]]:
     """Return {channel: (column, unit)} and remarks on columns that were left alone.
 
     A column that merely has the name of something unseen, without a unit, is somebody's own.
     """
     known = ("time", *channel_names.of(layout))
-    by_column = {id(_find(path, table, column)): name for name, column in mapping.items()}
+    by_column = {id(_find(path, table, column.header, column.said)): name for name, column in mapping.items()}
     named: dict[str, tuple[RawColumn, str | None]] = {}
     notes: list[str] = []
     ignored: list[str] = []
@@ -106,7 +100,7 @@ def _name_columns(
         unit = column.unit if unit is None else unit
         if id(column) in by_column:
             name = by_column[id(column)]
-            unit = _mapped_unit(path, column.header, unit, split_header(mapping[name])[1])
+            unit = _mapped_unit(path, column.header, unit, mapping[name])
         elif name in mapping or name not in known or (name in layout.added and unit is None):
             like = next((c for c in known[1:] if c.lower() == name.lower()), None)
             if name in mapping or like:
@@ -123,13 +117,13 @@ def _name_columns(
     return named, notes + remarks("column", ignored, "was ignored")
 
 
-def _remark(header: str, name: str, like: str | None, mapping: Mapping[str, str]) -> str:
+def _remark(header: str, name: str, like: str | None, mapping: Mapping[str, Column]) -> str:
     if name in mapping:
-        return f"column {header!r} was put aside for {mapping[name]!r}"
+        return f"column {header!r} was put aside for {mapping[name].header!r}"
     return f"column {header!r} was ignored, did you mean {like}?"
 
 
-def _find(path: Path, table: RawTable, wanted: str) -> RawColumn:
+def _find(path: Path, table: RawTable, wanted: str, said: str) -> RawColumn:
     """Return the column that a mapping names: by its whole header, else by its name without unit."""
     whole = [c for c in table.columns if c.header.strip() == wanted.strip()]
     name = split_header(wanted)[0]
@@ -137,15 +131,18 @@ def _find(path: Path, table: RawTable, wanted: str) -> RawColumn:
     if len(found) == 1:
         return found[0]
     if found:
-        raise CraneError(f"{path}: column {wanted!r} of --map stands there {len(found)} times. Rename one.")
+        raise CraneError(f"{path}: column {wanted!r} of {said} stands there {len(found)} times. Rename one.")
     headers = [split_header(c.header)[0] for c in table.columns]
-    raise CraneError(f"{path}: there is no column {name!r}, as --map says.{nearest(name, headers)}")
+    raise CraneError(f"{path}: there is no column {name!r}, as {said} says.{nearest(name, headers)}")
 
 
-def _mapped_unit(path: Path, header: str, own: str | None, given: str | None) -> str | None:
+def _mapped_unit(path: Path, header: str, own: str | None, column: Column) -> str | None:
+    given = split_header(column.header)[1]
+    if column.unit is not None:
+        return column.unit
     if own is not None and given is not None and own != given:
         raise CraneError(
-            f"{path}, column {header}: the file says [{own}], --map says [{given}]. Leave the unit of --map out, or mend one."
+            f"{path}, column {header}: the file says [{own}], {column.said} says [{given}]. Leave the unit of {column.said} out, or mend one."
         )
     return own if given is None else given
 
@@ -241,7 +238,13 @@ def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) 
 
 
 def _channel(
-    path: Path, name: str, column: tuple[RawColumn, str | None], time: np.ndarray, table: RawTable, layout: Layout
+    path: Path,
+    name: str,
+    column: tuple[RawColumn, str | None],
+    time: np.ndarray,
+    table: RawTable,
+    mapped: Column | None,
+    layout: Layout,
 ) -> Channel | None:
     (raw, unit), si_unit = column, channel_names.of(layout)[name]
     if raw.values.shape != time.shape:
@@ -251,6 +254,8 @@ def _channel(
         )
     with np.errstate(over="ignore"):  # what is infinite in SI is refused below
         values = raw.values * _factor(path, name, raw.header, unit, si_unit)
+    if mapped is not None:
+        values, time = mapped.factor * values + mapped.offset, mapped.stamped(time)
     there = ~np.isnan(values)
     infinite = np.flatnonzero(np.isinf(values))
     if len(infinite):

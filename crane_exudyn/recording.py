@@ -12,11 +12,12 @@ import numpy as np
 
 from . import channels as channel_names
 from . import signals
-from .assembly import assemble, check_mapping, example, wanted
+from .assembly import assemble, example, wanted
 from .channels import Channel
 from .errors import CraneError, nearest
 from .layout import Layout
 from .machine_toml import machine_of
+from .mapping import Column, columns_of
 from .tables import RawColumn, RawTable
 
 if TYPE_CHECKING:
@@ -43,6 +44,8 @@ class Recording:
         source: the file, for messages.
         notes: what was left out or changed while reading, in words.
         layout: of the machine that was recorded.
+        columns: what each channel was read from, where that is known.
+        vouched: whether its contents have been looked at, or are to be used anyway (`vetting`).
     """
 
     name: str
@@ -50,6 +53,8 @@ class Recording:
     source: str = ""
     notes: tuple[str, ...] = ()
     layout: Layout = field(default_factory=usual_layout, repr=False)
+    columns: Mapping[str, Column] = field(default_factory=dict)
+    vouched: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
@@ -58,14 +63,14 @@ class Recording:
 
     @classmethod
     def load(
-        cls, path: str | Path, mapping: Mapping[str, str] | None = None, *, layout: Layout | None = None
+        cls, path: str | Path, mapping: Mapping[str, str | Column] | None = None, *, layout: Layout | None = None
     ) -> Recording:
         """Return the recording in a file: CSV (also .csv.gz), MATLAB v5 and v7.3, Parquet, MDF4.
 
         Args:
             path: the file; its content, not its ending, tells the format.
             mapping: channel -> column of the file, such as {"z1": "BoomAngle[deg]"}; the unit may be left out where the
-                file gives one.
+                file gives one. A minus before the column turns the sign; a `mapping.Column` says more.
             layout: of the machine that was recorded, `crane.layout`; by default that of patu655.
 
         Raises:
@@ -73,10 +78,10 @@ class Recording:
         """
         from .formats import read
 
-        mapping, layout = dict(mapping or {}), layout or usual_layout()
-        check_mapping(mapping, layout)
-        table = read(Path(path), wanted=wanted(mapping, layout))
-        return cls(**assemble(Path(path), table, mapping, layout))._with_gaps_told()
+        layout = layout or usual_layout()
+        columns = columns_of(mapping or {}, layout)
+        table = read(Path(path), wanted=wanted(columns, layout))
+        return cls(**assemble(Path(path), table, columns, layout))._with_gaps_told()
 
     @classmethod
     def from_arrays(

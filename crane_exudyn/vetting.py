@@ -1,30 +1,37 @@
-"""Whether a recording's contents can be true of a crane: units, poses, supply and clock, each finding with its likely mend.
+"""Whether a recording is what it says it is, as findings with their mend: what no crane can do, and what makes its channels disagree.
 
     for finding in vet(recording, crane):
         print(finding.severity, finding.text, finding.mend)
 
-Only what no crane can do, or hardly any, is found here, from values that occur often (a single spike is not a wrong unit), in well
-under a second.
+What no crane can do is seen in single channels, from values that occur often (a single spike is not a wrong unit). Whether a channel is
+another one, has another sign, unit, line of reference or clock is seen in the balances: it is found where they close far better with
+it read otherwise (`readings`, `clocks`), which no wear of a machine makes them do.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from .channels import BEYOND, Channel
+from .clocks import Clock, clock_of, mended
+from .consistency import LONGEST, PLAY, Grid, Machine
 from .crane import Crane
 from .errors import CraneError
 from .geometry import cylinder_lengths
+from .mapping import Column, map_text
+from .readings import Reading, Weighed, mistaken
 from .recording import Recording
-from .signals import noise_std, sampling_rate
+from .signals import noise_std, quantisation, sampling_rate
+from .statics import vapour_pressure
+from .tables import split_header
 
 Severity = Literal["error", "warning", "note"]
-Kind = Literal["scale", "clock", "pose", "swapped", "offset"]
+Kind = Literal["sign", "swapped", "absolute", "scale", "offset", "clock", "pose", "noise", "saturation", "motion"]
 
 _SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
 #: pressures in Pa that a working crane stays between, most of the time; a chamber may stand at vapour pressure, but not all the time
@@ -33,13 +40,32 @@ _LOW, _HIGH, _VACUUM = 0.1e5, BEYOND["Pa"], -0.5e5
 _LIKELY = {"rad": (0.01, math.pi), "m": (0.01, 10.0), "rad/s": (0.01, 2.0), "m/s": (0.001, 2.0)}
 #: samples a second between which sensors of a crane are read
 _SLOWEST_CLOCK, _FASTEST_CLOCK = 2.0, 2e5
-#: m by which a cylinder may seem longer or shorter than it can be: pins and zero points are known to that
-_PLAY = 0.03
 #: how many poses are looked at, and the share of them beyond reach that is no longer an outlier
 _POSES, _SHARE = 400, 0.05
+#: logs by which another reading must be better to be told, and to be decisive
+_SEEN, _DECISIVE = 0.9, 1.4
+#: s: motion before its command that no error of a model makes, delays that two valves have not, or hardly, and that no valve has
+_EARLY, _DELAYED, _LONG = 0.04, 0.1, 0.6
+#: share of samples that stay at a limit beyond which a channel is cut off, where of the others not so many stay
+_CUT, _KEPT = 0.01, 0.2
+#: share of what a channel shows that makes a step coarse
+_COARSE = 0.01
+#: a spool command above this opens a valve enough to be felt
+OPEN = 0.05
+#: s in which a machine does not ring; correlation of neighbouring samples from which noise is not white
+_RING, _ALIKE = 0.1, 0.5
+#: s at the beginning, and the s after them, in which nothing should move faster than so many rad/s, and so many times more than its samples scatter
+_FIRST, _MOVES, _MOVED = 0.3, 0.04, 6.0
 #: units that are mistaken for one another: what a value must be multiplied with, and what then was given as what
 _MISTAKEN = {
-    "Pa": ((1e5, "bar", "Pa"), (1e6, "MPa", "Pa"), (1e-5, "Pa", "bar"), (10.0, "MPa", "bar"), (1e3, "kPa", "Pa")),
+    "Pa": (
+        (1e5, "bar", "Pa"),
+        (1e6, "MPa", "Pa"),
+        (1e-5, "Pa", "bar"),
+        (10.0, "MPa", "bar"),
+        (1e3, "kPa", "Pa"),
+        (0.0689476, "psi", "bar"),
+    ),
     "rad": ((math.pi / 180, "deg", "rad"), (180 / math.pi, "rad", "deg"), (1e-3, "mrad", "rad")),
     "rad/s": ((math.pi / 180, "deg/s", "rad/s"), (180 / math.pi, "rad/s", "deg/s")),
     "m": ((1e-3, "mm", "m"), (1e3, "m", "mm"), (1e-2, "cm", "m")),
@@ -47,11 +73,12 @@ _MISTAKEN = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Finding:
     """Something about a recording: what kind, which channels, how bad, what was found and how to mend it.
 
-    "error" is what cannot be true, "warning" what is hardly so, "note" what a reader should know.
+    "error" is what cannot be true, "warning" what is hardly so, "note" what a reader should know. `columns`: what its channels are to be
+    read from, where that mends it.
     """
 
     kind: Kind
@@ -59,26 +86,169 @@ class Finding:
     severity: Severity
     text: str
     mend: str
+    columns: Mapping[str, Column] = field(default_factory=dict)
 
 
 def vet(recording: Recording, crane: Crane) -> list[Finding]:
     """Return what is implausible about a recording of a crane, worst first; empty for a sound one."""
-    looks = (_pressures, _supply, _motion, _lengths, _poses, _clock)
-    found = [finding for look in looks for finding in look(recording, crane)]
+    found = contents(recording, crane)
+    mistaken = _disagreements(recording, crane)
+    told = {n for f in mistaken for n in f.channels}
+    kept = [
+        f for f in found if not told.intersection(f.channels)
+    ]  # what a channel is, says more than that it cannot be
+    return sorted([*mistaken, *kept], key=lambda f: _SEVERITIES.index(f.severity))
+
+
+def contents(recording: Recording, crane: Crane) -> list[Finding]:
+    """Return what cannot be true of single channels, or hardly, worst first; in well under a second."""
+    looks = (_pressures, _supply, _motion, _lengths, _poses, _clock, _saturation, _steps, _noise, _start)
+    found: list[Finding] = []
+    for finding in (f for look in looks for f in look(recording, crane)):
+        wrong = {n for f in found if f.severity == "error" for n in f.channels}
+        if not wrong.intersection(finding.channels):  # one reason is enough
+            found.append(finding)
     return sorted(found, key=lambda f: _SEVERITIES.index(f.severity))
 
 
 def vetted(recording: Recording, crane: Crane) -> Recording:
-    """Return the recording, with notes on what is hardly plausible about it.
+    """Return the recording with notes on what is hardly plausible about its contents; one that was accepted before as it is.
 
     Raises:
         CraneError: something in it cannot be true; all such findings, each with its mend.
     """
-    findings = vet(recording, crane)
-    errors = [f"{f.text}. {f.mend}" for f in findings if f.severity == "error"]
-    if errors:
+    return recording if recording.vouched else accepted(recording, contents(recording, crane))
+
+
+def accepted(recording: Recording, findings: Iterable[Finding], *, anyway: bool = False) -> Recording:
+    """Return the recording with its findings as notes.
+
+    Raises:
+        CraneError: some are errors, and it is not to be used anyway.
+    """
+    told = {f: f"{f.text}. {f.mend}" for f in findings}
+    errors = [text for f, text in told.items() if f.severity == "error"]
+    if errors and not anyway:
         raise CraneError(f"{recording.source or recording.name}: {' '.join(errors)}")
-    return replace(recording, notes=(*recording.notes, *(f"{f.text}. {f.mend}".removesuffix(".") for f in findings)))
+    return replace(recording, notes=(*recording.notes, *(t.removesuffix(".") for t in told.values())), vouched=True)
+
+
+def mended_columns(recording: Recording, findings: Iterable[Finding]) -> dict[str, Column]:
+    """Return what each channel is to be read from, with all mends of the findings; a column that became another channel is no longer its old one."""
+    fixed = {n: c for f in findings for n, c in f.columns.items()}
+    taken = {c.header for c in fixed.values()}
+    return {n: c for n, c in recording.columns.items() if c.header not in taken} | fixed
+
+
+# -- what the channels say of each other -------------------------------------------------------------------------------
+
+
+def _disagreements(recording: Recording, crane: Crane) -> list[Finding]:
+    """Return which channels are not what they are said to be, by the balances that close only if they are something else."""
+    grid = Grid.of(recording, crane)
+    if grid is None:
+        return []
+    machine = Machine(crane)
+    clock = clock_of(machine, grid)
+    if clock is not None:
+        found, _ = mistaken(machine, mended(grid, clock, crane.layout.commands), _SEEN)
+    else:  # pistons do not follow their commands at all before the channels are what they should be
+        found, grid = mistaken(machine, grid, _SEEN)
+        clock = clock_of(machine, grid)
+    columns = {n: recording.columns.get(n, Column(n)) for n in recording.channels}
+    return [
+        *(_of_reading(recording, crane, rivals, columns) for rivals in found),
+        *_of_clock(recording, crane, clock, columns),
+    ]
+
+
+def _of_reading(recording: Recording, crane: Crane, rivals: list[Weighed], columns: dict[str, Column]) -> Finding:
+    """Return the finding of a reading, with those that would do as well; what its channels are read from is changed in `columns`."""
+    reading = rivals[0].reading
+    (balance, of), before, after = rivals[0].best
+    names = _recorded(recording, crane, reading.channels)
+    others = [w.reading for w in rivals[1:] if set(w.reading.channels) != set(reading.channels)][:2]
+    text = (
+        f"{' and '.join(names)} agree{'s' * (len(names) == 1)} with the other channels only {reading.words}: "
+        f"{_BALANCES[balance].format(of)} is then off by {after:.2g} instead of {before:.2g} (0: closes, 1: knows nothing of the rest)"
+    )
+    if others:
+        rival = [f"{' and '.join(_recorded(recording, crane, r.channels))} {r.words}" for r in others]
+        text += f"; nearly as well {' or '.join(rival)}"
+    severity: Severity = "error" if rivals[0].gain > _DECISIVE else "warning"
+    fix = _columns_of(reading, columns)
+    if not fix:
+        mend = "Mend the valves' calibration in the crane file, or the columns of the voltages."
+        return Finding(reading.kind, names, severity, text, mend)
+    mend = " Or: ".join(_typed(crane, c) for c in (fix, *(_columns_of(r, columns) for r in others)) if c)
+    columns |= fix
+    return Finding(reading.kind, names, severity, text, mend, fix)
+
+
+def _columns_of(reading: Reading, columns: Mapping[str, Column]) -> dict[str, Column]:
+    """Return what channels are read from under a reading; nothing where it is of commands that were recorded as voltages."""
+    if any(s.channel not in columns for s in reading.made.values()):
+        return {}
+    was = {name: columns[s.channel] for name, s in reading.made.items()}
+    return {
+        name: replace(was[name], factor=s.factor * was[name].factor, offset=s.factor * was[name].offset + s.offset)
+        for name, s in reading.made.items()
+    }
+
+
+_BALANCES = {
+    "flow": "what flows into {} against its piston's motion",
+    "trapped": "{} against its piston's motion while the valve is closed",
+    "held": "the change of the {} cylinder's force against that of its load",
+    "moment": "the {} cylinder's force against the weights",
+    "length": "{} against the pose",
+    "rate": "{} against the change of its angle",
+    "sum": "{} against the angles that carry it",
+    "reach": "the share of poses that the {} cylinder does not reach",
+}
+
+
+def _of_clock(
+    recording: Recording, crane: Crane, clock: Clock | None, columns: Mapping[str, Column]
+) -> Iterator[Finding]:
+    """Find commands that come after the motion, long before it, or from a clock that drifts; short delays are a valve's own."""
+    if clock is None:
+        return
+    commands = crane.layout.commands
+    if clock.drift:
+        names, gone = _recorded(recording, crane, commands), clock.drift * min(recording.duration, LONGEST)
+        text = f"the clock of {' and '.join(names)} and that of the sensors drift apart by {1e3 * abs(clock.drift):.2g} ms a second, {abs(gone):.2g} s in all"
+        late = -float(np.nanmean(clock.late)) + 0.5 * gone
+        fix = {n: replace(columns[n], late=late, drift=-clock.drift) for n in names}
+        yield Finding("clock", names, "error", text, _typed(crane, fix), fix)
+        return
+    told = clock.late[~np.isnan(clock.late)]
+    shift = float(told.min())  # a valve may delay, but nothing moves before its command
+    if shift < -_EARLY or shift > (_DELAYED if len(told) > 1 else _LONG):
+        names = _recorded(recording, crane, commands)
+        words = "before they command it" if shift < 0.0 else "after they command it"
+        severity: Severity = "error" if shift < -2.0 * _EARLY or shift > _LONG else "warning"
+        text = f"{' and '.join(names)}: the machine moves {abs(shift):.2g} s {words}"
+        fix = {n: replace(columns[n], late=-shift) for n in names}
+        delay = "" if shift < 0.0 else " Or the valves delay: see the effect command_delay."
+        yield Finding("clock", names, severity, text, _typed(crane, fix) + delay, fix)
+
+
+def _recorded(recording: Recording, crane: Crane, names: Iterable[str]) -> tuple[str, ...]:
+    """Return the channels that were recorded, voltages for the commands that they stand for."""
+    voltage = dict(zip(crane.layout.commands, crane.layout.voltages, strict=True))
+    return tuple(n if recording.has(n) else voltage.get(n, n) for n in names)
+
+
+def _typed(crane: Crane, columns: Mapping[str, Column]) -> str:
+    """Return what to type: options where they can say it, else the lines of a map file."""
+    if all(c.offset == c.late == c.drift == 0.0 and abs(c.factor) == 1.0 for c in columns.values()):
+        minus = {1.0: "", -1.0: "-"}
+        return (
+            f"Type {' '.join(f'--map {n}={minus[c.factor]}{split_header(c.header)[0]}' for n, c in columns.items())}."
+        )
+    lines = map_text(columns, crane.layout).split("\n")
+    return f"Write into a map file (--map-file): {'; '.join(lines).replace(';;', ';')}"
 
 
 # -- one look each ---------------------------------------------------------------------------------------------------
@@ -117,8 +287,9 @@ def _pressures(recording: Recording, crane: Crane) -> Iterator[Finding]:
             recording[name].values
         ):  # a noisy sensor of a boiling chamber reads below nothing
             text = f"{name} falls to {low / 1e5:.3g} bar, expected absolute pressures, which are never negative"
+            severity: Severity = "error" if np.median(recording[name].values) < 0.0 else "warning"
             yield Finding(
-                "offset", (name,), "error", text, "Mend its zero point or its sign; add 1 bar to a gauge pressure."
+                "offset", (name,), severity, text, "Mend its zero point or its sign; add 1 bar to a gauge pressure."
             )
         elif not _LOW < high < _HIGH:
             limit = "never exceeds" if high <= _LOW else "reaches"
@@ -158,12 +329,12 @@ def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
             continue
         low, high = _usual(recording[name])
         shortest, longest = _reach(crane, c)
-        if low < shortest - _PLAY or high > longest + _PLAY:
+        if low < shortest - PLAY or high > longest + PLAY:
             text = (
                 f"{name} goes from {low:.4g} to {high:.4g} m, expected {shortest:.4g} to {longest:.4g} m, "
                 f"the {crane.layout.cylinders[c]} cylinder from pin to pin"
             )
-            if low > -_PLAY and high < longest - shortest + _PLAY:
+            if low > -PLAY and high < longest - shortest + PLAY:
                 mend = f"Is it the stroke? Then add the empty length, {shortest:.4g} m."
             else:
                 mend = _mistaken(name, "m", 0.5 * (low + high), shortest, longest)
@@ -220,7 +391,7 @@ def _beyond(crane: Crane, c: int, values: np.ndarray) -> float:
     z[:, crane.layout.index(crane.layout.driven[c])] = values
     lengths = cylinder_lengths(crane, z)[:, c]  # NaN where a loop cannot close
     shortest, longest = _reach(crane, c)
-    good = (lengths > shortest - _PLAY) & (lengths < longest + _PLAY)
+    good = (lengths > shortest - PLAY) & (lengths < longest + PLAY)
     return 1.0 - float(good.sum()) / len(values)
 
 
@@ -234,3 +405,85 @@ def _clock(recording: Recording, crane: Crane) -> Iterator[Finding]:
         )
         mend = "Is the time in ms? Write time[ms]." if rate < _SLOWEST_CLOCK else "Is the time in s? Write time[s]."
         yield Finding("clock", ("time",), "error", text, mend)
+
+
+# -- what a sensor and its logger make of a channel -------------------------------------------------------------------
+
+
+def _saturation(recording: Recording, crane: Crane) -> Iterator[Finding]:
+    """Find channels that are cut off: they keep exactly their largest or smallest value, and no other."""
+    free = recording.noise_free()
+    for name in (n for n in recording.sensors if n not in free and not _is_constant(recording[n])):
+        values, unit = recording[name].values, recording[name].unit
+        kept = values[1:] == values[:-1]
+        for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
+            there = values[1:] == limit
+            cut = (kept & there).mean() > _CUT and kept[~there].mean() < _KEPT
+            if cut and not (unit == "Pa" and limit <= vapour_pressure(crane)):
+                text = (
+                    f"{name} stands at its {word} value {limit:.4g} {unit} in {100 * there.mean():.0f} % of its samples: "
+                    "it is cut off, frozen or not connected"
+                )
+                yield Finding("saturation", (name,), "warning", text, "Mend its range, or leave the channel out.")
+
+
+def _steps(recording: Recording, crane: Crane) -> Iterator[Finding]:
+    """Find channels whose steps are coarse beside what they show."""
+    for name in recording.sensors:
+        values = recording[name].values
+        step, span = quantisation(values), float(np.ptp(values))
+        if span > 0.0 and step > _COARSE * span:
+            text = f"{name} comes in steps of {step:.3g} {recording[name].unit}, {100 * step / span:.2g} % of all that it shows"
+            yield Finding("noise", (name,), "note", text, "Record it with more digits, or a range that fits.")
+
+
+def _noise(recording: Recording, crane: Crane) -> Iterator[Finding]:
+    """Find sensors whose noise is not white: neighbouring samples err alike, as those of loggers that smooth do, or of hum."""
+    free = recording.noise_free()
+    for name in (n for n in recording.sensors if n not in free):
+        channel = recording[name]
+        wide = 1 + 2 * round(0.5 * _RING * sampling_rate(channel.time))
+        if wide < 6 or len(channel) < 10 * wide:
+            continue
+        alike = _alike(channel.values, wide)
+        if alike > _ALIKE:
+            text = f"the noise of {name} is not white: neighbouring samples are correlated by {alike:.2g}"
+            mend = "Switch smoothing in the logger off, or write the sensor's noise into [sensors] of the crane file."
+            yield Finding("noise", (name,), "note", text, mend)
+
+
+def _alike(values: np.ndarray, wide: int) -> float:
+    """Return the correlation of neighbouring samples about their mean over so many, in the quietest quarter of the recording."""
+    fast = (values - np.convolve(values, np.full(wide, 1.0 / wide), "same"))[wide:-wide]
+    parts = [p for p in np.array_split(fast, max(4, len(fast) // (4 * wide))) if p.std() > 0.0]
+    quiet = sorted(parts, key=lambda p: float(p.std()))[: max(1, len(parts) // 4)]
+    return float(np.median([p[1:] @ p[:-1] / (p @ p) for p in quiet])) if quiet else 0.0
+
+
+def _start(recording: Recording, crane: Crane) -> Iterator[Finding]:
+    """Find a recording that begins in motion, whose start can hardly be told."""
+    mend = "Cut the recording where the machine stands still, or record a second of rest first."
+    opened = [n for n in (*crane.layout.commands,) if recording.has(n) and abs(recording[n].values[0]) > OPEN]
+    if opened:
+        text = f"{' and '.join(opened)}: the recording begins with an open valve"
+        yield Finding("motion", tuple(opened), "warning", text, mend)
+    moving = tuple(n for n in crane.layout.coordinates if recording.has(n) and _begins_moving(recording[n]))
+    if moving and not opened:
+        yield Finding("motion", moving, "warning", f"{' and '.join(moving)} move from the first sample on", mend)
+
+
+def _begins_moving(channel: Channel) -> bool:
+    """Whether an angle changes clearly and fast within its first moments, and goes on so."""
+    after = channel.time - channel.time[0]
+    rates = [_rate(channel, (after >= a) & (after < a + _FIRST)) for a in (0.0, _FIRST)]
+    return all(abs(rate) > _MOVES for rate in rates) and rates[0] * rates[1] > 0.0
+
+
+def _rate(channel: Channel, chosen: np.ndarray) -> float:
+    """Return the rate of a channel over some samples, 0 where it is not well above what they scatter by."""
+    t, values = channel.time[chosen], channel.values[chosen]
+    if len(t) < 5:
+        return 0.0
+    slope, offset = np.polyfit(t - t[0], values, 1)
+    scatter = float(np.std(values - slope * (t - t[0]) - offset)) * math.sqrt(12.0 / len(t)) / _FIRST
+    return float(slope) if abs(slope) > _MOVED * scatter else 0.0

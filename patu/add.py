@@ -10,7 +10,16 @@ import typer
 
 from crane_exudyn.errors import CraneError, doing
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapOption, load_crane, load_recording
+from .options import (
+    DEFAULT_CRANE,
+    CraneOption,
+    EffectsOption,
+    JsonOption,
+    MapFileOption,
+    MapOption,
+    load_crane,
+    load_recording,
+)
 from .output import Printer, announce_compilation, write_out
 from .outputs import Reads, Writes, saving
 
@@ -42,6 +51,7 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
     json: JsonOption = None,
 ) -> None:
     """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones.
@@ -60,7 +70,7 @@ def command(
     from validation.search.fitted import fitted_effect, helped
 
     with doing(f"fitting {effect} to {fit}"):
-        result, document = fitted_effect(chosen, effect, load_recording(fit, chosen, mapping), values_given)
+        result, document = fitted_effect(chosen, effect, load_recording(fit, chosen, mapping, map_file), values_given)
     better = helped(document)
     if not better:
         Printer(json).line(

@@ -11,15 +11,17 @@ import typer
 
 from .options import (
     DEFAULT_CRANE,
+    AnywayOption,
     CraneOption,
     EffectsOption,
     EngineOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     RecordingArgument,
     ReportOption,
+    load_checked,
     load_crane,
-    load_recording,
 )
 from .output import Printer, announce_compilation, progress
 from .outputs import Writes, saving
@@ -49,6 +51,8 @@ def command(
     report: ReportOption = None,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
+    anyway: AnywayOption = False,
     json: JsonOption = None,
 ) -> None:
     """Lay the model beside a measurement: how large the errors are, when they arise, which balance is violated.
@@ -57,7 +61,7 @@ def command(
     sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, chosen, mapping)
+    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
     announce_compilation()
     from validation.compare import compare
 

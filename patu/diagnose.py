@@ -9,16 +9,18 @@ import typer
 
 from .options import (
     DEFAULT_CRANE,
+    AnywayOption,
     CheckOption,
     CraneOption,
     EffectsOption,
     JobsOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     RecordingArgument,
     ReportOption,
+    load_checked,
     load_crane,
-    load_recording,
     picture,
 )
 from .output import Printer, announce_compilation, progress
@@ -34,6 +36,8 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
+    anyway: AnywayOption = False,
     jobs: JobsOption = 2,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the weighing."), Writes(picture)
@@ -47,8 +51,8 @@ def command(
     pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, chosen, mapping)
-    other = None if check is None else load_recording(check, chosen, mapping)
+    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
+    other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
     announce_compilation()
     from validation.diagnosis import diagnose
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,16 +12,18 @@ from crane_exudyn.errors import CraneError
 
 from .options import (
     DEFAULT_CRANE,
+    AnywayOption,
     CraneOption,
     EffectsOption,
     EngineOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     OutputOption,
     RecordingArgument,
     ReportOption,
+    load_checked,
     load_crane,
-    load_recording,
     picture,
 )
 from .output import Printer, announce_compilation, progress
@@ -57,10 +58,20 @@ def command(
     tune: Annotated[
         bool, typer.Option("--tune", help="First find the most likely process noise, not only its size.")
     ] = False,
+    model_error: Annotated[
+        str,
+        typer.Option(
+            "--model-error",
+            metavar="auto|off|on",
+            help="Let the intervals allow for an error of the model; auto: where needed.",
+        ),
+    ] = "auto",
     step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Longest time step of the model.")] = 1e-3,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
+    anyway: AnywayOption = False,
     json: JsonOption = None,
 ) -> None:
     """Estimate the whole state of the crane from a recording: states with 95 % intervals, innovations, consistency.
@@ -71,21 +82,16 @@ def command(
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
     chosen = load_crane(crane, effects)
-    from crane_exudyn.vetting import vetted  # imports compiled code, of which the effects must be part
-
-    measured = vetted(load_recording(recording, chosen, mapping).require(sensors=1), chosen)
+    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
     announce_compilation()
     from ukf.estimator import Estimator
+    from ukf.model_error import estimate
 
     noise = _tuned(chosen, measured, std, augment or [], json, tune)
-    estimator = Estimator(chosen, engine, std, noise, method, augment or (), max_step=step)
-    with progress("Estimate") as done:
-        result = estimator.run(measured, smooth=smooth, progress=done)
+    plain = Estimator(chosen, engine, std, noise, method, augment or (), max_step=step)
     slack = noise_slack(chosen, measured, std)
-    result = replace(
-        result, noise_slack=slack, smoothed=result.smoothed and replace(result.smoothed, noise_slack=slack)
-    )
+    result = estimate(plain, measured, mode=model_error, smooth=smooth, noise_slack=slack, stage=progress)
     best = result.smoothed if result.smoothed is not None else result
     from crane_exudyn.plots import save as save_figure
 
@@ -143,7 +149,7 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
     words = "Innovations in units of what the filter expects; 95 % should lie in the band, without a pattern in time."
     sections: list[tuple[str, list[Any]]] = [
         ("States", [states, Table(COLUMNS, rows(best))]),
-        ("Consistency", [consistency(result), Picture(innovations_figure(result), words)]),
+        ("Consistency", [consistency(result), *allowance(result), Picture(innovations_figure(result), words)]),
         ("What happened on the way", event_lines(result) or ["Nothing odd."]),
     ]
     parameters: dict[str, object] = {
@@ -159,6 +165,8 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
     return write_report(directory, f"Estimate of {name}", verdict(result), sections, parameters=parameters, mood=mood)
 
 
+#: so many unknowns of a wrong model are named
+_LISTED = 4
 COLUMNS = ("quantity", "first", "last", "± (95 %)", "min", "max")
 
 
@@ -174,7 +182,7 @@ def tell(printer: Printer, result: Estimate, recording: Any) -> None:
         f"{result.time[0]:g} to {result.time[-1]:g} s, sensors {', '.join(result.channel_names)}"
     )
     printer.table("", COLUMNS, rows(result.smoothed if result.smoothed is not None else result))
-    for line in (consistency(result), verdict(result), *event_lines(result)):
+    for line in (consistency(result), verdict(result), *allowance(result), *event_lines(result)):
         printer.line(line)
 
 
@@ -195,6 +203,25 @@ def consistency(result: Estimate) -> str:
     return f"NIS {result.nis_mean:.4g} (consistent: {low:.3g} to {high:.3g}); whiteness p: {white}"
 
 
+def allowance(result: Estimate) -> list[str]:
+    """Return what the intervals allow for in a model that is wrong, those unknowns first that are furthest from what the file says."""
+    from ukf.plots import display
+
+    account = result.model_error
+    if account is None or not account.used:
+        return []
+    listed = sorted(
+        account.found.items(), key=lambda item: -abs(item[1]["value"] - item[1]["nominal"]) / item[1]["std"]
+    )
+    words = []
+    for name, now in listed[:_LISTED]:
+        factor, unit = display(name, now["unit"], result.layout)
+        words.append(f"{name} {factor * now['value']:.3g} ± {factor * 1.96 * now['std']:.2g} {unit}".rstrip())
+    return [
+        f"The intervals allow for an error of the model: {len(listed)} unknowns; at the end, most of all {', '.join(words)}."
+    ]
+
+
 def verdict(result: Estimate) -> str:
     """Return what to make of the consistency, in plain words."""
     if result.unjudged:
@@ -212,6 +239,8 @@ def verdict(result: Estimate) -> str:
             "Not consistent: the model explains less than the filter believes, so the intervals are too narrow. "
             f"{mend} --tune finds a noise that fits."
         )
+    if result.allowed:
+        return f"The model lacks something. What it may be was estimated along, and the intervals allow for it. {mend}"
     if result.persistent:
         return (
             f"Not consistent: the innovations of {', '.join(result.persistent)} keep their sign for a while, as noise never does: the model "

@@ -9,16 +9,18 @@ import typer
 
 from .options import (
     DEFAULT_CRANE,
+    AnywayOption,
     CheckOption,
     CraneOption,
     EffectsOption,
     JobsOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     RecordingArgument,
     ReportOption,
+    load_checked,
     load_crane,
-    load_recording,
     picture,
 )
 from .output import Printer, announce_compilation, progress
@@ -35,6 +37,8 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
+    anyway: AnywayOption = False,
     jobs: JobsOption = 2,
     most: Annotated[int, typer.Option("--most", metavar="N", help="At most so many steps.", min=1)] = 4,
     plot: Annotated[
@@ -49,8 +53,8 @@ def command(
     which evidence; `patu remove` undoes it.
     """
     chosen = load_crane(crane, effects)
-    measured = load_recording(recording, chosen, mapping)
-    other = None if check is None else load_recording(check, chosen, mapping)
+    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
+    other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
     announce_compilation()
     from validation.improvement import improve
 

@@ -30,6 +30,8 @@ class Command(NamedTuple):
 #: all commands, in the order of the help; nothing of them is imported before it is asked for
 COMMANDS: dict[str, Command] = {
     "demo": Command("the paper's experiment on the Exudyn engine: table, plots, report", "patu demo -o out/demo"),
+    "sample": Command("recordings to play with", "patu sample out/sample"),
+    "check": Command("is a recording what it says it is: signs, units, exchanged channels", "patu check lift.csv"),
     "simulate": Command("open-loop run of the crane", "patu simulate --inputs lift.csv -o run.csv"),
     "estimate": Command("UKF over a recording: states, intervals, consistency", "patu estimate lift.csv -o states.csv"),
     "crosscheck": Command("both engines against each other, quantity by quantity", "patu crosscheck"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,6 +16,7 @@ from .outputs import Reads, Writes
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
+    from crane_exudyn.mapping import Column
     from crane_exudyn.recording import Recording
 
 DEFAULT_CRANE = "patu655"
@@ -50,8 +52,18 @@ EffectsOption = Annotated[
 MapOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--map", metavar="NAME=COLUMN[UNIT]", help="Other column name, such as z1=BoomAngle[deg]; repeatable."
+        "--map",
+        metavar="NAME=COLUMN[UNIT]",
+        help="Other column name, such as z1=BoomAngle[deg], or sign, z1=-z1; repeatable.",
     ),
+]
+MapFileOption = Annotated[
+    Path | None,
+    typer.Option("--map-file", metavar="FILE.toml", help="Names, units, signs and offsets of the recording's columns."),
+    Reads(),
+]
+AnywayOption = Annotated[
+    bool, typer.Option("--anyway", help="Use a recording in which `patu check` finds errors all the same.")
 ]
 JsonOption = Annotated[
     str | None,
@@ -94,29 +106,41 @@ def load_crane(crane: str, effects: Sequence[Path] | None = None) -> Crane:
         return Crane.load(crane)
 
 
-def parse_map(entries: Sequence[str] | None) -> dict[str, str]:
-    """Return {channel: column} of `--map z1=BoomAngle[deg]` options.
-
-    Raises:
-        CraneError: an entry without "=", or a channel mapped twice.
-    """
-    mapping: dict[str, str] = {}
-    for entry in entries or ():
-        name, equals, column = (part.strip() for part in entry.partition("="))
-        if not (name and equals and column):
-            raise CraneError(f"--map {entry!r} is not of the form NAME=COLUMN[UNIT], such as z1=BoomAngle[deg].")
-        if name in mapping:
-            raise CraneError(f"--map gives {name!r} twice: {mapping[name]!r} and {column!r}. Keep one.")
-        mapping[name] = column
-    return mapping
-
-
-def load_recording(path: Path, crane: Crane, entries: Sequence[str] | None = None) -> Recording:
-    """Return the recording of a crane at `path`, its columns mapped as `--map` says."""
+def load_recording(
+    path: Path, crane: Crane, entries: Sequence[str] | None = None, map_file: Path | None = None
+) -> Recording:
+    """Return the recording of a crane at `path`, its columns mapped as `--map-file` says, and `--map`, which goes before it."""
     from crane_exudyn.recording import Recording
 
     with doing(f"reading {path}"):
-        return Recording.load(path, mapping=parse_map(entries), layout=crane.layout)
+        return Recording.load(path, load_mapping(crane, entries, map_file), layout=crane.layout)
+
+
+def load_checked(
+    path: Path, crane: Crane, entries: Sequence[str] | None, map_file: Path | None, *, anyway: bool
+) -> Recording:
+    """Return the recording at `path` after `patu check` has looked at it; what is hardly plausible about it is told on standard error.
+
+    Raises:
+        CraneError: something in it is surely wrong, and it is not to be used anyway; every such finding with its mend.
+    """
+    from crane_exudyn.vetting import accepted, vet  # imports compiled code, of which the effects must be part
+
+    recording = load_recording(path, crane, entries, map_file)
+    findings = vet(recording, crane)
+    for finding in (f for f in findings if f.severity == "warning" or anyway):
+        print(f"{path}: {finding.severity}: {finding.text}. {finding.mend}", file=sys.stderr)
+    try:
+        return accepted(recording, findings, anyway=anyway)
+    except CraneError as problem:
+        raise CraneError(f"{problem} To use it all the same, give --anyway.") from None
+
+
+def load_mapping(crane: Crane, entries: Sequence[str] | None, map_file: Path | None) -> dict[str, Column]:
+    """Return {channel: column} of a crane's recording, of `--map-file`, and of `--map`, which goes before it."""
+    from crane_exudyn.mapping import load_map, parse_map
+
+    return (load_map(map_file, crane.layout) if map_file is not None else {}) | parse_map(entries)
 
 
 def make_engine(name: EngineName, crane: Crane) -> Any:

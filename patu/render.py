@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -9,14 +10,24 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapOption, load_crane, load_recording
+from .options import (
+    DEFAULT_CRANE,
+    CraneOption,
+    EffectsOption,
+    JsonOption,
+    MapFileOption,
+    MapOption,
+    load_crane,
+    load_recording,
+)
 from .output import Printer, progress
 from .outputs import Reads, Writes, saving
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from crane_exudyn.crane import Crane
+    from crane_exudyn.recording import Recording
     from crane_exudyn.render import Scene, Trajectory
 
 #: what a --ghost without a name is called, in order
@@ -58,6 +69,7 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
     label: Annotated[str, typer.Option(help="What the run itself is called.")] = "measured",
     time: Annotated[float | None, typer.Option(help="Time of the picture in s; the last if left out.")] = None,
     start: Annotated[float | None, typer.Option("--from", help="Start of the film in s.")] = None,
@@ -103,7 +115,8 @@ def command(
 
     if open_viewer:
         need_screen("--open")
-    runs = _runs(described, recording, label, ghost or (), mapping)
+    read = partial(load_recording, crane=described, entries=mapping, map_file=map_file)
+    runs = _runs(described, recording, label, ghost or (), read)
     scene = Scene(
         described, runs, colour=colour, marks=mark or (), size=_size(size), view=view,
         title=title if title is not None else recording.name if recording else described.name,
@@ -135,17 +148,17 @@ def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:
 
 
 def _runs(
-    crane: Crane, recording: Path | None, label: str, ghosts: Sequence[str], mapping: Sequence[str] | None
+    crane: Crane, recording: Path | None, label: str, ghosts: Sequence[str], read: Callable[[Path], Recording]
 ) -> list[Trajectory]:
     """Return the trajectories of the run itself and of its ghosts."""
     from crane_exudyn.render import Trajectory
 
     if recording is None:
         return [Trajectory.at_rest(crane)]
-    runs = [Trajectory.from_recording(load_recording(recording, crane, mapping), label)]
+    runs = [Trajectory.from_recording(read(recording), label)]
     for entry, default in zip(ghosts, _GHOST_NAMES, strict=False):
         name, path = ghost_of(entry)
-        runs.append(Trajectory.from_recording(load_recording(Path(path), crane, mapping), name or default))
+        runs.append(Trajectory.from_recording(read(Path(path)), name or default))
     if len(ghosts) > len(_GHOST_NAMES):
         raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(_GHOST_NAMES)}.")
     return runs

@@ -16,6 +16,7 @@ from .options import (
     EffectsOption,
     EngineOption,
     JsonOption,
+    MapFileOption,
     MapOption,
     OutputOption,
     load_crane,
@@ -42,6 +43,7 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
+    map_file: MapFileOption = None,
     start_from_recording: Annotated[
         bool, typer.Option("--start-from-recording", help="Start at the recording's first samples.")
     ] = False,
@@ -59,7 +61,7 @@ def command(
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
     chosen = load_crane(crane, effects)
-    recording = None if inputs is None else load_recording(inputs, chosen, mapping).require(sensors=0)
+    recording = None if inputs is None else load_recording(inputs, chosen, mapping, map_file).require(sensors=0)
     from crane_exudyn.simulation import simulate
 
     holder = make_engine(engine, chosen)

@@ -20,7 +20,8 @@ from made_up import made_up
 
 from crane_exudyn import errors
 from crane_exudyn.errors import CraneError
-from patu import main, options, output
+from crane_exudyn.mapping import Column, parse_map
+from patu import main, output
 
 #: what takes long to import, and what a mere help text must not need
 HEAVY = ("numpy", "numba", "scipy", "exudyn", "matplotlib", "pint", "pydantic", "pyarrow", "h5py", "rich", "typer")
@@ -367,7 +368,9 @@ def test_a_users_effects_are_known_before_anything_is_compiled(tmp_path: Path, w
 
 
 def test_map_options() -> None:
-    assert options.parse_map(["z1=BoomAngle[deg]", " p1 = a=b "]) == {"z1": "BoomAngle[deg]", "p1": "a=b"}
-    assert options.parse_map(None) == {}
-    with pytest.raises(CraneError, match="NAME=COLUMN"):
-        options.parse_map(["=x"])
+    given = parse_map(["z1=BoomAngle[deg]", " p1 = a=b ", "z4=-Arm"])
+    assert given == {"z1": Column("BoomAngle[deg]"), "p1": Column("a=b"), "z4": Column("Arm", factor=-1.0)}
+    assert parse_map(None) == {}
+    for entry in ("=x", "z1=-"):
+        with pytest.raises(CraneError, match="NAME=COLUMN"):
+            parse_map([entry])

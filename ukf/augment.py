@@ -1,4 +1,4 @@
-"""Unknown quantities that the filter estimates along with the state, each as a slow random walk.
+"""Unknown quantities that the filter estimates along with the state, each as a slow random walk or as noise with a memory.
 
 | name | unit | what is unknown |
 |---|---|---|
@@ -12,7 +12,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,12 +35,17 @@ class Augment:
         std: standard deviation at the start, SI; None takes the crane file's uncertainty of it.
         drift: growth of the standard deviation of its random walk, SI per √s; 0 for a constant.
         lower: hard lower limit (a mass is not negative).
+        memory: time constant, s, with which it returns to its nominal value while noise keeps it at `std` around that (first-order
+            Gauss-Markov); infinite for what stays.
+        shared: quantities with the same word here have one size where sizes are adapted; "" for one of its own.
     """
 
     name: str
     std: float | None = None
     drift: float = 0.0
     lower: float = -np.inf
+    memory: float = np.inf
+    shared: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,6 +58,55 @@ class Extra:
     std: float
     drift: float
     lower: float
+    memory: float = np.inf
+    shared: str = ""
+
+    def kept(self, dt: float) -> float:
+        """Return the share of its deviation from `value` that is left after `dt` s."""
+        return math.exp(-dt / self.memory)
+
+    def renewed(self, dt: float) -> float:
+        """Return the share of its variance that noise renews in `dt` s."""
+        return -math.expm1(-2.0 * dt / self.memory)
+
+    def variance(self, dt: float) -> float:
+        """Return the variance that `dt` s add."""
+        return self.drift**2 * dt + self.std**2 * self.renewed(dt)
+
+
+class Sizes:
+    """Sizes of the extra states that fade, which follow what the filter finds, for live use.
+
+    Of a state d about its nominal value the filter knows mean m and variance P, so that E d² = m² + P. Its size s obeys
+    ds²/dt = (E d² - s²)/T, expectation maximisation with a memory T: a size grows while the state is found further out than it
+    says, falls while it is found to be nearer, and stays while no sensor tells.
+    """
+
+    def __init__(self, extras: Sequence[Extra], first: int, memory: float) -> None:
+        """`first` is the place of the first extra state; `memory` is T, s, infinite for sizes that stay."""
+        fading = [(first + k, e) for k, e in enumerate(extras) if e.memory < np.inf]
+        self.rows = np.array([row for row, _ in fading], int)
+        self._extras, self._memory = [e for _, e in fading], memory
+        self._nominal = np.array([e.value for e in self._extras])
+        words = [e.shared or e.name for e in self._extras]
+        self._groups = [[k for k, word in enumerate(words) if word == name] for name in dict.fromkeys(words)]
+        self.variance = np.array([e.std**2 for e in self._extras])
+
+    @property
+    def adapted(self) -> bool:
+        """Whether there are sizes that change."""
+        return self._memory < np.inf and self.rows.size > 0
+
+    def follow(self, mean: np.ndarray, variance: np.ndarray, dt: float) -> None:
+        """Let the sizes follow what is known, by mean (n,) and variance (n,), after `dt` s."""
+        found = (mean[self.rows] - self._nominal) ** 2 + variance[self.rows]
+        self.variance = self.variance - math.expm1(-dt / self._memory) * (found - self.variance)
+        for group in self._groups:
+            self.variance[group] = self.variance[group].mean()
+
+    def added(self, dt: float) -> np.ndarray:
+        """Return the variance that `dt` s add to each of the states."""
+        return self.variance * [e.renewed(dt) for e in self._extras]
 
 
 def resolve(crane: Crane, augment: Iterable[Augment | str]) -> tuple[Extra, ...]:
@@ -76,7 +131,7 @@ def _resolve_one(crane: Crane, wanted: Augment) -> Extra:
             f"augmented state {wanted.name!r}: a standard deviation of {std:g} at the start cannot be used. "
             f'Give a positive one: Augment("{wanted.name}", std=…).'
         )
-    return Extra(wanted.name, kind, value, std, wanted.drift, max(wanted.lower, lower))
+    return Extra(wanted.name, kind, value, std, wanted.drift, max(wanted.lower, lower), wanted.memory, wanted.shared)
 
 
 def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:

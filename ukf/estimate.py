@@ -23,6 +23,8 @@ from .visible import show
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from .model_error import Account
+
 #: shares of a sensor's noise below which its innovations are small, and below which they cannot hold that noise
 _SMALL, _NO_NOISE = 0.5, 0.25
 #: share of the steps at which a filter may fail and still be judged
@@ -61,6 +63,7 @@ class Estimate:
         covariance: (N, n, n) of the filter's own state, which remembers voids, if it was kept.
         floor: Pa, the lowest pressure that a gauge shows; pressures: which of the n quantities are those of chambers.
         noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed (`consistency.guessed_noise`).
+        model_error: what became of the model error, if that was asked.
         smoothed: the smoothed estimate if it was asked for.
     """
 
@@ -85,6 +88,7 @@ class Estimate:
     floor: float = -np.inf
     pressures: slice = field(default_factory=lambda: slice(0))
     noise_slack: float = 0.0
+    model_error: Account | None = None
     smoothed: Estimate | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     layout: Layout = field(default_factory=usual_layout, repr=False)
@@ -92,6 +96,19 @@ class Estimate:
     def __getitem__(self, name: str) -> np.ndarray:
         """Return the estimated mean (N,) of one quantity by its name."""
         return self.mean[:, self.state_names.index(name)]
+
+    def first(self, count: int, **changes: Any) -> Estimate:
+        """Return the estimate of the first `count` quantities only, with other attributes changed; the smoothed one too."""
+        covariance = None if self.covariance is None else self.covariance[:, :count, :count]
+        return replace(
+            self,
+            state_names=self.state_names[:count],
+            mean=self.mean[:, :count],
+            std=self.std[:, :count],
+            covariance=covariance,
+            smoothed=self.smoothed and self.smoothed.first(count, **changes),
+            **changes,
+        )
 
     def interval(self, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper limits (N, n) of the intervals that hold each quantity with this probability."""
@@ -196,6 +213,11 @@ class Estimate:
         return self.noiseless or bool(low <= self.nis_mean <= high and not self.coloured)
 
     @property
+    def allowed(self) -> bool:
+        """Whether the intervals allow for an error of the model."""
+        return self.model_error is not None and self.model_error.used
+
+    @property
     def verdict(self) -> str:
         """In words, whether the filter's intervals can be believed.
 
@@ -208,6 +230,8 @@ class Estimate:
             return "consistent; the recording has no noise" if self.noiseless else "consistent"
         if self.nis_mean > self.nis_bounds[1]:
             return "not consistent: intervals too narrow"
+        if self.allowed:
+            return "not consistent: the model lacks something; the intervals allow for it"
         if self.persistent:
             return "not consistent: the model lacks something"
         return "not consistent: intervals too wide"
@@ -238,6 +262,7 @@ class Estimate:
                 "verdict": self.verdict,
                 "log_likelihood": self.log_likelihood,
             },
+            **({} if self.model_error is None else {"model_error": self.model_error.document()}),
             "used": {n: int((self.flags[:, i] == USED).sum()) for i, n in enumerate(self.channel_names)},
             "final": last,
             "events": [
@@ -305,24 +330,24 @@ class Recorder:
         size = count if smooth else 0
         self._keeps = smooth or keep_covariance
         self.covariance = np.empty((count if self._keeps else 0, n, n))
-        self._prior_covariance, self._cross = np.empty((size, n, n)), np.empty((size, n, n))
-        self._prior_mean = np.empty((size, n))
+        self.prior_covariance, self.cross = np.empty((size, n, n)), np.empty((size, n, n))
+        self.prior_mean = np.empty((size, n))
 
     def start(self, belief: Any) -> None:
         """Note the belief before the first step."""
         self._keep(0, belief)
         if self.smooth:
-            self._prior_mean[0], self._prior_covariance[0], self._cross[0] = belief.mean, belief.covariance, 0.0
+            self.prior_mean[0], self.prior_covariance[0], self.cross[0] = belief.mean, belief.covariance, 0.0
 
     def predicted(self, prior: Any) -> None:
         """Note a prediction for the smoother."""
         k = self._at + 1
-        self._prior_mean[k], self._prior_covariance[k], self._cross[k] = prior.mean, prior.covariance, prior.cross
+        self.prior_mean[k], self.prior_covariance[k], self.cross[k] = prior.mean, prior.covariance, prior.cross
 
     def cut(self, belief: Any) -> None:
         """Tell the smoother that the filter was restarted: nothing passes back over this instant."""
         k = self._at + 1
-        self._prior_mean[k], self._prior_covariance[k], self._cross[k] = belief.mean, belief.covariance, 0.0
+        self.prior_mean[k], self.prior_covariance[k], self.cross[k] = belief.mean, belief.covariance, 0.0
 
     def note(
         self,
@@ -391,7 +416,7 @@ class Recorder:
 
     def _smoothed(self, pressures: slice, floor: float) -> dict[str, Any]:
         """Return what the smoother makes of mean, std and covariance."""
-        mean, covariance = smooth(self.mean, self.covariance, self._prior_mean, self._prior_covariance, self._cross)
+        mean, covariance = smooth(self.mean, self.covariance, self.prior_mean, self.prior_covariance, self.cross)
         variance = np.einsum("nii->ni", covariance).copy()
         show(mean, variance, pressures, floor)
         return {"mean": mean, "std": _root_of(variance), "covariance": covariance}

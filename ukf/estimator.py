@@ -20,7 +20,7 @@ from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.sensors import sensor
 from crane_exudyn.statics import vapour_pressure
 
-from .augment import Augment, resolve
+from .augment import Augment, Sizes, resolve
 from .bounds import Bounds, crane_bounds
 from .channels import Channels
 from .estimate import REJECTED, Estimate, Recorder
@@ -80,6 +80,8 @@ class Estimator:
         start: mean and covariance (nx, …) of the state to start with; without it, the crane at rest as measured first.
         gate: how many standard deviations an innovation may leap before the sample is rejected; None for no gate.
         max_step: longest integration step of the engine, s; longer intervals are cut evenly.
+        pressure_std: standard deviation at the start of a pressure that no sensor shows, Pa.
+        adapt: time constant, s, with which the sizes of unknowns with a memory follow what is found (`augment.Sizes`).
 
     Raises:
         CraneError: an unknown sensor, filter, engine or quantity, or a noise that is not positive.
@@ -96,6 +98,8 @@ class Estimator:
         start: Belief | None = None,
         gate: float | None = 6.0,
         max_step: float = 1e-3,
+        pressure_std: float = UNSHOWN["Pa"],
+        adapt: float = np.inf,
     ) -> None:
         self.crane = crane
         self.engine = engine_of(engine, crane)
@@ -111,19 +115,34 @@ class Estimator:
         self._units = tuple(lay.sensors[n].unit for n in self.std_of)
         self._std = np.array(list(self.std_of.values()))
         self._variance = measurement_noise(self._std)
-        self._extras = resolve(crane, augment)
+        self.augment = tuple(augment)
+        self.extras = resolve(crane, self.augment)
         self._engine_states = len(self.engine.state_names)
-        self._channels = Channels(crane, list(self.std_of), self._engine_states, self._extras)
+        self._channels = Channels(crane, list(self.std_of), self._engine_states, self.extras)
         self._bounds = self._all_bounds(partial(cylinder_lengths, crane))
         self._limits = self._bounds.without(crane.layout.positions)
-        self._process = Process(self.engine, self._channels, self._extras, self._bounds)
+        self._process = Process(self.engine, self._channels, self.extras, self._bounds)
         self._method_name = method
         self._method = method_of(method, np.ones(self.size))
         self._gate = np.inf if gate is None else float(gate)
-        self._start = start
+        self._start, self._pressure_std = start, float(pressure_std)
+        self._adapt = float(adapt)
+        self._given: dict[str, Any] = {
+            "start": start, "gate": gate, "max_step": max_step, "pressure_std": pressure_std, "adapt": adapt,
+        }  # fmt: skip
         self._noises: dict[int, np.ndarray] = {}
         self._spool: Any = None
         self.reset()
+
+    def varied(self, **changes: Any) -> Estimator:
+        """Return a fresh estimator with some arguments changed."""
+        same: dict[str, Any] = {
+            "noise": self.noise,
+            "method": self._method_name,
+            "augment": self.augment,
+            **self._given,
+        }
+        return Estimator(self.crane, self.engine, self.std_of, **(same | changes))
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -134,12 +153,21 @@ class Estimator:
     def state_names(self) -> tuple[str, ...]:
         """Names of everything that is estimated: engine states, lagged readings, augmented quantities."""
         lagged = tuple(f"reading.{self._channels.names[row]}" for row, _ in self._channels.lags)
-        return (*self.engine.state_names, *lagged, *(e.name for e in self._extras))
+        return (*self.engine.state_names, *lagged, *(e.name for e in self.extras))
 
     @property
     def size(self) -> int:
         """Number of estimated quantities."""
-        return self._engine_states + len(self._channels.lags) + len(self._extras)
+        return self._engine_states + len(self._channels.lags) + len(self.extras)
+
+    @property
+    def sensor_variance(self) -> np.ndarray:
+        """Variance (k,) of the noise of each sensor."""
+        return self._variance.diagonal()
+
+    def observe(self, points: np.ndarray) -> np.ndarray:
+        """Return what the sensors (m, k) show of states (m, n)."""
+        return self._channels.observe(points)
 
     def reset(self) -> None:
         """Forget everything that was measured."""
@@ -155,6 +183,7 @@ class Estimator:
         self._last_command: np.ndarray | None = None
         self._late = _IN_ORDER
         self._flags = np.zeros(len(self.std_of), np.uint8)
+        self._sizes = Sizes(self.extras, self._engine_states + len(self._channels.lags), self._adapt)
 
     # -- live ----------------------------------------------------------------------------------------------------
 
@@ -293,8 +322,8 @@ class Estimator:
         start = self._start if self._start is not None else self._shown(first, spread or {})
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         extras = slice(self._engine_states + len(self._channels.lags), None)
-        mean[extras] = [e.value for e in self._extras]
-        covariance[extras, extras] = np.diag([e.std**2 for e in self._extras])
+        mean[extras] = [e.value for e in self.extras]
+        covariance[extras, extras] = np.diag([e.std**2 for e in self.extras])
         self._set_states(start, mean, covariance)
         self._opened = covariance
         self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)))
@@ -311,7 +340,7 @@ class Estimator:
     def _shown(self, first: Mapping[str, float], spread: Mapping[str, float]) -> Belief:
         """Return the belief (nx, …) in which the sensors show `first`, give or take their noise and `spread`."""
         std = {n: float(np.hypot(self.std_of.get(n, 0.0), spread.get(n, 0.0))) for n in {*self.std_of, *spread}}
-        return start_belief(self.crane, self.engine, first, std)
+        return start_belief(self.crane, self.engine, first, std, self._pressure_std)
 
     def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
         """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n, n)."""
@@ -388,7 +417,7 @@ class Estimator:
             prior = self._method.predict(
                 self._opinion.belief,
                 self._process.over(inputs, times),
-                self._process_noise(times[-1] - times[0]),
+                self.process_noise(times[-1] - times[0]),
                 self.count,
             )
             second, innovation, variance = self._correct_some(prior, values, rows)
@@ -465,7 +494,7 @@ class Estimator:
     def _predict_and_correct(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-        noise = self._process_noise(float(times[-1] - times[0]))
+        noise = self.process_noise(float(times[-1] - times[0]))
         prior = self._method.predict(self.belief, self._process.over(inputs, times), noise, self.count)
         if recorder is not None and recorder.smooth:
             recorder.predicted(prior)
@@ -488,6 +517,8 @@ class Estimator:
             self.belief = prior
             return innovation, variance, flags, float("nan"), 0.0
         self.belief = self._inside(result)
+        if self._sizes.adapted:
+            self._sizes.follow(self.belief.mean, self.belief.covariance.diagonal(), time - self._clock)
         return innovation, variance, flags, result.nis, result.log_likelihood
 
     def _inside(self, belief: Any) -> Any:
@@ -509,7 +540,8 @@ class Estimator:
         innovation[rows], variance[rows] = result.innovation, result.innovation_covariance.diagonal()
         return result, innovation, variance
 
-    def _process_noise(self, dt: float) -> np.ndarray:
+    def process_noise(self, dt: float) -> np.ndarray:
+        """Return the covariance (n, n) that `dt` s add to all that is estimated."""
         key = int(1e9 * dt + 0.5)  # round(dt, 9) costs ten times as much
         if key not in self._noises:
             if len(self._noises) > 1000:
@@ -517,11 +549,15 @@ class Estimator:
             full = np.zeros((self.size, self.size))
             known = self.noise.covariance(dt)
             full[: len(known), : len(known)] = known
-            for k, extra in enumerate(self._extras):
+            for k, extra in enumerate(self.extras):
                 at = self._engine_states + len(self._channels.lags) + k
-                full[at, at] = extra.drift**2 * dt
+                full[at, at] = extra.variance(dt)
             self._noises[key] = full
-        return self._noises[key]
+        if not self._sizes.adapted:
+            return self._noises[key]
+        noise, rows = self._noises[key].copy(), self._sizes.rows
+        noise[rows, rows] = self._sizes.added(dt)
+        return noise
 
     def _restart(self, time: float, why: str) -> None:
         """Open the belief again around the last good mean: a filter that has lost its covariance knows nothing."""
@@ -535,7 +571,7 @@ class Estimator:
     def _all_bounds(self, lengths: Callable[[np.ndarray], np.ndarray] | None) -> Bounds:
         engine = crane_bounds(self.crane, lengths, self._engine_states)
         lagged = np.full(len(self._channels.lags), np.inf)
-        extra = np.array([e.lower for e in self._extras], float)
+        extra = np.array([e.lower for e in self.extras], float)
         return Bounds(
             np.concatenate([engine.lower, -lagged, extra]),
             np.concatenate([engine.upper, lagged, np.full(extra.size, np.inf)]),
@@ -562,6 +598,18 @@ class Estimator:
         Raises:
             CraneError: the recording has none of the sensors, or no commands.
         """
+        recorder, plan = self.recorded(recording, smooth=smooth, keep_covariance=keep_covariance, progress=progress)
+        return recorder.estimate(plan, self.events, self.crane, self._method_name, self._std, self._floor)
+
+    def recorded(
+        self,
+        recording: Any,
+        *,
+        smooth: bool = False,
+        keep_covariance: bool = False,
+        progress: Callable[[float], None] | None = None,
+    ) -> tuple[Recorder, Plan]:
+        """Return what a run over a recording leaves behind, and the instants that it went over; see `run`."""
         signals = recording if isinstance(recording, Signals) else Signals.of(recording, self.crane)
         self.reset()
         plan = signals.plan(self.crane, self.channel_names, self.max_step)
@@ -580,7 +628,7 @@ class Estimator:
             recorder.note(k, self.belief, *result)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
-        return recorder.estimate(plan, self.events, self.crane, self._method_name, self._std, self._floor)
+        return recorder, plan
 
     def _on_plan(
         self, plan: Plan, k: int, recorder: Recorder | None = None

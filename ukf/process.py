@@ -36,6 +36,7 @@ class Process:
                 f"augmented state {next(iter(self._columns))!r}: the engine {type(engine).__name__} has one set of "
                 'parameters for all sigma points. Use the engine "semi-recursive", or leave the quantity out.'
             )
+        self._fading = [(first + k, e) for k, e in enumerate(extras) if e.memory < np.inf]
         self._plain = not extras and not self._lags
 
     def over(self, inputs: np.ndarray, times: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -62,6 +63,8 @@ class Process:
         out[:, : self.nx] = states
         if self._lags:
             out[:, self.nx : self.nx + self._lags] = self._channels.follow(inside, out, dt)
+        for column, extra in self._fading:
+            out[:, column] = extra.value + extra.kept(dt) * (inside[:, column] - extra.value)
         return out if excess is None else out + excess
 
 

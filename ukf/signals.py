@@ -102,6 +102,15 @@ class Signals:
             tuple(recording.notes),
         )
 
+    def thinned(self, rate: float) -> Signals:
+        """Return the signals with at most about `rate` samples a second of each sensor."""
+
+        def part(time: np.ndarray, values: np.ndarray) -> Series:
+            every = max(1, round(1.0 / (rate * float(np.median(np.diff(time)))))) if time.size > 1 else 1
+            return time[::every], values[::every]
+
+        return replace(self, sensors={n: part(*series) for n, series in self.sensors.items()})
+
     def plan(self, crane: Crane, channels: Sequence[str], max_step: float) -> Plan:
         """Return the filter's instants for these channels.
 

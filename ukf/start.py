@@ -41,8 +41,16 @@ def taken(layout: Layout, first: Mapping[str, float]) -> tuple[str, ...]:
     return tuple(n for n in known if not set(rivals(layout).get(n, ())) & set(known))
 
 
-def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Mapping[str, float]) -> Belief:
+def start_belief(
+    crane: Crane,
+    engine: Any,
+    first: Mapping[str, float],
+    std: Mapping[str, float],
+    pressure: float = UNSHOWN["Pa"],
+) -> Belief:
     """Return the belief (nx, …) from the first measurements `first` (SI, NaN for missing) and their noise `std`.
+
+    `pressure` is the standard deviation of a pressure that no sensor shows, Pa.
 
     Coordinates come from their own sensors or the cylinder lengths, else from the crane file. Pressures follow from the balance
     of moments at rest (`engine.static_start`): the cylinder's force is known, so one measured pressure gives the other.
@@ -56,7 +64,7 @@ def start_belief(crane: Crane, engine: Any, first: Mapping[str, float], std: Map
     for name in lay.coordinates:
         carried = sum(known.get(f"d{n}", 0.0) for n in lay.carriers(name))
         mean[lay.index(f"d{name}")] = known.get(f"d{name}", known.get(f"d{name}_abs", carried) - carried)
-    deviation[lay.positions], deviation[lay.pressures] = z_std, lay.sized(lay.chambers, UNSHOWN)
+    deviation[lay.positions], deviation[lay.pressures] = z_std, pressure
     deviation[lay.velocities] = np.hypot(lay.sized(lay.rates, UNSHOWN), 0.5 * mean[lay.velocities])
     for cylinder in range(len(lay.cylinders)):
         _set_pressures(crane, cylinder, mean, deviation, known, std)

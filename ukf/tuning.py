@@ -8,7 +8,7 @@ makes the measure sharp, and it charges for boasting (small S) as well as for sh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,27 +76,57 @@ def tune(
     first = logs_of(start or ProcessNoise.of(crane.layout))
     before = cost(first)
     logs, best = _climb(cost, first, before)
-    step = 1.0
-    while step >= _FINEST and count[0] < evaluations:
-        old = best
-        for i in range(logs.size):
-            logs, best = _along(cost, logs, best, i, step)
-            if count[0] >= evaluations:
-                break
-        if best >= old - 1e-4:
-            step *= 0.5
+    logs, best = descend(
+        cost, logs, best, limits_of(logs), finest=_FINEST, gain=1e-4, enough=lambda: count[0] >= evaluations
+    )
     return Tuned(noise_of(logs), std, -before, -best, count[0], crane.layout.cylinders)
 
 
+def descend(
+    cost: Callable[[np.ndarray], float],
+    logs: np.ndarray,
+    best: float,
+    limits: Sequence[tuple[float, float]],
+    *,
+    finest: float,
+    gain: float,
+    enough: Callable[[], bool] = lambda: False,
+) -> tuple[np.ndarray, float]:
+    """Return the logarithms that lower a cost, one after the other, and that cost; steps are halved down to `finest`.
+
+    Args:
+        cost: of logarithms (n,).
+        logs, best: where to begin, and the cost there.
+        limits: range of each logarithm.
+        gain: what a round must gain for another one with the same step.
+        enough: whether to end before the time.
+    """
+    step = 1.0
+    while step >= finest and not enough():
+        old = best
+        for i in range(logs.size):
+            logs, best = _along(cost, logs, best, i, step, limits[i])
+            if enough():
+                break
+        if best >= old - gain:
+            step *= 0.5
+    return logs, best
+
+
 def _along(
-    cost: Callable[[np.ndarray], float], logs: np.ndarray, best: float, i: int, step: float
+    cost: Callable[[np.ndarray], float],
+    logs: np.ndarray,
+    best: float,
+    i: int,
+    step: float,
+    limits: tuple[float, float],
 ) -> tuple[np.ndarray, float]:
     """Return the better of two neighbours along one logarithm, gone on with while it helps, or the point itself."""
     for direction in (step, -step):
         moved = False
         while True:
             trial = logs.copy()
-            trial[i] = np.clip(trial[i] + direction, *(_ACCELERATIONS if i < len(logs) // 2 else _PRESSURES))
+            trial[i] = np.clip(trial[i] + direction, *limits)
             value = cost(trial) if trial[i] != logs[i] else best
             if value >= best:
                 break
@@ -181,6 +211,11 @@ def noise_of(logs: np.ndarray) -> ProcessNoise:
 def logs_of(noise: ProcessNoise) -> np.ndarray:
     """Return [log10 acceleration of each coordinate, log10 pressure of each cylinder] of a noise."""
     return np.log10([*noise.acceleration, *noise.pressure[::2]])
+
+
+def limits_of(logs: np.ndarray) -> list[tuple[float, float]]:
+    """Return the range in which each logarithm of a noise is searched."""
+    return [*[_ACCELERATIONS] * (len(logs) // 2), *[_PRESSURES] * (len(logs) // 2)]
 
 
 def busiest(signals: Signals, seconds: float) -> Signals:

@@ -11,14 +11,12 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
-from crane_exudyn.vetting import vetted
+from crane_exudyn.vetting import OPEN, vetted
 
 Purpose = Literal["compare", "diagnose"]
 
 #: shortest recording, s; a spool alone needs a tenth of that to open
 SHORTEST = 1.0
-#: a spool command above this opens a valve enough to be felt
-OPEN = 0.05
 #: a channel that stands at its extreme for more than this share of the time is saturated
 _STUCK_SHARE = 0.5
 #: seconds of closed valves in which slow errors of a sensor are looked for, and by how much they must exceed its white noise

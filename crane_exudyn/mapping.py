@@ -1,0 +1,188 @@
+"""How channels stand in a file: under which column, in which unit, with which sign and offset; from `--map` options and map files."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import channels
+from .errors import CraneError, nearest
+from .layout import Layout
+from .tables import split_header
+from .units import factor_to_si, to_si
+
+_KEYS = ("column", "unit", "sign", "scale", "offset", "late", "drift")
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where a channel comes from: channel = factor * column + offset.
+
+    Attributes:
+        header: of the column, with or without its unit in brackets.
+        unit: that the values have, whatever the file says; None: as the file, or the header here, says.
+        factor: sign and scale; offset: in SI.
+        late: s by which the file's stamps come after what they stand beside; drift: by how much more in each second.
+        said: where that was said, for messages.
+    """
+
+    header: str
+    unit: str | None = None
+    factor: float = 1.0
+    offset: float = 0.0
+    late: float = 0.0
+    drift: float = 0.0
+    said: str = "--map"
+
+    @classmethod
+    def parse(cls, text: str) -> Column:
+        """Return what `--map` says behind its "=": COLUMN[UNIT], with a minus before it for the other sign."""
+        return cls(text.removeprefix("-"), factor=-1.0 if text.startswith("-") else 1.0)
+
+    @property
+    def names(self) -> set[str]:
+        """What the column may be called."""
+        return {self.header, split_header(self.header)[0]}
+
+    def stamped(self, time: np.ndarray) -> np.ndarray:
+        """Return the times (n,) in s at which samples were taken that are stamped `time`."""
+        if self.late == 0.0 and self.drift == 0.0:
+            return time
+        return time - self.late - self.drift * (time - time[0])
+
+
+MappingLike = Mapping[str, str | Column]
+
+
+def columns_of(mapping: MappingLike, layout: Layout) -> dict[str, Column]:
+    """Return what each channel of a machine is read from.
+
+    Raises:
+        CraneError: a channel that there is none of, a column that stands for two, or a time that is to be changed.
+    """
+    found = {name: Column.parse(c) if isinstance(c, str) else c for name, c in mapping.items()}
+    known = ["time", *channels.of(layout)]
+    first: dict[str, str] = {}
+    for name, column in found.items():
+        if name not in known:
+            raise CraneError(
+                f"{column.said} {name}={column.header}: there is no channel {name!r}.{nearest(name, known)}"
+            )
+        if column.header in first:
+            raise CraneError(
+                f"{column.said} takes column {column.header!r} for two channels, {first[column.header]} and {name}. Map each column once."
+            )
+        if name == "time" and replace(column, header="", unit=None, said="") != Column("", said=""):
+            raise CraneError(f"{column.said}: a time can have another name and unit, nothing else.")
+        first[column.header] = name
+    return found
+
+
+def parse_map(entries: Sequence[str] | None) -> dict[str, Column]:
+    """Return {channel: column} of `--map z1=BoomAngle[deg]` options.
+
+    Raises:
+        CraneError: an entry without "=", or a channel mapped twice.
+    """
+    mapping: dict[str, Column] = {}
+    for entry in entries or ():
+        name, equals, column = (part.strip() for part in entry.partition("="))
+        if not (name and equals and column.removeprefix("-")):
+            raise CraneError(f"--map {entry!r} is not of the form NAME=COLUMN[UNIT], such as z1=BoomAngle[deg].")
+        if name in mapping:
+            raise CraneError(f"--map gives {name!r} twice: {mapping[name].header!r} and {column!r}. Keep one.")
+        mapping[name] = Column.parse(column)
+    return mapping
+
+
+# -- map files -------------------------------------------------------------------------------------------------------
+
+
+def load_map(path: Path, layout: Layout) -> dict[str, Column]:
+    """Return {channel: column} of a map file for recordings of a machine: TOML with a table a channel. ::
+
+        [z1]
+        column = "BoomAngle"  # the channel's own name where absent
+        unit = "deg"          # as the file says where absent
+        sign = -1
+        scale = 0.5
+        offset = "2 deg"      # added last
+        late = "0.1 s"        # the stamps come so much after the event,
+        drift = 0.001         # and by so much more in each second
+
+    Raises:
+        CraneError: names the file, the table and the key, what was found, what was expected and how to mend it.
+    """
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise CraneError(
+            f'{path}: not a TOML file: {problem}. Expected tables such as [z1] with column = "BoomAngle".'
+        ) from problem
+    return {name: _column(f"{path}, [{name}]", name, table, layout) for name, table in document.items()}
+
+
+def _column(where: str, name: str, table: Any, layout: Layout) -> Column:
+    units = {"time": "s", **channels.of(layout)}
+    if name not in units:
+        raise CraneError(f"{where}: there is no channel {name!r}.{nearest(name, list(units))}")
+    if not isinstance(table, dict):
+        raise CraneError(
+            f"{where}: found {table!r}, expected a table. Write [{name}] and below it column = {str(table)!r}."
+        )
+    for key in table:
+        if key not in _KEYS:
+            raise CraneError(f"{where}: there is no key {key!r}.{nearest(key, list(_KEYS))}")
+    si = units[name]
+    column, unit = table.get("column", name), table.get("unit")
+    for key, value in (("column", column), ("unit", unit)):
+        if value is not None and not (isinstance(value, str) and (value or key == "unit")):
+            raise CraneError(f"{where}: {key} = {value!r}, expected a text.")
+    if unit is not None:
+        _check_unit(where, unit, si)
+    sign, scale = table.get("sign", 1), to_si(table.get("scale", 1.0), "", f"{where}: scale")
+    if sign not in (1, -1) or isinstance(sign, bool):
+        raise CraneError(f"{where}: sign = {sign!r}, expected 1 or -1. Write another factor as scale.")
+    if scale == 0.0:
+        raise CraneError(f"{where}: scale = 0 leaves nothing of the column. Give another factor, or leave it out.")
+    offset, late = (to_si(table.get(key, 0.0), u, f"{where}: {key}") for key, u in (("offset", si), ("late", "s")))
+    drift = to_si(table.get("drift", 0.0), "", f"{where}: drift")
+    if not abs(drift) < 0.5:
+        raise CraneError(
+            f"{where}: drift = {drift:g}, expected a small number: seconds by which the stamps fall behind in each second."
+        )
+    return Column(column, unit, sign * scale, offset, late, drift, where)
+
+
+def _check_unit(where: str, unit: str, si: str) -> None:
+    try:
+        factor_to_si(unit, si)
+    except CraneError as problem:
+        raise CraneError(f"{where}: {problem}. Mend the unit.") from None
+
+
+def map_text(mapping: Mapping[str, Column], layout: Layout) -> str:
+    """Return a mapping of a machine's channels as the text of a map file."""
+    units = channels.of(layout)
+    return "\n".join(_table(name, column, units.get(name, "s")) for name, column in mapping.items())
+
+
+def _table(name: str, column: Column, unit: str) -> str:
+    size = abs(column.factor)
+    lines = [f"[{name}]", f"column = {_quoted(column.header)}"]
+    lines += [f"unit = {_quoted(column.unit)}"] if column.unit is not None else []
+    lines += ["sign = -1"] if column.factor < 0.0 else []
+    lines += [f"scale = {size:.12g}"] if size != 1.0 else []
+    lines += [f"offset = {_quoted(f'{column.offset:.12g} {unit}'.strip())}"] if column.offset else []
+    lines += [f'late = "{column.late:.6g} s"'] if column.late else []
+    lines += [f"drift = {column.drift:.6g}"] if column.drift else []
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

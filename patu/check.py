@@ -1,0 +1,81 @@
+"""`patu check`: is a recording what it says it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .options import (
+    DEFAULT_CRANE,
+    CraneOption,
+    EffectsOption,
+    JsonOption,
+    MapFileOption,
+    MapOption,
+    load_crane,
+    load_recording,
+)
+from .output import Printer
+from .outputs import Reads, Writes, saving
+
+if TYPE_CHECKING:
+    from crane_exudyn.mapping import Column
+    from crane_exudyn.vetting import Finding
+
+
+def command(
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC…", help="Recordings to look at."), Reads()],
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    mapping: MapOption = None,
+    map_file: MapFileOption = None,
+    write_map: Annotated[
+        Path | None,
+        typer.Option("--write-map", metavar="FILE.toml", help="Write a map file that mends what can be mended."),
+        Writes(),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Look whether recordings are what they say they are: signs, exchanged channels, units, lines of reference, clocks, poses, noise.
+
+    A channel is found to be something else where the crane's balances close far better with it read otherwise; leaks, friction
+    or another payload do not make them so. Exit status 1 where something is surely wrong.
+    """
+    chosen = load_crane(crane, effects)
+    from crane_exudyn.files import write_text
+    from crane_exudyn.mapping import map_text
+    from crane_exudyn.vetting import mended_columns, vet
+
+    printer, told = Printer(json), list[dict[str, Any]]()
+    columns: dict[str, Column] = {}
+    for path in recordings:
+        recording = load_recording(path, chosen, mapping, map_file)
+        findings = vet(recording, chosen)
+        tell(printer, path, findings)
+        told += [document(path, f) for f in findings]
+        columns = mended_columns(recording, findings) | columns
+    with saving(printer) as save:
+        text = map_text(columns, chosen.layout)
+        save(write_map, lambda path: write_text(path, text), text)
+        save.json(json, {"findings": told, "crane": chosen.name})
+    if any(finding["severity"] == "error" for finding in told):
+        raise typer.Exit(1)
+
+
+def document(path: Path, finding: Finding) -> dict[str, Any]:
+    """Return a finding as the JSON result tells it."""
+    return {
+        "kind": finding.kind, "channels": list(finding.channels), "severity": finding.severity, "text": finding.text,
+        "mend": finding.mend, "recording": str(path),
+    }  # fmt: skip
+
+
+def tell(printer: Printer, path: Path, findings: list[Finding]) -> None:
+    """Print the findings of a recording, worst first."""
+    if not findings:
+        printer.line(f"{path}: nothing to complain of.")
+    for finding in findings:
+        printer.line(f"{path}: {finding.severity}: {finding.text}.")
+        printer.line(f"  {finding.mend}")

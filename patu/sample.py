@@ -1,0 +1,44 @@
+"""`patu sample`: recordings to play with."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
+from .output import Printer, announce_compilation
+from .outputs import Writes, saving
+
+if TYPE_CHECKING:
+    from validation.sample import Sample
+
+_FILES = ("*.csv", "logger.toml")
+
+
+def command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write to."), Writes(files=_FILES)],
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Write recordings to play with, simulated on the spot: a sound one, a hidden effect, and what loggers make of one."""
+    chosen = load_crane(crane, effects)
+    announce_compilation()
+    from validation.sample import samples
+
+    made = samples(chosen)
+    printer = Printer(json)
+    with saving(printer) as save:
+        for sample in made:
+            save(folder / sample.file, partial(_write, sample))
+        save.json(json, {"files": {s.file: {"text": s.text, "try": s.told(folder)} for s in made}})
+    for sample in made:
+        printer.line(f"{sample.file}: {sample.text}. Try: {sample.told(folder)}")
+
+
+def _write(sample: Sample, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sample.save(path)

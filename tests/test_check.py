@@ -1,0 +1,144 @@
+"""`patu check`: mistakes of loggers are told first, with their channels and a mend that works; sound recordings are left alone, worn machines too."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crane_exudyn.channels import Channel
+from crane_exudyn.crane import Crane
+from crane_exudyn.mapping import load_map
+from crane_exudyn.recording import Recording
+from crane_exudyn.vetting import Finding, mended_columns, vet
+from validation.loggers import Mistake, mistakes
+
+DATA = Path(__file__).parent / "data"
+CRANE = Crane.load("patu655")
+FOUR = ("u1", "u2", "z1", "z4", "p1", "p4")
+
+
+def sound(name: str = "open_none_learn") -> Recording:
+    return Recording.load(DATA / f"{name}.csv.gz")
+
+
+def one_of_each(recording: Recording) -> dict[str, Mistake]:
+    """Return the last mistake of each name."""
+    return {m.name: m for m in mistakes(recording, CRANE)}
+
+
+ALL, LESS = one_of_each(sound()), one_of_each(sound().select(FOUR))
+
+
+@pytest.mark.parametrize("name", ["open_none_learn", "open_leak_lift_learn", "open_bias_p4_learn", "open_air_check", "open_friction_O_learn"])  # fmt: skip
+@pytest.mark.parametrize("sensors", [4, 6])
+def test_sound_recordings_of_worn_machines_have_no_findings(name: str, sensors: int) -> None:
+    recording = sound(name)
+    assert vet(recording if sensors == 6 else recording.select(FOUR), CRANE) == []
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_mistake_is_told_first(name: str) -> None:
+    findings = vet(ALL[name].recording, CRANE)
+    assert ALL[name].found_by(findings), findings
+    assert len({f.channels for f in findings if f.severity == "error"}) <= 1  # and nothing else is blamed for it
+
+
+@pytest.mark.parametrize("name", ["sign of a command", "sign of an angle", "commands exchanged", "pressures exchanged", "psi as bar, all pressures"])  # fmt: skip
+def test_a_mistake_is_told_with_four_sensors(name: str) -> None:
+    assert LESS[name].found_by(vet(LESS[name].recording, CRANE))
+
+
+def test_two_mistakes_are_told_and_mended_together(tmp_path: Path) -> None:
+    recording = sound()
+    turned = {n: replace(recording[n], values=-recording[n].values) for n in ("u1", "z4")}
+    findings = vet(replace(recording, channels={**recording.channels, **turned}), CRANE)
+    assert {(f.kind, f.channels, f.severity) for f in findings} == {("sign", ("u1",), "error"), ("sign", ("z4",), "error")}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [n for n, m in ALL.items() if m.kind in ("sign", "swapped", "absolute", "scale", "offset", "clock")])  # fmt: skip
+def test_the_mend_mends(name: str, tmp_path: Path) -> None:
+    from crane_exudyn.mapping import map_text
+
+    file, table = tmp_path / "wrong.csv", tmp_path / "map.toml"
+    ALL[name].recording.save(file)
+    wrong = Recording.load(file)
+    table.write_text(map_text(mended_columns(wrong, vet(wrong, CRANE)), CRANE.layout))
+    right = Recording.load(file, load_map(table, CRANE.layout))
+    assert [f for f in vet(right, CRANE) if f.severity == "error"] == []
+    for channel in sound().channels:
+        if channel in right.channels and ALL[name].kind != "clock":
+            assert right[channel].values == pytest.approx(sound()[channel].values, rel=1e-3, abs=1e-3)
+
+
+def test_a_short_delay_of_one_valve_is_none_of_a_clock() -> None:
+    recording = sound()
+    late = Channel(recording["u2"].time - 0.25, recording["u2"].values)
+    assert vet(replace(recording, channels={**recording.channels, "u2": late}), CRANE) == []
+
+
+def test_a_machine_that_nobody_can_explain_is_not_explained() -> None:
+    recording, rng = sound(), np.random.default_rng(1)
+    walk = {n: replace(recording[n], values=recording[n].values[rng.permutation(20).repeat(len(recording[n]) // 20 + 1)[: len(recording[n])]]) for n in recording.sensors}  # fmt: skip
+    assert [f for f in vet(replace(recording, channels={**recording.channels, **walk}), CRANE) if f.kind == "swapped"] == []  # fmt: skip
+
+
+# -- the command -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def wrong(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("wrong") / "wrong.csv"
+    ALL["pressures of a cylinder exchanged"].recording.save(file)
+    return file
+
+
+def test_check_tells_writes_a_map_and_is_content_with_it(
+    patu: Callable[..., SimpleNamespace], wrong: Path, tmp_path: Path
+) -> None:
+    table = tmp_path / "map.toml"
+    done = patu("check", str(wrong), "--json", "-", "--write-map", str(table))
+    assert done.status == 1
+    finding = json.loads(done.out)["findings"][0]
+    assert (finding["kind"], finding["channels"], finding["severity"]) == ("swapped", ["p3", "p4"], "error")
+    assert finding["mend"] == "Type --map p3=p4 --map p4=p3."
+    again = patu("check", str(wrong), "--map-file", str(table), "--json", "-")
+    assert (again.status, json.loads(again.out)["findings"]) == (0, [])
+    assert patu("check", str(wrong), "--map", "p3=p4", "--map", "p4=p3").status == 0
+
+
+@pytest.mark.parametrize("command", [("compare",), ("diagnose",), ("estimate",), ("improve", "-o", "new.toml")])
+def test_errors_stop_what_would_explain_them(
+    patu: Callable[..., SimpleNamespace], wrong: Path, command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    done = patu(command[0], str(wrong), *command[1:])
+    assert done.status == 2
+    for part in ("wrong.csv", "p3 and p4", "--map p3=p4", "--anyway"):
+        assert part in done.err
+
+
+def test_anyway_goes_on_and_tells(patu: Callable[..., SimpleNamespace], wrong: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.csv"
+    Recording.load(wrong).window(0.0, 8.0).save(short)
+    done = patu(
+        "estimate", str(short), "--anyway", "--engine", "semi-recursive", "--step", "0.005", "--model-error", "off"
+    )
+    assert done.status in (0, 1) and "p3 and p4" in done.err and "Type --map" in done.err
+
+
+def test_samples_are_what_they_say(patu: Callable[..., SimpleNamespace], tmp_path: Path) -> None:
+    assert patu("sample", str(tmp_path)).status == 0
+    files = {f.name for f in tmp_path.iterdir()}
+    assert files == {"clean.csv", "hidden_learn.csv", "hidden_check.csv", "logger.csv", "logger.toml", "mistaken.csv"}
+    for name in ("clean.csv", "hidden_learn.csv", "hidden_check.csv"):
+        assert vet(Recording.load(tmp_path / name), CRANE) == []
+    logged = Recording.load(tmp_path / "logger.csv", load_map(tmp_path / "logger.toml", CRANE.layout))
+    assert logged["p1"].values == pytest.approx(Recording.load(tmp_path / "clean.csv")["p1"].values)
+    found: list[Finding] = vet(Recording.load(tmp_path / "mistaken.csv"), CRANE)
+    assert {f.kind for f in found if f.severity == "error"} == {"sign", "swapped"}

@@ -1,0 +1,343 @@
+"""What the model may be wrong about, as states with a memory whose sizes the innovations tell.
+
+Process noise that is white says that a model errs anew at every instant, and averages out. Errors of a model do not: a leak, a load
+or a valve that is not as the file says acts for seconds in one direction, and what no sensor measures follows it. So the
+filter estimates along with the state what may act so, each unknown as first-order Gauss-Markov noise:
+
+| unknown | acts | size that is expected | memory |
+|---|---|---|---|
+| a moment on each joint | always | 5 % of what its cylinder can do | 10 s |
+| a flow into each chamber | always | 0.5 % of the valve's flow under full pump pressure | 3 s |
+| flow coefficient of each valve | while its spool is open | 10 % | 3 s |
+| pump pressure | while a valve draws from it | 5 % | 3 s |
+| volume of the hoses, which stands for softness of the oil | while the pressure changes | 50 % | 1 s |
+| an offset of each pressure sensor | always | a third of its noise | 10 s |
+| a parameter that the crane file calls unknown, such as the payload | as the model says | 100 kg for a payload | constant |
+
+How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the innovations are
+most likely (`replay`), held back from leaving what is expected by a prior of half a power of ten. Then each size is opened by
+half a power of ten: the innovations tell of an unknown what it does to the sensors, and what is not measured may suffer more.
+With a model that is right all sizes fall, and the intervals are those of the filter without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.geometry import cylinder_lengths
+
+from .augment import Augment, resolve
+from .estimate import Estimate, unit_of
+from .estimator import Estimator, sensor_std
+from .noise import ProcessNoise
+from .replay import Replay
+from .signals import Signals
+from .tuning import busiest, descend, limits_of, logs_of, noise_of
+
+#: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are opened afterwards
+_PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.5
+#: how far below what is expected a size is searched, powers of ten
+_BELOW = -4.0
+#: unknowns whose size is so many powers of ten below what is expected are left out
+_NOTHING = -2.5
+#: finest step of the search in powers of ten, what a round of it must gain in log-likelihood, runs that are replayed
+_FINEST, _GAIN, _RUNS = 0.3, 2.0, 2
+#: time constant of sizes in live use, s
+_ADAPT = 4.0
+#: how much of a recording the search uses, around its busiest part, s
+_SECONDS = 10.0
+#: what `patu estimate --model-error` may say
+MODES = ("auto", "off", "on")
+#: most samples a second and longest integration step that the search uses
+_RATE, _STEP = 100.0, 5e-3
+#: standard deviation of a pressure that no sensor shows at the start, in parts of the pump pressure: the balance of moments may be wrong
+_PRESSURE = 0.3
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest size."""
+
+    names: tuple[str, ...]
+    size: float
+    memory: float
+    most: float
+
+    def augments(self, size: float) -> tuple[Augment, ...]:
+        """Return the quantities as states of the filter, of a given size."""
+        return tuple(Augment(n, size, memory=self.memory, shared=self.names[0]) for n in self.names)
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """What the filter estimates along with the state because the model may be wrong, with sizes.
+
+    Attributes:
+        unknowns, sizes: what may be wrong, and how large each is (SI).
+        noise: the white noise beside them.
+        pressure_std: of a pressure that no sensor shows, at the start, Pa.
+    """
+
+    unknowns: tuple[Unknown, ...]
+    sizes: tuple[float, ...]
+    noise: ProcessNoise
+    pressure_std: float
+
+    @property
+    def augment(self) -> tuple[Augment, ...]:
+        """The unknowns as states of the filter."""
+        pairs = zip(self.unknowns, self.sizes, strict=True)
+        return tuple(a for unknown, size in pairs for a in unknown.augments(size))
+
+    def behind(self, plain: Estimator) -> Estimator:
+        """Return an estimator as `plain`, with these unknowns behind all that it estimates."""
+        return plain.varied(noise=self.noise, augment=(*plain.augment, *self.augment), pressure_std=self.pressure_std)
+
+    def __repr__(self) -> str:
+        pairs = zip(self.unknowns, self.sizes, strict=True)
+        listed = [f"{' '.join(u.names)} ± {size:.2g}" for u, size in pairs]
+        return f"<ModelError: {', '.join(listed) or 'nothing'}>"
+
+
+def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> tuple[Unknown, ...]:
+    """Return what may be wrong about a crane's model and its sensors, with the sizes that are expected; `without` some names.
+
+    `sensors` are channels with the standard deviation of their noise, SI.
+    """
+    lay, pump = crane.layout, crane["supply.pump_pressure"]
+    found = [Unknown((name,), 0.05 * most, 10.0, most) for name, most in zip(lay.torques, _moments(crane), strict=True)]
+    for cylinder, sides in zip(lay.cylinders, lay.sides, strict=True):
+        valve = f"valves.{cylinder}.flow_coefficient"
+        hoses = tuple(f"cylinders.{cylinder}.hose_volume_{side}" for side in ("piston", "rod"))
+        flow, volume = crane[valve] * np.sqrt(pump), float(np.mean([crane[h] for h in hoses]))
+        found += [
+            Unknown(tuple(f"flow.{chamber}" for chamber in sides), 0.005 * flow, 3.0, flow),
+            Unknown((valve,), 0.1 * crane[valve], 3.0, crane[valve]),
+            Unknown(hoses, 0.5 * volume, 1.0, volume),
+        ]
+    found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0, pump))
+    gauges = [n for n in sensors if lay.sensors[n].unit == "Pa"]
+    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 10.0, 30.0 * sensors[n]) for n in gauges]
+    free = [n for n, known in crane.uncertainty.items() if not np.isfinite(known.std) and n in crane.machine.index]
+    found += [Unknown((e.name,), e.std, np.inf, 10.0 * e.std) for e in resolve(crane, free)]
+    return tuple(u for u in found if u.size > 0.0 and not set(u.names) & set(without))  # machines without hoses
+
+
+def _moments(crane: Crane) -> list[float]:
+    """Return the moment (N m; sliding: force, N) that each joint's cylinder can do under pump pressure, in the pose to start with."""
+    lay, pose, step = crane.layout, np.array(crane.initial.pose), 1e-4
+    out = []
+    for i, name in enumerate(lay.coordinates):
+        c = lay.driven.index(name)
+        ends = np.tile(pose, (2, 1))
+        ends[:, i] += (-step, step)
+        lengths = cylinder_lengths(crane, ends)[:, c]
+        area = np.pi / 4.0 * crane[f"cylinders.{lay.cylinders[c]}.bore"] ** 2
+        out.append(float(crane["supply.pump_pressure"] * area * abs(lengths[1] - lengths[0]) / (2.0 * step)))
+    return out
+
+
+def expected(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> ModelError:
+    """Return the model error with the sizes that are expected; arguments as of `unknowns`."""
+    found = unknowns(crane, sensors, without)
+    noise, pressure = ProcessNoise.of(crane.layout), _PRESSURE * crane["supply.pump_pressure"]
+    return ModelError(found, tuple(u.size for u in found), noise, pressure)
+
+
+def live(plain: Estimator, adapt: float = _ADAPT) -> Estimator:
+    """Return an estimator as `plain` that allows for an error of the model, for live use.
+
+    Where nothing has been recorded yet the sizes begin wide and follow what is found with a time constant `adapt`, s.
+    """
+    start = _Search(expected(plain.crane, plain.std_of, _names(plain.augment)))
+    return start.opened(start.first).behind(plain).varied(adapt=adapt)
+
+
+def _names(augment: Iterable[Any]) -> list[str]:
+    return [a if isinstance(a, str) else a.name for a in augment]
+
+
+def find(
+    crane: Crane,
+    recording: Any,
+    sensors: Mapping[str, float],
+    *,
+    engine: Any = "semi-recursive",
+    augment: tuple[Any, ...] = (),
+    seconds: float = _SECONDS,
+    progress: Callable[[float], None] | None = None,
+) -> ModelError:
+    """Return the model error under which the innovations of a recording are most likely, opened by half a power of ten.
+
+    Args:
+        crane: the model.
+        recording: a Recording or Signals.
+        sensors: channels with noise standard deviations (SI).
+        augment: quantities that are estimated anyway.
+        seconds: how much of the recording is used, around its busiest part.
+        progress: called with the fraction done.
+    """
+    std = sensor_std(crane, sensors)
+    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
+    piece = busiest(signals, seconds).thinned(_RATE)
+    start = expected(crane, std, _names(augment))
+    search = _Search(start)
+    logs = search.first
+    for k in range(_RUNS):
+        if progress is not None:
+            progress(k / _RUNS)
+        now = search.model_error(logs)
+        estimator = now.behind(Estimator(crane, engine, std, augment=augment, max_step=_STEP))
+        logs = search.climb(Replay(estimator, piece, estimator.extras[len(augment) :]), logs)
+    return search.opened(logs)
+
+
+class _Search:
+    """The search over the logarithms [size of each unknown over what is expected, white noise as in `tuning`]."""
+
+    def __init__(self, start: ModelError) -> None:
+        self.start, self.count = start, len(start.unknowns)
+        noise = logs_of(start.noise)
+        self.first = np.concatenate([np.zeros(self.count), noise])
+        self._width = np.concatenate([np.full(self.count, _PRIOR), np.full(self.first.size - self.count, _PRIOR_NOISE)])
+        self._most = np.log10([u.most / u.size for u in start.unknowns])
+        self._limits = [*((_BELOW, float(most)) for most in self._most), *limits_of(noise)]
+
+    def model_error(self, logs: np.ndarray) -> ModelError:
+        """Return the model error of some logarithms."""
+        sizes = tuple(float(u.size * 10.0**e) for u, e in zip(self.start.unknowns, logs, strict=False))
+        return ModelError(self.start.unknowns, sizes, noise_of(logs[self.count :]), self.start.pressure_std)
+
+    def climb(self, replay: Replay, logs: np.ndarray) -> np.ndarray:
+        """Return the most likely logarithms."""
+
+        def cost(trial: np.ndarray) -> float:
+            now = self.model_error(trial)
+            sizes = [size for u, size in zip(now.unknowns, now.sizes, strict=True) for _ in u.names]
+            prior = 0.5 * float(np.sum(((trial - self.first) / self._width) ** 2))
+            return prior - replay.log_likelihood(now.noise, sizes)
+
+        return descend(cost, logs, cost(logs), self._limits, finest=_FINEST, gain=_GAIN)[0]
+
+    def opened(self, logs: np.ndarray) -> ModelError:
+        """Return the model error with sizes that are opened, without unknowns of no account."""
+        wide = logs.copy()
+        wide[: self.count] = np.minimum(wide[: self.count] + _OPENED, self._most)
+        found = self.model_error(wide)
+        kept = [k for k in range(self.count) if wide[k] > _NOTHING]
+        return ModelError(
+            tuple(found.unknowns[k] for k in kept), tuple(found.sizes[k] for k in kept), found.noise, found.pressure_std
+        )
+
+
+@dataclass(frozen=True)
+class Account:
+    """What became of the model error in an estimate.
+
+    Attributes:
+        mode: "auto", "off" or "on", as asked for.
+        used: whether it is part of the estimate.
+        why: in words.
+        found: {name: {"size", "nominal", "value", "std", "unit"}} of each unknown, SI: its size, what it would be if the
+            model were right, and what it was at the end.
+    """
+
+    mode: str
+    used: bool
+    why: str
+    found: Mapping[str, Mapping[str, Any]]
+
+    def document(self) -> dict[str, Any]:
+        """Return what the command writes as JSON."""
+        return {"mode": self.mode, "used": self.used, "why": self.why, "unknowns": dict(self.found)}
+
+
+#: makes a function that takes the fraction done of what its text says
+Stage = Callable[[str], AbstractContextManager[Callable[[float], None]]]
+
+
+@contextmanager
+def _silent(_: str) -> Iterator[Callable[[float], None]]:
+    yield lambda fraction: None
+
+
+def estimate(
+    plain: Estimator,
+    recording: Any,
+    *,
+    mode: str = "auto",
+    smooth: bool = False,
+    noise_slack: float = 0.0,
+    stage: Stage = _silent,
+) -> Estimate:
+    """Return the estimate over a recording, with intervals that allow for an error of the model where the innovations ask for it.
+
+    Args:
+        plain: the estimator without model error.
+        recording: a Recording or Signals.
+        mode: "off"; "on", whatever the innovations say; or "auto": where the plain filter's innovations are larger than it
+            believes or keep their sign, and are more likely with it.
+        smooth: as of `Estimator.run`.
+        noise_slack: as of `Estimate`.
+        stage: shows progress.
+
+    Raises:
+        CraneError: no such mode, or as `Estimator.run`.
+    """
+    if mode not in MODES:
+        raise CraneError(f"There is no model error {mode!r}.{nearest(mode, list(MODES))}")
+    if mode != "on":
+        with stage("Estimate") as done:
+            first = _run(plain, recording, smooth, noise_slack, done)
+        why = "not asked for" if mode == "off" else unasked(first)
+        if why:
+            return replace(first, model_error=Account(mode, False, why, {}))
+    with stage("Model error") as done:
+        found = find(plain.crane, recording, plain.std_of, augment=plain.augment, progress=done)
+    with stage("Estimate") as done:
+        second = _run(found.behind(plain), recording, smooth, noise_slack, done)
+    if mode == "auto" and second.log_likelihood <= first.log_likelihood:
+        why = "the innovations are no more likely with it"
+        return replace(first, model_error=Account(mode, False, why, {}))
+    why = "asked for" if mode == "on" else f"without it, {first.verdict}"
+    return _told(plain.crane, second, found, Account(mode, True, why, {}))
+
+
+def _run(
+    estimator: Estimator, recording: Any, smooth: bool, noise_slack: float, progress: Callable[[float], None]
+) -> Estimate:
+    result = estimator.run(recording, smooth=smooth, progress=progress)
+    smoothed = result.smoothed and replace(result.smoothed, noise_slack=noise_slack)
+    return replace(result, noise_slack=noise_slack, smoothed=smoothed)
+
+
+def unasked(plain: Estimate) -> str:
+    """Return why the innovations of a filter do not ask for model error, in words; "" where they do."""
+    if plain.unjudged or plain.consistent:
+        return plain.verdict
+    if plain.nis_mean > plain.nis_bounds[1] or plain.persistent:
+        return ""
+    return plain.verdict
+
+
+def _told(crane: Crane, result: Estimate, found: ModelError, account: Account) -> Estimate:
+    """Return an estimate without the unknowns among its states, and with an account of them."""
+    count = len(result.state_names) - len(found.augment)
+    ends = {
+        e.name: {
+            "size": e.std,
+            "nominal": e.value,
+            "value": float(result.mean[-1, count + k]),
+            "std": float(result.std[-1, count + k]),
+            "unit": unit_of(e.name, crane.layout),
+        }
+        for k, e in enumerate(resolve(crane, found.augment))
+    }
+    return result.first(count, model_error=replace(account, found=ends))

@@ -1,0 +1,109 @@
+"""Recordings to play with: of a sound machine, of one with a hidden effect, and of loggers with their own names, units and mistakes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.files import write_text
+from crane_exudyn.formats import write_table
+from crane_exudyn.mapping import Column, map_text
+from crane_exudyn.recording import Recording
+from crane_exudyn.simulation import simulate
+from crane_exudyn.units import factor_to_si
+
+#: s, and steps of the recordings
+_DURATION, _STEP = 20.0, 0.005
+#: of the first valve: when it opens, for how long, by how much, in s; the next one does the same so much later; ramps
+_PULSES = {
+    "learn": ((1.5, 2.0, 0.3), (6.5, 1.5, -0.2), (11.0, 1.5, 0.2), (15.0, 1.5, -0.3)),
+    "check": ((1.0, 1.2, 0.4), (5.5, 2.0, -0.25), (10.0, 2.2, 0.15), (14.5, 1.0, -0.2)),
+}
+_LATER, _RAMP = 2.2, 0.15
+#: the effect that is hidden, at the first cylinder: a third of a litre a minute at 50 bar
+_EFFECT, _VALUES = "internal_leakage", {"k": 1e-12}
+#: how the logger writes each quantity: name, unit, sign
+_LOGGED = {
+    "": ("Valve", "%", 1.0),
+    "rad": ("Angle", "deg", -1.0),
+    "m": ("Stroke", "mm", 1.0),
+    "Pa": ("Pressure", "psi", 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A file to play with: what it is, what to type (with {} for its folder), and what writes it."""
+
+    file: str
+    text: str
+    command: str
+    save: Callable[[Path], object]
+
+    def told(self, folder: Path) -> str:
+        """Return what to type."""
+        return self.command.format(folder)
+
+
+def samples(crane: Crane) -> list[Sample]:
+    """Return all files to play with, of a crane."""
+    lay = crane.layout
+    key = f"{_EFFECT}@{lay.cylinders[0]}"
+    sound = recorded(crane, "learn")
+    learn, check = (recorded(crane.with_effect(key, _VALUES), part) for part in _PULSES)
+    table, mapping = _logged(sound)
+    a, b = lay.sides[0]
+    last = lay.commands[-1]
+    exchanged = {a: sound[b], b: sound[a], last: replace(sound[last], values=-sound[last].values)}
+    wrong = replace(sound, channels={**sound.channels, **exchanged})
+    return [
+        Sample("clean.csv", "a sound machine as the crane file describes it", "patu compare {}/clean.csv", sound.save),
+        Sample("hidden_learn.csv", "a machine with a hidden effect", "patu diagnose {0}/hidden_learn.csv --check {0}/hidden_check.csv", learn.save),
+        Sample("hidden_check.csv", "the same machine, another manoeuvre", "patu compare {}/hidden_check.csv", check.save),
+        Sample("logger.csv", "the sound machine, by a logger with names and units of its own", "patu check {0}/logger.csv --map-file {0}/logger.toml", partial(write_table, columns=table)),
+        Sample("logger.toml", "what that logger's columns are", "patu compare {0}/logger.csv --map-file {0}/logger.toml", lambda path: write_text(path, map_text(mapping, lay))),
+        Sample("mistaken.csv", "the sound machine, columns named wrongly", "patu check {}/mistaken.csv", wrong.save),
+    ]  # fmt: skip
+
+
+def recorded(crane: Crane, part: str) -> Recording:
+    """Return what usual sensors of a crane show while its valves open one after the other."""
+    from .semi_recursive import SemiRecursiveEngine
+
+    lay = crane.layout
+    time = np.arange(round(_DURATION / _STEP) + 1) * _STEP
+    commands = {n: _pulses(time - c * _LATER, part) for c, n in enumerate(lay.commands)}
+    run = simulate(crane, Recording.from_arrays(part, time, commands, layout=lay), engine=SemiRecursiveEngine(crane))
+    rng = np.random.default_rng(len(part))
+    shown = {
+        n: run[n] + lay.sensors[n].sizes.noise * rng.standard_normal(len(time))
+        for n in (*lay.coordinates, *lay.chambers)
+    }
+    return Recording.from_arrays(part, time, commands | shown, layout=lay)
+
+
+def _pulses(time: np.ndarray, part: str) -> np.ndarray:
+    """Return the command (N,) of a valve that opens and closes by ramps."""
+    corners = [
+        (t, u)
+        for begin, lasts, size in _PULSES[part]
+        for t, u in ((begin, 0.0), (begin + _RAMP, size), (begin + lasts, size), (begin + lasts + _RAMP, 0.0))
+    ]
+    return np.interp(time, *np.array(corners).T)
+
+
+def _logged(recording: Recording) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
+    """Return a recording as a logger's table, and what its columns are."""
+    first = recording[recording.sensors[0]]
+    table, mapping = {"Clock": first.time}, {"time": Column("Clock", "s")}
+    for name, channel in recording.channels.items():
+        word, unit, sign = _LOGGED[channel.unit]
+        header = f"{word}{1 + sum(c.header.startswith(word) for c in mapping.values())}"
+        table[header] = sign * channel.values / factor_to_si(unit, channel.unit)
+        mapping[name] = Column(header, unit, sign)
+    return table, mapping
