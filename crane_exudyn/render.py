@@ -466,11 +466,7 @@ class Scene:
         """Return the pixels (n, 2), from the top left, at which points (n, 3) in m are seen."""
         width, height = self.size
         seen = np.asarray(points, dtype=float) @ self._rotation().T - self.center
-<<<<<<< HEAD
-        return np.array([width / 2.0, height / 2.0]) + seen[:, [0, 1]] * (height / self.height) * [1.0, -1.0]
-=======
         return np.array([width / 2.0, height / 2.0]) + np.delete(seen, 2, axis=1) * (height / self.height) * [1.0, -1.0]
->>>>>>> render
 
     def save(
         self,

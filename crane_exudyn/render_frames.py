@@ -155,11 +155,7 @@ class _Panel:
                 middle = own + toward * (away + half)
                 low, top = middle - half, middle + half
                 outside = float(np.maximum(2.0 - low, 0.0).sum() + np.maximum(top - page + 2.0, 0.0).sum())
-<<<<<<< HEAD
-                near = np.minimum(top, taken[:, [2, 3]]) - np.maximum(low, taken[:, [0, 1]])
-=======
                 near = np.minimum(top, ends) - np.maximum(low, starts)
->>>>>>> render
                 over = float((np.maximum(near[:, 0], 0.0) * np.maximum(near[:, 1], 0.0)).sum())
                 hit = int(((dots > low - 1.5) & (dots < top + 1.5)).all(axis=1).sum())
                 yield 50.0 * outside + 5.0 * over + 20.0 * hit + away, middle
@@ -265,11 +261,7 @@ def _fill(axes: Axes, parts: Iterable[tuple[Sequence[shapes.Graphics], Sequence[
         turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         for part in made:
             points = np.reshape(part["points"], (-1, 3))
-<<<<<<< HEAD
-            seen.append((points[:, 2].max(), points[:, [0, 1]] @ turn + [x, y], part))
-=======
             seen.append((points[:, 2].max(), np.delete(points, 2, axis=1) @ turn + [x, y], part))
->>>>>>> render
     for _, corners, part in sorted(seen, key=lambda s: s[0]):
         color = tuple(np.reshape(part["colors"], (-1, 4))[0])
         triangles = np.array(part["triangles"] if "triangles" in part else part["triangles6"])[
