@@ -51,7 +51,7 @@ def describe(effect: type[Effect], layout: Layout) -> dict[str, Any]:
         for p in effect.parameters
     ]
     text = inspect.cleandoc(effect.__doc__ or "")
-    return {"name": effect.name, "places": list(layout.places(effect.places)), "text": text, "parameters": parameters}
+    return {"name": effect.name, "places": list(effect.on(layout)), "text": text, "parameters": parameters}
 
 
 def tell(printer: Printer, effect: type[Effect], layout: Layout) -> None:
@@ -67,7 +67,7 @@ def tell(printer: Printer, effect: type[Effect], layout: Layout) -> None:
 
 
 def _places(effect: type[Effect], layout: Layout) -> str:
-    return " ".join(p or "whole machine" for p in layout.places(effect.places))
+    return " ".join(p or "whole machine" for p in effect.on(layout))
 
 
 def _number(value: float) -> str:

@@ -88,11 +88,13 @@ class Parameter:
 class Effect:
     """A physical effect. Subclasses fill in the class variables and define their hooks as static functions.
 
-    `places` is the kind of places at which it acts: CYLINDERS, CHAMBERS, JOINTS, SENSORS, or EVERYWHERE for the whole machine.
+    `places` is the kind of places at which it acts: CYLINDERS, CHAMBERS, JOINTS, SENSORS, or EVERYWHERE for the whole machine; or a
+    tuple of names of such places, which become `only` when the effect is registered.
     """
 
     name: ClassVar[str] = ""
     places: ClassVar[str] = EVERYWHERE
+    only: ClassVar[tuple[str, ...]] = ()
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     #: parameter values at which a search starts; one line a start
     probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
@@ -105,7 +107,12 @@ class Effect:
     @classmethod
     def keys(cls, layout: Layout) -> list[str]:
         """Return "name@place" for every place of a machine, or "name" for an effect of the whole machine."""
-        return [f"{cls.name}@{place}" if place else cls.name for place in layout.places(cls.places)]
+        return [f"{cls.name}@{place}" if place else cls.name for place in cls.on(layout)]
+
+    @classmethod
+    def on(cls, layout: Layout) -> tuple[str, ...]:
+        """Return the places of a machine at which it may act."""
+        return tuple(place for place in layout.places(cls.places) if not cls.only or place in cls.only)
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,8 @@ def _check_description(effect: type[Effect], where: str) -> None:
     """Refuse names, places, parameters and probes that are none."""
     if not (isinstance(effect.name, str) and effect.name.isidentifier()):
         raise CraneError(f"{where}: needs a name in letters, digits and underscores, found {effect.name!r}.")
+    if isinstance(effect.places, tuple) and effect.places and all(isinstance(p, str) for p in effect.places):
+        effect.only, effect.places = tuple(filter(None, effect.places)), _kind_of(effect)
     if effect.places not in tuple(MOST):
         raise CraneError(
             f"{where}: places is {effect.places!r}. Give CYLINDERS, CHAMBERS, JOINTS, SENSORS or EVERYWHERE."
@@ -74,6 +76,17 @@ def _check_description(effect: type[Effect], where: str) -> None:
         unknown = set(probe) - {p.name for p in effect.parameters}
         if unknown:
             raise CraneError(f"{where}: a probe gives {sorted(unknown)[0]!r}, which is no parameter of it.")
+
+
+def _kind_of(effect: type[Effect]) -> str:
+    """Return the kind of the places that an effect names one by one: that of its hooks; a leakage of one pressure is a chamber's."""
+    for hook, function in effect.hooks().items() if any(effect.places) else ():
+        kinds = ACTS_AT.get(hook, ())
+        if hook == "leakage" and len(inspect.signature(function).parameters) == len(effect.parameters) + 1:
+            return CHAMBERS
+        if kinds:
+            return kinds[0]
+    return EVERYWHERE
 
 
 def _check_parameter(parameter: Any, where: str) -> None:

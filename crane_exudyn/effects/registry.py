@@ -65,8 +65,8 @@ def split_key(key: str, layout: Layout | None = None) -> tuple[type[Effect], str
     """
     name, _, place = key.partition("@")
     effect = find(name)
-    if (not place) != (not effect.places) or (layout is not None and place not in layout.places(effect.places)):
-        known = ", ".join(layout.places(effect.places)) if layout else f"the machine's {effect.places}"
+    if (not place) != (not effect.places) or (layout is not None and place not in effect.on(layout)):
+        known = ", ".join(effect.on(layout)) if layout else f"the machine's {effect.places}"
         raise CraneError(
             f"Effect {name!r} cannot act at {place or '(no place)'!r}. Places: {known if effect.places else '(none)'}."
         )

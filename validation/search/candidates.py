@@ -35,7 +35,7 @@ def starts(crane: Crane, data: FitData, *, moments: float = _MOMENTS) -> list[St
     """Return the starts of every effect at every place that the recording could show and the crane does not have yet."""
     found, lay = [], crane.layout
     for effect in registry.known():
-        for key, place in zip(effect.keys(lay), lay.places(effect.places), strict=True):
+        for key, place in zip(effect.keys(lay), effect.on(lay), strict=True):
             if crane.effect(key) is None and _can_show(effect, place, data, lay):
                 first = at_place(effect.parameters[0], place, lay)
                 found += [Start(key, values, _two_sided(effect)) for values in _values(effect, first, data, moments)]
