@@ -52,7 +52,7 @@ WORN: Mapping[str, float] = {
     "sum": 0.05,
     "reach": 0.05,
 }
-CLOSES: Mapping[str, float] = {"flow": 0.3, "trapped": 0.6, "held": 1.0, "moment": 0.5, "length": 0.5, "rate": 0.3, "sum": 0.3, "reach": 0.2}  # fmt: skip
+CLOSES: Mapping[str, float] = {"flow": 0.6, "trapped": 0.6, "held": 1.0, "moment": 0.5, "length": 0.5, "rate": 0.3, "sum": 0.3, "reach": 0.2}  # fmt: skip
 
 Channels = Mapping[str, np.ndarray]
 

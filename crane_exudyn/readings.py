@@ -61,9 +61,10 @@ class Weighed:
 
     @property
     def closes(self) -> bool:
-        """Whether the balances that are better under it close, as they do on a worn machine."""
+        """Whether the balances that are better under it close, as they do on a worn machine; more than one of them for values made smaller."""
         better = [k for k, m in self.before.items() if k in self.after and _ratio(k, m, self.after[k]) > _MOVED]
-        return all(self.after[k].off <= CLOSES[k[0]] for k in better)
+        enough = 2 if any(abs(s.factor) < 1.0 for s in self.reading.made.values()) else 1
+        return len(better) >= enough and all(self.after[k].off <= CLOSES[k[0]] for k in better)
 
     @property
     def best(self) -> tuple[tuple[str, str], float, float]:
