@@ -283,7 +283,7 @@ def estimate(
         plain: the estimator without model error.
         recording: a Recording or Signals.
         mode: "off"; "on", whatever the innovations say; or "auto": where the plain filter's innovations are larger than it
-            believes or keep their sign, and are more likely with it.
+            believes or keep their sign.
         smooth: as of `Estimator.run`.
         noise_slack: as of `Estimate`.
         stage: shows progress.
@@ -303,9 +303,6 @@ def estimate(
         found = find(plain.crane, recording, plain.std_of, augment=plain.augment, progress=done)
     with stage("Estimate") as done:
         second = _run(found.behind(plain), recording, smooth, noise_slack, done)
-    if mode == "auto" and second.log_likelihood <= first.log_likelihood:
-        why = "the innovations are no more likely with it"
-        return replace(first, model_error=Account(mode, False, why, {}))
     why = "asked for" if mode == "on" else f"without it, {first.verdict}"
     return _told(plain.crane, second, found, Account(mode, True, why, {}))
 
