@@ -47,6 +47,8 @@ _PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.5
 _BELOW = -4.0
 #: unknowns whose size is so many powers of ten below what is expected are left out
 _NOTHING = -2.5
+#: log-likelihood a sample that opened sizes may cost
+_PRICE = 0.02
 #: finest step of the search in powers of ten, what a round of it must gain in log-likelihood, runs that are replayed
 _FINEST, _GAIN, _RUNS = 0.3, 2.0, 2
 #: time constant of sizes in live use, s
@@ -283,7 +285,7 @@ def estimate(
         plain: the estimator without model error.
         recording: a Recording or Signals.
         mode: "off"; "on", whatever the innovations say; or "auto": where the plain filter's innovations are larger than it
-            believes or keep their sign, and are more likely with it.
+            believes or keep their sign, and are not less likely with it.
         smooth: as of `Estimator.run`.
         noise_slack: as of `Estimate`.
         stage: shows progress.
@@ -303,8 +305,8 @@ def estimate(
         found = find(plain.crane, recording, plain.std_of, augment=plain.augment, progress=done)
     with stage("Estimate") as done:
         second = _run(found.behind(plain), recording, smooth, noise_slack, done)
-    if mode == "auto" and second.log_likelihood <= first.log_likelihood:
-        why = "the innovations are no more likely with it"
+    if mode == "auto" and second.log_likelihood < first.log_likelihood - _PRICE * float(first.dof.sum()):
+        why = "the innovations are less likely with it"
         return replace(first, model_error=Account(mode, False, why, {}))
     why = "asked for" if mode == "on" else f"without it, {first.verdict}"
     return _told(plain.crane, second, found, Account(mode, True, why, {}))
