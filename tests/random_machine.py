@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from crane_exudyn import crane_toml
+from crane_exudyn import CraneError, crane_toml
+from validation.crosscheck_cases import random_states
 
 
 def _turned(angle, v):
@@ -115,8 +116,18 @@ class Draw:
 
 
 def random_machine(seed):
-    """Return a Crane whose machine is drawn at random."""
+    """Return a Crane whose machine is drawn at random, anew until it can move."""
     rng = np.random.default_rng(seed)
+    while True:
+        try:
+            crane = _drawn(f"random machine {seed}", rng)
+            random_states(crane, 2, rng)
+        except CraneError:
+            continue
+        return crane
+
+
+def _drawn(name, rng):
     draw = Draw(rng)
     carriers = ["ground"]
     for i in range(rng.integers(1, 5)):
@@ -146,7 +157,7 @@ def random_machine(seed):
         draw.file["payload"] = {"body": carriers[-1], "at": "tip", "mass": 80.0, "width": 0.3, "height": 0.3}
         draw.file["joints"]["tip"] = [1.0, 0.1]
     document = draw.file | {
-        "name": f"random machine {seed}", "gravity": 9.81,
+        "name": name, "gravity": 9.81,
         "fluid": {"oil_bulk_modulus": 1.5e9, "cylinder_bulk_modulus": 2.1e11, "hose_bulk_modulus": 7e8, "vapour_pressure": 0.0, "laminar_pressure": 2e5},
         "supply": {"pump_pressure": 200e5, "tank_pressure": 1e5, "air_pressure": 1.013e5, "pressure_reference": "absolute"},
     }  # fmt: skip
