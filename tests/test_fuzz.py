@@ -509,7 +509,7 @@ def _readable(path: Path) -> bool:
     data = path.read_bytes()
     if data[:1] in (b"{", b"["):
         return bool(json.loads(data))
-    if data.startswith(b"name ="):
+    if b"\nname =" in b"\n" + data:
         return bool(Crane.load(path).values)
     if path.suffix == ".html":
         return data.rstrip().endswith(b"</html>")
@@ -522,7 +522,7 @@ def problems(case: Case, done: SimpleNamespace, before: dict[str, str], folder: 
         yield f"exit status {done.status}"
     if "Traceback" in done.err or "fault of the program" in done.err or list(faults.glob("patu-fault-*")):
         yield "a fault of the program"
-    told = [line for line in done.err.splitlines() if not line.startswith("note: ")]
+    told = [line for line in done.err.splitlines() if not line.startswith("note: ") and ": warning: " not in line]
     if done.status == 2:
         if not told:
             yield "no message"

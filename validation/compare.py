@@ -111,7 +111,7 @@ class Comparison:
     @property
     def layout(self) -> Layout:
         """Of the machine."""
-        return self.balances.layout
+        return self.estimate.layout
 
     @property
     def phases(self) -> Sequence[Phase]:
