@@ -21,8 +21,7 @@ _, mbs = mechanism.main_system()
 plant = mechanism.build(mbs, crane, states=start, inputs=lambda t: np.array([0.3 * (t > 0.2), 0, np.nan, np.nan]))
 
 stump, tip = np.array([4.2, 0.0, 0.0]), np.append(pose(crane, *start[:2]).points["E"][0], 0.0)
-on_boom = [crane["joints.E.x"] - plant.inertia[0, 3, 1], crane["joints.E.y"] - plant.inertia[0, 3, 2], 0.0]
-top = mbs.AddMarker(ei.MarkerBodyPosition(bodyNumber=plant.bodies[0]["outer_boom"], localPosition=on_boom))
+top = plant.marker("E")
 foot = mbs.AddMarker(ei.MarkerBodyPosition(bodyNumber=mbs.AddObject(ei.ObjectGround(referencePosition=stump))))
 spring = {"referenceLength": np.linalg.norm(tip - stump), "stiffness": 2e4, "damping": 5e2}
 rope = mbs.AddObject(ei.ObjectConnectorSpringDamper(markerNumbers=[foot, top], **spring))
