@@ -99,7 +99,7 @@ def test_a_users_own_effect_is_compiled_in_at_its_place(tmp_path):
     [
         (USER_EFFECT.replace("def cylinder_force", "def cylinder_forse"), ["cylinder_forse", "cylinder_force"]),
         (USER_EFFECT.replace('"quadratic_friction"', '"quadratic friction"'), ["name"]),
-        (USER_EFFECT.replace("places = CYLINDERS", 'places = ("boom",)'), ["boom"]),
+        (USER_EFFECT.replace("places = CYLINDERS", 'places = "booms"'), ["booms"]),
         ("x = 1", ["defines no effect"]),
         ("x = ", ["cannot be imported"]),
     ],
