@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .consistency import Grid, Machine, flow_misfits
+from .consistency import Figures, Grid, flow_misfits
 
 #: s: lateness that is tried, coarsely and finely; and drifts in s per s, and steps by which the best of them is looked at more closely
 _COARSE, _FINE = np.arange(-3.0, 3.01, 0.1), np.arange(-0.1, 0.101, 0.02)
@@ -38,7 +38,7 @@ class Clock:
         return float(np.nanmean(self.late)) + self.drift * (time - time.mean())
 
 
-def clock_of(machine: Machine, grid: Grid) -> Clock | None:
+def clock_of(machine: Figures, grid: Grid) -> Clock | None:
     """Return how late the machine acts on its commands; None where no piston follows them however late."""
     stands = _logs(machine, grid, np.zeros(1))
     if stands is None or np.isnan(stands).all():
@@ -53,7 +53,7 @@ def clock_of(machine: Machine, grid: Grid) -> Clock | None:
     return Clock(late, _drift(machine, grid, late, left[left <= math.log(_FOLLOWS)]))
 
 
-def _late(machine: Machine, grid: Grid, stands: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _late(machine: Figures, grid: Grid, stands: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return how late each piston that is seen (s,) follows: all alike, unless they follow far better each with its own lateness."""
     if (stands - math.log(_BEST)).sum() < _BETTER:  # no room for anything better
         return np.zeros(len(seen))
@@ -67,20 +67,20 @@ def _late(machine: Machine, grid: Grid, stands: np.ndarray, seen: np.ndarray) ->
     return np.where(stands - logs.min(axis=0) > _BETTER, tried[own], 0.0)
 
 
-def _logs(machine: Machine, grid: Grid, late: np.ndarray, drift: float = 0.0) -> np.ndarray | None:
+def _logs(machine: Figures, grid: Grid, late: np.ndarray, drift: float = 0.0) -> np.ndarray | None:
     """Return the logarithms of the misfits of each cylinder's flows (L, cylinders) for some lateness (L,)."""
     found = flow_misfits(machine, grid, late[:, None] + drift * (grid.time - grid.time.mean()))
     return None if found is None else np.log(found + _BEST)
 
 
-def _seen_logs(machine: Machine, grid: Grid, late: np.ndarray, seen: np.ndarray, drift: float = 0.0) -> np.ndarray:
+def _seen_logs(machine: Figures, grid: Grid, late: np.ndarray, seen: np.ndarray, drift: float = 0.0) -> np.ndarray:
     """Return `_logs` of the cylinders that are seen (L, s)."""
     logs = _logs(machine, grid, late, drift)
     assert logs is not None, "of cylinders that were seen there are commands"
     return logs[:, seen]
 
 
-def _drift(machine: Machine, grid: Grid, late: np.ndarray, stands: np.ndarray) -> float:
+def _drift(machine: Figures, grid: Grid, late: np.ndarray, stands: np.ndarray) -> float:
     """Return the drift with which the pistons follow their commands far better, 0 if there is none."""
     seen = np.flatnonzero(~np.isnan(late))
     if (stands - math.log(_BEST)).sum() < _BETTER:

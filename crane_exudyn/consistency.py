@@ -7,13 +7,14 @@ itself; channels that are exchanged, turned round or in another unit do not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from .crane import Crane
+from .crane import Crane, Uncertainty
 from .errors import CraneError
 from .geometry import cylinder_lengths
 from .inputs import SpoolPath
@@ -125,7 +126,7 @@ def _left(recording: Recording, name: str) -> float:
     return noise_std(channel.values) / np.sqrt(max(SMOOTH * sampling_rate(channel.time), 1.0))
 
 
-class Machine:
+class Figures:
     """What is known of a crane without a recording of it; lengths and forces of poses are computed once."""
 
     def __init__(self, crane: Crane) -> None:
@@ -137,8 +138,7 @@ class Machine:
         oil, hose = crane["fluid.oil_bulk_modulus"], crane["fluid.hose_bulk_modulus"]
         self.softness = (1.0 / oil, 1.0 / oil + 1.0 / hose)
         self.floor = vapour_pressure(crane)
-        known = crane.uncertainty["payload.mass"]
-        self._loads = [crane.with_parameters({"payload.mass": m}) for m in (known.lower, known.upper)]
+        self._loads = [crane.with_parameters({"payload.mass": m}) for m in _payloads(crane)]
         self._lengths: dict[bytes, np.ndarray] = {}
         self._forces: dict[bytes, np.ndarray] = {}
         self._flows: dict[tuple[object, ...], Misfits] = {}
@@ -200,15 +200,22 @@ class Machine:
         ]
 
 
+def _payloads(crane: Crane) -> tuple[float, float]:
+    """Return the least and the greatest payload in kg that the crane file allows for; its own where it gives no uncertainty."""
+    mass, known = crane["payload.mass"], crane.uncertainty.get("payload.mass", Uncertainty(0.0))
+    low, high = max(known.lower, mass - 3.0 * known.std, 0.0), min(known.upper, mass + 3.0 * known.std)
+    return low, high if math.isfinite(high) else mass
+
+
 # -- the balances ----------------------------------------------------------------------------------------------------
 
 
-def misfits(machine: Machine, grid: Grid) -> Misfits:
+def misfits(machine: Figures, grid: Grid) -> Misfits:
     """Return how far each balance is off that the channels of a recording can tell."""
     return motions(machine, grid) | loads(machine, grid)
 
 
-def motions(machine: Machine, grid: Grid) -> Misfits:
+def motions(machine: Figures, grid: Grid) -> Misfits:
     """Return how far all balances are off but those of loads, which take longest."""
     ch, z = grid.channels, positions(machine, grid)
     lengths = machine.lengths(z)
@@ -220,7 +227,7 @@ def motions(machine: Machine, grid: Grid) -> Misfits:
     return out
 
 
-def positions(machine: Machine, grid: Grid) -> np.ndarray:
+def positions(machine: Figures, grid: Grid) -> np.ndarray:
     """Return coordinates (N, n) from those that were measured, angles each against its parent or against the ground; NaN without."""
     lay, ch, found = machine.layout, grid.channels, {}
     for name in lay.coordinates:
@@ -234,7 +241,7 @@ def positions(machine: Machine, grid: Grid) -> np.ndarray:
     return np.column_stack([found[n] for n in lay.coordinates])
 
 
-def _spools(machine: Machine, grid: Grid, ch: Channels) -> np.ndarray | None:
+def _spools(machine: Figures, grid: Grid, ch: Channels) -> np.ndarray | None:
     names = machine.layout.commands
     if not all(n in ch for n in names):
         return None
@@ -242,7 +249,7 @@ def _spools(machine: Machine, grid: Grid, ch: Channels) -> np.ndarray | None:
     return np.asarray(SpoolPath(machine.crane).run(grid.time, commands))
 
 
-def _sums(machine: Machine, ch: Channels) -> Misfits:
+def _sums(machine: Figures, ch: Channels) -> Misfits:
     """An angle against the ground is the sum of those that carry it."""
     out, sensors = {}, machine.layout.sensors
     for name in (n for n in ch if n in sensors and len(sensors[n].shows) > 1):
@@ -253,7 +260,7 @@ def _sums(machine: Machine, ch: Channels) -> Misfits:
     return out
 
 
-def _rates(machine: Machine, grid: Grid, ch: Channels) -> Misfits:
+def _rates(machine: Figures, grid: Grid, ch: Channels) -> Misfits:
     out, sensors = {}, machine.layout.sensors
     for name in (n for n in ch if n in sensors and sensors[n].unit in ("rad/s", "m/s")):
         angle = name.removeprefix("d")
@@ -263,7 +270,7 @@ def _rates(machine: Machine, grid: Grid, ch: Channels) -> Misfits:
     return out
 
 
-def _lengths(machine: Machine, ch: Channels, lengths: np.ndarray) -> Misfits:
+def _lengths(machine: Figures, ch: Channels, lengths: np.ndarray) -> Misfits:
     names = machine.layout.lengths
     return {
         ("length", n): _apart(lengths[:, c], ch[n], PLAY)
@@ -272,7 +279,7 @@ def _lengths(machine: Machine, ch: Channels, lengths: np.ndarray) -> Misfits:
     }
 
 
-def reach(machine: Machine, grid: Grid) -> Misfits:
+def reach(machine: Figures, grid: Grid) -> Misfits:
     """Return for which share of the time each cylinder does not reach the pose, or the linkage cannot have it."""
     lay, ch, good = machine.layout, grid.channels, machine.reaches(machine.lengths(positions(machine, grid)))
     measured = {n: n in ch or f"{n}_abs" in ch for n in lay.coordinates}
@@ -283,7 +290,7 @@ def reach(machine: Machine, grid: Grid) -> Misfits:
     }
 
 
-def _flows(machine: Machine, grid: Grid, ch: Channels, c: int, length: np.ndarray, spool: np.ndarray) -> Misfits:
+def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarray, spool: np.ndarray) -> Misfits:
     """What flows into a chamber moves its piston and presses its oil, X + C = Y in m; with the valve closed the first presses the second.
 
     Slow motion with the valve closed is leakage, so that only its changes from one span to the next count there.
@@ -321,7 +328,7 @@ def _flows(machine: Machine, grid: Grid, ch: Channels, c: int, length: np.ndarra
     return out
 
 
-def _valve(machine: Machine, ch: Channels, c: int, side: int, spool: np.ndarray) -> np.ndarray:
+def _valve(machine: Figures, ch: Channels, c: int, side: int, spool: np.ndarray) -> np.ndarray:
     """Return the flow (N,) in m³/s that a valve lets into a chamber."""
     crane, lay = machine.crane, machine.layout
     p = ch[lay.sides[c][side]]
@@ -335,14 +342,14 @@ def _valve(machine: Machine, ch: Channels, c: int, side: int, spool: np.ndarray)
     return np.asarray(crane[f"{valve}.flow_coefficient"] * edge * np.abs(spool) * np.sign(drop) * np.sqrt(np.abs(drop)))
 
 
-def _noise_of_length(machine: Machine, grid: Grid, c: int, length: np.ndarray) -> float:
+def _noise_of_length(machine: Figures, grid: Grid, c: int, length: np.ndarray) -> float:
     """Return the noise in m of a length that follows from coordinates: an angle's lever arm of a metre would be much, a third is usual."""
     driven = machine.layout.driven[c]
     arm = 0.3 if machine.layout.unit_of(driven) == "rad" else 1.0
     return arm * max((grid.noise[n] for n in (driven, f"{driven}_abs") if n in grid.noise), default=0.0)
 
 
-def loads(machine: Machine, grid: Grid) -> Misfits:
+def loads(machine: Figures, grid: Grid) -> Misfits:
     """Return how far what the cylinders hold is from what the weights ask for, with some payload; and its changes while the valve is closed."""
     lay, out, ch, z = machine.layout, Misfits(), grid.channels, positions(machine, grid)
     spools = _spools(machine, grid, ch)
@@ -362,7 +369,7 @@ def loads(machine: Machine, grid: Grid) -> Misfits:
     return out
 
 
-def _held_between(machine: Machine, ch: Channels, c: int, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _held_between(machine: Figures, ch: Channels, c: int, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return between which forces (K,) a cylinder's pressures hold at some instants; one that was not measured lies between nothing and the pump's."""
     pump, (a, b) = machine.crane["supply.pump_pressure"], machine.areas(c)
     low, high = np.zeros(len(at)), np.zeros(len(at))
@@ -382,7 +389,7 @@ def _between(force: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
 
 
 def _load_changes(
-    machine: Machine, grid: Grid, ch: Channels, c: int, asked: np.ndarray, at: np.ndarray, spool: np.ndarray
+    machine: Figures, grid: Grid, ch: Channels, c: int, asked: np.ndarray, at: np.ndarray, spool: np.ndarray
 ) -> Misfit:
     """Return how far a closed cylinder's force fails to follow its load; a chamber that was not measured gives way with the other."""
     a, b = machine.areas(c)
@@ -398,7 +405,7 @@ def _load_changes(
     return _proportional(change(force, LOAD_SPAN)[still], load[still], float(noise))
 
 
-def flow_misfits(machine: Machine, grid: Grid, lateness: np.ndarray) -> np.ndarray | None:
+def flow_misfits(machine: Figures, grid: Grid, lateness: np.ndarray) -> np.ndarray | None:
     """Return how far each cylinder's flows are off (L, cylinders) if the commands acted at `grid.time - lateness` (L, N); None without commands.
 
     NaN for a cylinder of which nothing moves or is measured.

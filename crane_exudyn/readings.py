@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from .consistency import CLOSES, WORN, Channels, Grid, Machine, Misfit, Misfits, loads, misfits, motions, reach
+from .consistency import CLOSES, WORN, Channels, Figures, Grid, Misfit, Misfits, loads, misfits, motions, reach
 
 Kind = Literal["sign", "swapped", "absolute", "scale", "offset"]
 
@@ -81,7 +81,7 @@ _MOVED, _TIED, _MOST = 0.3, 0.3, 6
 _BELOW, _ABOVE, _PUMPS, _TURNED, _OPENED = 1e5, 1e5, 4.0, 1.5 * math.pi, 1.05
 
 
-def readings(machine: Machine, ch: Channels) -> Iterator[Reading]:
+def readings(machine: Figures, ch: Channels) -> Iterator[Reading]:
     """Yield the other readings of the channels that are there."""
     yield from _signs(machine, ch)
     yield from _exchanged(machine, ch)
@@ -89,14 +89,14 @@ def readings(machine: Machine, ch: Channels) -> Iterator[Reading]:
     yield from _other_units(machine, ch)
 
 
-def _signs(machine: Machine, ch: Channels) -> Iterator[Reading]:
+def _signs(machine: Figures, ch: Channels) -> Iterator[Reading]:
     lay = machine.layout
     signed = [n for n in ch if n in (*lay.commands, *lay.coordinates) or _unit(machine, n) in ("rad", "rad/s", "m/s")]
     for n in (*signed, *(n for n in ch if _unit(machine, n) == "Pa")):
         yield Reading("sign", (n,), "with the other sign", {n: Source(n, -1.0)})
 
 
-def _exchanged(machine: Machine, ch: Channels) -> Iterator[Reading]:
+def _exchanged(machine: Figures, ch: Channels) -> Iterator[Reading]:
     units = [
         machine.layout.commands,
         *([n for n in ch if _unit(machine, n) == unit] for unit in ("rad", "rad/s", "m/s", "Pa", "m")),
@@ -105,7 +105,7 @@ def _exchanged(machine: Machine, ch: Channels) -> Iterator[Reading]:
         yield Reading("swapped", (a, b), f"with {a} and {b} exchanged", {a: Source(b), b: Source(a)})
 
 
-def _other_lines(machine: Machine, ch: Channels) -> Iterator[Reading]:
+def _other_lines(machine: Figures, ch: Channels) -> Iterator[Reading]:
     """Angles against the ground taken for those against the parent, the other way round, and against the vertical."""
     sums = {n: sensor.shows for n, sensor in machine.layout.sensors.items() if len(sensor.shows) > 1}
     for n in (n for n in ch if n in sums):
@@ -137,7 +137,7 @@ _MISTAKEN = {
 }  # fmt: skip
 
 
-def _other_units(machine: Machine, ch: Channels) -> Iterator[Reading]:
+def _other_units(machine: Figures, ch: Channels) -> Iterator[Reading]:
     for unit, (usual, others) in _MISTAKEN.items():
         names = tuple(n for n in ch if (n in machine.layout.commands if unit == "" else _unit(machine, n) == unit))
         for channels in dict.fromkeys([names, *((n,) for n in names)]) if names else ():
@@ -147,7 +147,7 @@ def _other_units(machine: Machine, ch: Channels) -> Iterator[Reading]:
                     yield Reading("scale", channels, f"as {was} that was given as {given}", made)
 
 
-def _unit(machine: Machine, name: str) -> str | None:
+def _unit(machine: Figures, name: str) -> str | None:
     sensors = machine.layout.sensors
     return sensors[name].unit if name in sensors else None
 
@@ -160,7 +160,7 @@ def _ratio(key: tuple[str, str], before: Misfit, after: Misfit) -> float:
     return math.log((before.off + WORN[key[0]]) / (after.off + WORN[key[0]]))
 
 
-def plausible(machine: Machine, grid: Grid, names: Iterable[str]) -> bool:
+def plausible(machine: Figures, grid: Grid, names: Iterable[str]) -> bool:
     """Whether values are of a size that a machine has."""
     pump = machine.crane["supply.pump_pressure"]
     for n in names:
@@ -176,7 +176,7 @@ def plausible(machine: Machine, grid: Grid, names: Iterable[str]) -> bool:
     return True
 
 
-def weigh(machine: Machine, grid: Grid, least: float) -> list[Weighed]:
+def weigh(machine: Figures, grid: Grid, least: float) -> list[Weighed]:
     """Return the other readings of a recording's channels that are of a plausible size and better by `least`, best first."""
     before = misfits(machine, grid)
     hope = sum(_ratio(k, m, Misfit(0.0)) for k, m in before.items() if k[0] in ("moment", "held"))
@@ -205,7 +205,7 @@ def _gain(kind: Kind, before: Misfits, after: Misfits) -> float:
     return sum(counted) - FAR_FETCHED[kind]
 
 
-def mistaken(machine: Machine, grid: Grid, least: float) -> tuple[list[list[Weighed]], Grid]:
+def mistaken(machine: Figures, grid: Grid, least: float) -> tuple[list[list[Weighed]], Grid]:
     """Return the readings that a recording asks for, one after the other, each with its rivals behind it; and the channels so read."""
     found: list[list[Weighed]] = []
     for _ in range(_MOST):

@@ -19,7 +19,7 @@ import numpy as np
 
 from .channels import BEYOND, Channel
 from .clocks import Clock, clock_of, mended
-from .consistency import LONGEST, PLAY, Grid, Machine
+from .consistency import LONGEST, PLAY, Figures, Grid
 from .crane import Crane
 from .errors import CraneError
 from .geometry import cylinder_lengths
@@ -148,7 +148,7 @@ def _disagreements(recording: Recording, crane: Crane) -> list[Finding]:
     grid = Grid.of(recording, crane)
     if grid is None:
         return []
-    machine = Machine(crane)
+    machine = Figures(crane)
     clock = clock_of(machine, grid)
     if clock is not None:
         found, _ = mistaken(machine, mended(grid, clock, crane.layout.commands), _SEEN)

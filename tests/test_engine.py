@@ -411,7 +411,7 @@ def hold_tip(mbs, plant, number):
 
 
 def test_objects_of_ones_own_are_part_of_every_step():
-    """A load does what the effect does; a spring is followed as by Exudyn's own solver; each machine of a batch has its own."""
+    """A load does what the effect does; a spring is followed as with finer steps; each machine of a batch has its own."""
     states = moving_states(3)
     pushed = ExudynEngine(CRANE.with_objects(lift_tip)).propagate(states, INPUTS, 1e-3)
     effect = ExudynEngine(CRANE.with_effect("tip_contact_force", {"F": 300.0, "T": 0.0})).propagate(
@@ -423,7 +423,7 @@ def test_objects_of_ones_own_are_part_of_every_step():
     apart = [ExudynEngine(held).propagate(states[k : k + 1], INPUTS, 1e-3)[0] for k in range(3)]
     assert together == pytest.approx(np.array(apart), rel=1e-12) and np.abs(together - pushed).max() > 1e-9
     coarse, fine = (
-        ExudynEngine(held).simulate(states[0], np.array([0.0, 0.2]), INPUTS[[0, 0]], step=h) for h in (1e-3, 2.5e-4)
+        ExudynEngine(held).simulate(states[0], np.array([0.0, 0.2]), INPUTS[[0, 0]], step=h) for h in (1e-3, 5e-5)
     )
     assert coarse[-1] == pytest.approx(fine[-1], rel=1e-4, abs=1e-6)
 

@@ -205,7 +205,7 @@ def test_sensors_that_all_freeze_are_told_and_not_believed():
     [
         (0.5, SAMPLE, "commands: found 0.5"),
         ((0.5,), SAMPLE, "commands"),
-        ((0.1, 0.2, 0.3), SAMPLE, "two numbers"),
+        ((0.1, 0.2, 0.3), SAMPLE, "2 numbers"),
         (("left", 0.0), SAMPLE, "commands"),
         ({"u1": 0.0, "u3": 0.0}, SAMPLE, "u3"),
         ((0.0, 0.0), {"z1": [0.1, 0.2]}, "measurements: z1"),

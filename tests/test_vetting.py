@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time as clock
 from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
-from crane_exudyn.crane import Crane
+from crane_exudyn.crane import Crane, Uncertainty
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
+from crane_exudyn.simulation import simulate
 from crane_exudyn.vetting import contents, vet, vetted
 from validation.compare import compare
 
@@ -83,3 +85,10 @@ def test_ten_minutes_are_vetted_in_seconds() -> None:
 def test_a_comparison_refuses_what_cannot_be_true() -> None:
     with pytest.raises(CraneError, match=r"r: p1 never exceeds 0.0007 bar.*Write|write the unit as p1\[bar\]"):
         compare("patu655", recorded(p1=of(10, 60)))
+
+
+@pytest.mark.parametrize("known", [{}, {"payload.mass": Uncertainty(10.0)}])
+def test_a_crane_file_need_not_say_how_sure_it_is_of_its_payload(known: dict[str, Uncertainty]) -> None:
+    """A machine at rest, looked at with a payload of no or of a one-figure uncertainty: no failure, no finding."""
+    crane = dataclasses.replace(Crane.load("loader"), uncertainty=known)
+    assert vet(simulate(crane).recording(), crane) == []
