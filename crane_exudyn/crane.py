@@ -130,6 +130,11 @@ class Crane:
 
     # -- numbers -------------------------------------------------------------------------------------------------
 
+    def areas(self, cylinder: str) -> tuple[float, float]:
+        """Return the areas in m² of a cylinder's piston side and rod side."""
+        bore, rod = self[f"cylinders.{cylinder}.bore"], self[f"cylinders.{cylinder}.rod"]
+        return 0.25 * math.pi * bore**2, 0.25 * math.pi * (bore**2 - rod**2)
+
     def __getitem__(self, name: str) -> float:
         """Return a nominal parameter in SI by its name, such as "payload.mass"."""
         try:

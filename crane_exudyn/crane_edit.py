@@ -11,7 +11,7 @@ import tomlkit
 from tomlkit.items import AoT, Table
 
 from . import parameters
-from .crane_toml import from_document
+from .crane_toml import REFERENCES, from_document
 from .effects.base import Acting
 from .units import factor_to_si, to_si
 
@@ -66,7 +66,7 @@ def _set_uncertainties(document: Any, before: Mapping[str, Uncertainty], now: Ma
 def _set_value(document: Any, name: str, value: float) -> None:
     """Put a parameter's value in the place of the one that the text has, in its unit."""
     if name == "supply.pressure_reference":
-        document["supply"]["pressure_reference"] = ("absolute", "gauge")[int(value)]
+        document["supply"]["pressure_reference"] = REFERENCES[int(value)]
         return
     *path, last = name.split(".")
     if path[:1] == ["slides"]:

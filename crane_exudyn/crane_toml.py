@@ -66,7 +66,7 @@ _EARLIER = {"supply.air_pressure": 0.0, "supply.pressure_reference": 0.0}
 #: of a machine without payload
 _NO_PAYLOAD = dict.fromkeys(("payload.mass", "payload.width", "payload.height"), 0.0)
 #: what its pressures count from; the place in the list is its number
-_REFERENCE, _REFERENCES = "supply.pressure_reference", ("absolute", "gauge")
+_REFERENCE, REFERENCES = "supply.pressure_reference", ("absolute", "gauge")
 
 
 def _tables(document: Mapping[str, Any], key: str, where: str) -> list[Mapping[str, Any]]:
@@ -110,9 +110,9 @@ def _flatten(name: str, value: Any, machine: Machine, where: str, values: dict[s
     elif name not in machine.index:
         raise CraneError(f"{where}: unknown key {name!r}.{nearest(name, list(machine.names))}")
     elif name == _REFERENCE:
-        if value not in _REFERENCES:
+        if value not in REFERENCES:
             raise CraneError(f'{where}: {name} = {value!r} is not known. Give "absolute" or "gauge".')
-        values[name] = float(_REFERENCES.index(value))
+        values[name] = float(REFERENCES.index(value))
     else:
         values[name] = to_si(value, parameters.unit_of(name), f"{where}: {name}")
 
@@ -300,7 +300,7 @@ def _value_lines(crane: Crane) -> list[str]:
             name = name.removesuffix(".x")
             value = f"[{_number(crane[name + '.x'])}, {_number(crane[name + '.y'])}]"
         elif name == _REFERENCE:
-            value = f'"{_REFERENCES[int(crane[name])]}"'
+            value = f'"{REFERENCES[int(crane[name])]}"'
         else:
             value = _number(crane[name])
         section, _, key = name.rpartition(".")
