@@ -18,16 +18,20 @@ from .options import (
     JsonOption,
     MapFileOption,
     MapOption,
-    RecordingArgument,
+    PerRecordingOption,
+    RecordingsArgument,
     ReportOption,
-    load_checked,
     load_crane,
+    load_several,
 )
 from .output import Printer, announce_compilation, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from validation.compare import Comparison
+    from validation.report import Section
 
 _COLUMNS = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²", "whiteness p")
 _SHOWN = 10
@@ -40,15 +44,16 @@ _CAPTIONS = {
 
 
 def command(
-    recording: RecordingArgument,
+    recordings: RecordingsArgument,
     crane: CraneOption = DEFAULT_CRANE,
     engine: EngineOption = "semi-recursive",
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Write pictures there."),
-        Writes(files=tuple(f"{name}.png" for name in _CAPTIONS)),
+        Writes(files=tuple(f"*{name}.png" for name in _CAPTIONS)),
     ] = None,
     report: ReportOption = None,
+    per_recording: PerRecordingOption = None,
     effects: EffectsOption = None,
     mapping: MapOption = None,
     map_file: MapFileOption = None,
@@ -58,21 +63,23 @@ def command(
     """Lay the model beside a measurement: how large the errors are, when they arise, which balance is violated.
 
     The crane starts as the recording starts (the start is fitted) and then sees only the commands; a filter predicts each next
-    sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
+    sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks. Several recordings are compared
+    one after the other; what --per-recording names is fitted to each.
     """
     chosen = load_crane(crane, effects)
-    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
+    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     announce_compilation()
-    from validation.compare import compare
+    from validation.compare import compare_all
 
     with progress("Comparing", json) as step:
-        result = compare(chosen, measured, engine, progress=step)
+        results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)
     printer = Printer(json)
-    tell(printer, result)
+    for result in results:
+        tell(printer, result)
     with saving(printer) as save:
-        save.json(json, result.to_dict())
-        save(output, partial(save_figures, result))
-        save(report, partial(write, result))
+        save.json(json, results[0].to_dict() if len(results) == 1 else {"recordings": [r.to_dict() for r in results]})
+        save(output, partial(save_figures, results))
+        save(report, partial(write, results))
 
 
 def tell(printer: Printer, result: Comparison) -> None:
@@ -130,35 +137,49 @@ def worst(result: Comparison, most: int = _SHOWN) -> list[tuple[str, str]]:
     return [(f"{f.score:.1f}", f.text) for f in result.where[:most]]
 
 
-def save_figures(result: Comparison, folder: Path) -> list[Path]:
+def save_figures(results: Sequence[Comparison], folder: Path) -> list[Path]:
     """Write all pictures to a folder and return their paths."""
     from validation import plots
 
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for name, figure in result.figures().items():
-        paths.append(folder / f"{name}.png")
-        plots.save(figure, paths[-1])
+    for result in results:
+        prefix = f"{Path(result.recording).stem}_" if len(results) > 1 else ""
+        for name, figure in result.figures().items():
+            paths.append(folder / f"{prefix}{name}.png")
+            plots.save(figure, paths[-1])
     return paths
 
 
-def write(result: Comparison, folder: Path) -> Path:
+def write(results: Sequence[Comparison], folder: Path) -> Path:
     """Write the report and return its path."""
-    from validation.report import Mood, Picture, Section, Table, write_report
+    from validation.report import Mood, write_report
+
+    first = results[0]
+    several = len(results) > 1
+    sections = [
+        (f"{r.recording}: {title}" if several else title, parts) for r in results for title, parts in sections_of(r)
+    ]
+    names = ", ".join(r.recording for r in results)
+    verdict = " ".join(f"{r.recording}: {r.verdict}" if several else r.verdict for r in results)
+    mood: Mood = "good" if all(not r.where and r.error < 1.2 for r in results) else "bad"
+    parameters = {
+        "crane": first.crane, "recording": names, "engine": first.engine,
+        "noise of the sensors": ", ".join(f"{n} {c.noise_std:.3g} {c.unit}" for n, c in first.channels.items()),
+    }  # fmt: skip
+    return write_report(folder, f"{names} against {first.crane}", verdict, sections, parameters=parameters, mood=mood)
+
+
+def sections_of(result: Comparison) -> list[Section]:
+    """Return what a report says of one recording."""
+    from validation.report import Picture, Table
 
     pictures = {name: Picture(figure, _CAPTIONS[name]) for name, figure in result.figures().items()}
     columns, by_work = balance_table(result)
     headings = [c.replace("torque.", "moment at ").replace("flow.", "flow into ") for c in columns]
-    sections: list[Section] = [
+    return [
         ("Where the model fails", [pictures["where"], Table(("score", "where"), worst(result, 20))]),
         ("What the balances lack", [Table(headings, by_work), pictures["balances_by_work"], pictures["balances"]]),
         ("Open loop", [Table(_COLUMNS, error_rows(result)), pictures["open_loop"]]),
         ("Filter", [filter_words(result), *(f"Note: {note}." for note in result.notes)]),
     ]
-    title = f"{result.recording} against {result.crane}"
-    mood: Mood = "good" if not result.where and result.error < 1.2 else "bad"
-    parameters = {
-        "crane": result.crane, "recording": result.recording, "engine": result.engine,
-        "noise of the sensors": ", ".join(f"{n} {c.noise_std:.3g} {c.unit}" for n, c in result.channels.items()),
-    }  # fmt: skip
-    return write_report(folder, title, result.verdict, sections, parameters=parameters, mood=mood)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,10 +18,12 @@ from .options import (
     JsonOption,
     MapFileOption,
     MapOption,
-    RecordingArgument,
+    PerRecordingOption,
+    RecordingsArgument,
     ReportOption,
     load_checked,
     load_crane,
+    load_several,
     picture,
 )
 from .output import Printer, announce_compilation, progress
@@ -31,8 +34,9 @@ if TYPE_CHECKING:
 
 
 def command(
-    recording: RecordingArgument,
+    recordings: RecordingsArgument,
     check: CheckOption = None,
+    per_recording: PerRecordingOption = None,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
@@ -49,15 +53,23 @@ def command(
 
     First the nominal parameters may move within their uncertainty; then every effect at every place is weighed, alone and in
     pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
+    Several recordings of one machine are fitted together; each has its own start and clocks, and what --per-recording names.
     """
     chosen = load_crane(crane, effects)
-    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
+    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
     announce_compilation()
     from validation.diagnosis import diagnose
 
     with progress("Diagnose") as done:
-        result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda text, share: done(share))
+        result = diagnose(
+            chosen,
+            measured,
+            other,
+            per_recording=per_recording or (),
+            jobs=jobs,
+            progress=lambda text, share: done(share),
+        )
     from validation.plots import save as save_figure
     from validation.search.reports import report_diagnosis
 
@@ -65,7 +77,7 @@ def command(
     tell(printer, result)
     given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
     with saving(printer) as save:
-        save.json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())
+        save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
         save(report, lambda path: report_diagnosis(result, path, given))
 
@@ -89,6 +101,12 @@ def tell(printer: Printer, d: Diagnosis) -> None:
             ("parameter", "value", "std", "nominal", "unit"),
             [(n, p["value"], p["std"], p["nominal"], p["unit"]) for n, p in moved],
         )
+    if d.recordings:
+        rows = [
+            (r["recording"], r["error_before"], r["error_after"], _values(r.get("parameters", {})))
+            for r in d.recordings
+        ]
+        printer.table("By recording", ("recording", "error before", "after", "its own"), rows)
     for entry in d.where[:5]:
         printer.line(f"  left over: {entry['text']}")
     for note in d.notes:
@@ -96,6 +114,10 @@ def tell(printer: Printer, d: Diagnosis) -> None:
     if d.next_manoeuvre:
         printer.line(f"Next: {d.next_manoeuvre}")
     printer.line(f"({d.seconds:.0f} s)")
+
+
+def _values(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    return ", ".join(f"{n} = {p['value']:.4g} {p['unit']}" for n, p in parameters.items())
 
 
 def _rows(d: Diagnosis) -> list[tuple[object, ...]]:

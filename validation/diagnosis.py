@@ -17,10 +17,10 @@ from crane_exudyn.effects import registry
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
-from .fit.data import FitData
+from .fit.data import Data, data_of
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
-from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, all_parameters, informed_directions, timing_of
+from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, all_parameters, informed_directions, timings
 from .fit.variables import EffectParameter, Variable, effect_variables
 from .search.candidates import around, scaled, starts
 from .search.lean import leaner
@@ -101,6 +101,7 @@ class Diagnosis:
         candidates: everything that was weighed, best first.
         crane: the crane file with what was found (the one given where nothing was).
         where: for "unknown", where and when something is left, worst first.
+        recordings: with several recordings, the errors by recording, and what differs from one to another, as in the JSON.
         misses_check: whether what explains the recording does not predict the check recording; then the verdict is "unknown".
     """
 
@@ -122,6 +123,7 @@ class Diagnosis:
     late: float = 0.0
     seconds: float = 0.0
     misses_check: bool = False
+    recordings: tuple[Mapping[str, Any], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of diagnose."""
@@ -139,7 +141,8 @@ class Diagnosis:
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
-        return result | ({"where": list(self.where)} if self.verdict == "unknown" else {})
+        result |= {"where": list(self.where)} if self.verdict == "unknown" else {}
+        return result | ({"recordings": list(self.recordings)} if self.recordings else {})
 
     def __repr__(self) -> str:
         return f"<Diagnosis of {self.recording}: {sentence(self)}>"
@@ -196,7 +199,7 @@ class _Search:
     """The state of one diagnosis."""
 
     crane: Crane
-    data: FitData
+    data: Data
     jobs: int
     progress: Progress
     nominal: Fit  # the crane as it is, in loosely joined windows
@@ -225,7 +228,7 @@ class _Search:
         return replace(fit, origin=self.crane, variables=variables, u=np.array(u))
 
 
-def screened(fit: Fit, data: FitData, stiffness: float) -> list[Score]:
+def screened(fit: Fit, data: Data, stiffness: float) -> list[Score]:
     """Return the screen at a fit, best first; what happens at a moment is looked at more closely around the best one.
 
     A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins.
@@ -247,9 +250,15 @@ def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
 
 
 def diagnose(
-    crane: Crane, recording: Recording, check: Recording | None = None, *, jobs: int = 2, progress: Progress = _silent
+    crane: Crane,
+    recording: Recording | Sequence[Recording],
+    check: Recording | None = None,
+    *,
+    per_recording: Sequence[str] = (),
+    jobs: int = 2,
+    progress: Progress = _silent,
 ) -> Diagnosis:
-    """Return what the recording says that the crane file lacks.
+    """Return what the recording, or several of one machine, say that the crane file lacks.
 
     First the nominal parameters may move within their uncertainty. Then every effect at every place is screened, the promising
     ones are fitted together with the parameters and the machine's states, alone and, if one does not do, in pairs, and weighed by
@@ -257,25 +266,25 @@ def diagnose(
 
     Args:
         crane: the crane file; effects that it has stay, and are fitted along.
-        recording: commands and sensors.
+        recording: commands and sensors; several recordings of one machine may differ in sensors and rates.
         check: another recording of the same machine, which is only predicted.
+        per_recording: nominal parameters that differ from recording to recording, such as payload.mass.
         jobs: processes to use.
         progress: called with a text and the share that is done.
 
     Raises:
         CraneError: the recording cannot support a diagnosis.
     """
-    from .fitness import check_check, check_recording
+    from .fitness import check_all
 
     began = time.perf_counter()
-    notes = list(check_recording(recording, crane, purpose="diagnose"))
-    if check is not None:
-        notes = check_check(check, recording, crane) + notes
-    data = FitData.of(recording, crane)
+    recordings = several(recording)
+    notes = check_all(recordings, check, crane)
+    data = data_of(recordings, crane, per_recording)
     progress("fitting the nominal parameters", 0.05)
     search = _prepare(crane, data, jobs, progress)
     nothing = Hypothesis()
-    as_given = weigh(crane, data, [timing_of(data)], search.nominal, nothing, (TIGHT, STIFF))
+    as_given = weigh(crane, data, timings(data), search.nominal, nothing, (TIGHT, STIFF))
     parameters = weigh(crane, data, search.shared, search.base, nothing, (TIGHT, STIFF))
     progress("screening all effects", 0.2)
     loose = _singles(search, PROOF if _good(parameters) else 1.0)
@@ -285,12 +294,12 @@ def diagnose(
         progress("trying pairs", 0.7)
         finished = _with_pairs(search, loose, finished, parameters)
     elif finished and finished[0].evidence > parameters.evidence + PROOF:
-        finished = _with_seconds(search, finished, recording if check is None else check)
+        finished = _with_seconds(search, finished, recordings[0] if check is None else check)
     progress("weighing", 0.9)
     result = _conclude(search, as_given, parameters, finished, check, notes)
     if result.verdict == "unknown":
-        result = replace(result, where=_where(crane, recording) or result.where)
-    result = _held_to_check(_with_errors(result, search, recording, check, as_given))
+        result = replace(result, where=_where(crane, recordings) or result.where)
+    result = _held_to_check(_with_errors(result, search, recordings, check, as_given))
     return replace(result, seconds=time.perf_counter() - began)
 
 
@@ -313,14 +322,24 @@ def _held_to_check(d: Diagnosis) -> Diagnosis:
     )  # fmt: skip
 
 
-def _where(crane: Crane, recording: Recording) -> tuple[Mapping[str, Any], ...]:
-    """Return which balance is violated when, as `compare` finds it."""
+def several(recording: Recording | Sequence[Recording]) -> tuple[Recording, ...]:
+    """Return one recording, or several, as a tuple."""
+    return (recording,) if isinstance(recording, Recording) else tuple(recording)
+
+
+def _where(crane: Crane, recordings: Sequence[Recording]) -> tuple[Mapping[str, Any], ...]:
+    """Return which balance is violated when, as `compare` finds it, worst first; with several recordings also in which."""
     from .compare import compare
 
-    return tuple(finding.to_dict() for finding in compare(crane, recording).where)
+    found = [
+        finding.to_dict() | ({"recording": r.name} if len(recordings) > 1 else {})
+        for r in recordings
+        for finding in compare(crane, r).where
+    ]
+    return tuple(sorted(found, key=lambda f: -f["score"]))
 
 
-def _prepare(crane: Crane, data: FitData, jobs: int, progress: Progress) -> _Search:
+def _prepare(crane: Crane, data: Data, jobs: int, progress: Progress) -> _Search:
     """Fit all nominal parameters in short windows and keep the directions that the data speak about."""
     nominal, base = all_parameters(replace(crane, uncertainty={}), data), all_parameters(crane, data)
     own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
@@ -403,7 +422,7 @@ def _again(search: _Search, finished: Sequence[Weighed], parameters: Weighed, le
     return _best_of_each([*finished, *further])
 
 
-def _anew(crane: Crane, data: FitData, shared: Sequence[Variable], found: Weighed) -> Weighed:
+def _anew(crane: Crane, data: Data, shared: Sequence[Variable], found: Weighed) -> Weighed:
     values = {key: fitted_values(found, key) for key in found.hypothesis.keys}
     return weigh(crane, data, shared, _held(crane, data, found), Hypothesis(values), (WHOLE, STIFF))
 
@@ -471,7 +490,7 @@ def _leading_pairs(pairs: Sequence[Weighed], first: str) -> list[Weighed]:
     return leading
 
 
-def _held(crane: Crane, data: FitData, found: Weighed) -> Fit:
+def _held(crane: Crane, data: Data, found: Weighed) -> Fit:
     """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined windows."""
     held = replace(crane, uncertainty={})
     for key in found.hypothesis.keys:
@@ -584,7 +603,7 @@ def _conclude(
 
 def _between_samples(search: _Search, best: Weighed) -> bool:
     """Whether what is added is a delay of commands within a sampling interval: where in it a command came is not recorded."""
-    interval = float(np.median(np.diff(search.data.command_time)))
+    interval = max(float(np.median(np.diff(p.command_time))) for p in search.data.parts)
     return all(
         registry.split_key(key)[0].name == "command_delay" and fitted_values(best, key)["T"] < interval
         for key in best.hypothesis.keys
@@ -658,7 +677,7 @@ def _verdict(
 
 
 def _telling(search: _Search, chosen: Weighed, other: Weighed) -> str:
-    noise = {s.channel: s.noise for s in search.data.samples}
+    noise = {s.channel: s.noise for p in search.data.parts for s in p.samples}
     return best_manoeuvre(chosen.fit.crane, other.fit.crane, noise, search.data.channels)
 
 
@@ -734,16 +753,22 @@ def left_over(w: Weighed) -> tuple[Mapping[str, Any], ...]:
 
 
 def _with_errors(
-    d: Diagnosis, search: _Search, recording: Recording, check: Recording | None, as_given: Weighed
+    d: Diagnosis, search: _Search, recordings: Sequence[Recording], check: Recording | None, as_given: Weighed
 ) -> Diagnosis:
     """Add open-loop errors on both recordings: of the crane as given, of the candidates that came near, of the choice."""
     best = max((c.evidence for c in d.candidates), default=0.0)
     near = [c for c in d.candidates if c.evidence > best - 3 * TIE or c.effects == d.effects]
     cranes = [(search.crane, as_given.fit), *((c.crane, c.fit or search.base) for c in near)]
-    tasks: list[tuple[Any, ...]] = [(_error, crane, recording, fit) for crane, fit in cranes]
-    tasks += [(_error, crane, check, None) for crane, _ in cranes] if check is not None else []
+    own = search.data.own
+    tasks: list[tuple[Any, ...]] = [
+        (_error, fit.of(i).crane, r, fit.of(i)) for _, fit in cranes for i, r in enumerate(recordings)
+    ]
+    tasks += [(_error, crane, check, None, own) for crane, _ in cranes] if check is not None else []
     errors = in_parallel(search.jobs, tasks)
-    learned, checked = errors[: len(cranes)], errors[len(cranes) :] or [math.nan] * len(cranes)
+    n = len(recordings)
+    each = [errors[n * k : n * (k + 1)] for k in range(len(cranes))]
+    learned = [together(recordings, e) for e in each]
+    checked = errors[n * len(cranes) :] or [math.nan] * len(cranes)
     before, check_before = learned[0], checked[0]
     after = {id(c): (e, k) for c, e, k in zip(near, learned[1:], checked[1:], strict=True)}
     candidates = [
@@ -755,16 +780,34 @@ def _with_errors(
     ]  # fmt: skip
     unchanged = d.verdict in ("adequate", "unknown")
     chosen = None if unchanged else next(c for c in candidates if c.effects == d.effects)
+    k = 0 if unchanged else 1 + next(i for i, c in enumerate(near) if c.effects == d.effects)
+    found = [
+        {"recording": r.name, "error_before": each[0][i], "error_after": each[k][i]} | _own(cranes[k][1], search, i)
+        for i, r in enumerate(recordings)
+    ]
     return replace(
-        d, candidates=tuple(candidates), error_before=before, check_error_before=check_before,
+        d, recordings=tuple(found) if n > 1 else (), candidates=tuple(candidates), error_before=before, check_error_before=check_before,
         error_after=chosen.error_after if chosen else before,
         check_error_after=chosen.check_error_after if chosen else check_before,
     )  # fmt: skip
 
 
-def _error(crane: Crane, recording: Recording, knots: Fit | None) -> float:
+def _own(fit: Fit, search: _Search, recording: int) -> dict[str, Any]:
+    """Return what a recording's own parameters were found to be, as an entry of its own."""
+    crane = fit.of(recording).crane
+    found = {n: {"value": crane[n], "nominal": search.crane[n], "unit": unit_of(n)} for n in search.data.own}
+    return {"parameters": found} if found else {}
+
+
+def together(recordings: Sequence[Recording], errors: Sequence[float]) -> float:
+    """Return the RMS over all samples of recordings whose own RMS is given."""
+    counts = [sum(len(r[c]) for c in r.sensors) for r in recordings]
+    return math.sqrt(sum(n * e**2 for n, e in zip(counts, errors, strict=True)) / sum(counts))
+
+
+def _error(crane: Crane, recording: Recording, knots: Fit | None, own: Sequence[str] = ()) -> float:
     """Return the open-loop error; where a run from the knots of a fit is far worse than the fit, its start is looked for anew as well."""
-    error = open_loop_error(crane, recording, knots)[0]
+    error = open_loop_error(crane, recording, knots, own)[0]
     if knots is None or error < ASTRAY * knots.error:
         return error
     return min(error, open_loop_error(crane, recording)[0])

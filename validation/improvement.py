@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.recording import Recording
 
-from .diagnosis import LEVEL, Candidate, Diagnosis, diagnose, sentence
+from .diagnosis import LEVEL, Candidate, Diagnosis, diagnose, sentence, several, together
 from .fit.data import FitData
 from .fit.staged import FINE, residuals, rms
 from .history import added
@@ -108,9 +108,10 @@ Progress = Callable[[str, float], None]
 
 def improve(
     crane: Crane,
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     check: Recording | None = None,
     *,
+    per_recording: Sequence[str] = (),
     jobs: int = 2,
     most: int = 4,
     told: Callable[[Step], None] = lambda step: None,
@@ -120,42 +121,44 @@ def improve(
 
     Args:
         crane: the crane file as given.
-        recording, check: learned from, and only predicted.
+        recording, check: learned from (several of one machine together), and only predicted.
+        per_recording: nominal parameters that differ from recording to recording.
         jobs: processes to use.
         most: at most so many steps; where effects are taken in one by one, at most so many of them.
         told: called with each step as soon as it is known.
         progress: called with a text and the share that is done of the current step.
     """
     current, best = crane, crane
+    judge = _Judge(several(recording), check, tuple(per_recording))
     steps: list[Step] = []
     diagnoses: list[Diagnosis] = []
     while True:
-        d = diagnose(current, recording, check, jobs=jobs, progress=progress)
+        d = diagnose(current, judge.recordings, check, per_recording=per_recording, jobs=jobs, progress=progress)
         diagnoses.append(d)
         if not steps:
-            steps.append(_step(None, crane, d, recording, check, d.verdict))
+            steps.append(_step(None, crane, d, judge))
             told(steps[-1])
-        if d.verdict == "unknown" and not d.misses_check:
-            grown = grow(current, recording, check, jobs=jobs, most=most, progress=progress)
+        if d.verdict == "unknown" and not d.misses_check and len(judge.recordings) == 1:
+            grown = grow(current, judge.recordings[0], check, jobs=jobs, most=most, progress=progress)
             if grown is not None and _predicts_better(grown):
-                return _grown(grown, best, recording, check, steps, diagnoses, told)
+                return _grown(grown, best, judge, steps, diagnoses, told)
         chosen = _worth_adding(d, steps[-1])
         if chosen is None or len(steps) > most:
             return Improvement(
-                recording.name, tuple(steps), best, d.verdict if len(steps) == 1 else _left(d), tuple(diagnoses)
+                d.recording, tuple(steps), best, d.verdict if len(steps) == 1 else _left(d), tuple(diagnoses)
             )
         name = chosen.name
         entry = {
-            "recording": recording.name,
+            "recording": d.recording,
             "evidence": chosen.evidence,
             "verdict": d.verdict,
             "error_before": steps[-1].error,
         }
         best = added(best, replace(chosen.crane, history=best.history), **entry)
-        steps.append(_step(name, best, d, recording, check, d.verdict))
+        steps.append(_step(name, best, d, judge))
         told(steps[-1])
         if not chosen.effects:
-            return Improvement(recording.name, tuple(steps), best, "adequate", tuple(diagnoses))
+            return Improvement(d.recording, tuple(steps), best, "adequate", tuple(diagnoses))
         for key in chosen.effects:
             acting = chosen.crane.effect(key)
             assert acting is not None
@@ -171,30 +174,28 @@ def _predicts_better(grown: Grown) -> bool:
 def _grown(
     grown: Grown,
     best: Crane,
-    recording: Recording,
-    check: Recording | None,
+    judge: _Judge,
     steps: list[Step],
     diagnoses: list[Diagnosis],
     told: Callable[[Step], None],
 ) -> Improvement:
     """Return the improvement by effects that were taken in one by one, confirmed as one step."""
     entry = {
-        "recording": recording.name,
+        "recording": judge.recordings[0].name,
         "evidence": sum(grown.needed.values()),
         "verdict": "unknown",
         "error_before": steps[-1].error,
     }
     crane = added(best, replace(grown.crane, history=best.history), **entry)
-    error, searched = exudyn_error(crane, recording)
-    check_error = exudyn_error(crane, check)[0] if check is not None else math.nan
+    error, searched, check_error, nis = judge.errors(crane)
     text = f"no effect alone explains the recording, these together make error {steps[-1].error:.3g} -> {error:.3g} noise units"
     step = Step(
-        " + ".join(grown.needed), error, check_error, nis_mean(crane, recording), "unknown", searched,
+        " + ".join(grown.needed), error, check_error, nis, "unknown", searched,
         text + _disagreement(error, searched),
     )  # fmt: skip
     told(step)
     left = "adequate" if error < LEVEL else "unknown"
-    return Improvement(recording.name, (*steps, step), crane, left, tuple(diagnoses), grown)
+    return Improvement(judge.recordings[0].name, (*steps, step), crane, left, tuple(diagnoses), grown)
 
 
 def _left(d: Diagnosis) -> str:
@@ -216,13 +217,27 @@ def _worth_adding(d: Diagnosis, last: Step) -> Candidate | None:
     return best if judged < (1.0 - WORTH) * before else None
 
 
-def _step(
-    name: str | None, crane: Crane, d: Diagnosis, recording: Recording, check: Recording | None, verdict: str
-) -> Step:
-    error, searched = exudyn_error(crane, recording)
-    check_error = exudyn_error(crane, check)[0] if check is not None else math.nan
-    text = sentence(d) + _disagreement(error, searched)
-    return Step(name, error, check_error, nis_mean(crane, recording), verdict, searched, text)
+@dataclass(frozen=True)
+class _Judge:
+    """What the steps of an improvement are confirmed on; `own`: parameters that differ from recording to recording."""
+
+    recordings: tuple[Recording, ...]
+    check: Recording | None
+    own: tuple[str, ...]
+
+    def errors(self, crane: Crane) -> tuple[float, float, float, float]:
+        """Return the error on the Exudyn engine, on that of the search, on the check recording, and the filter's mean NIS."""
+        own = self.own if len(self.recordings) > 1 else ()
+        found = [exudyn_error(crane, r, own) for r in self.recordings]
+        exudyn, searched = (together(self.recordings, e) for e in ([f[0] for f in found], [f[1] for f in found]))
+        check_error = exudyn_error(crane, self.check, own)[0] if self.check is not None else math.nan
+        nis = [nis_mean(f[2], r) for f, r in zip(found, self.recordings, strict=True)]
+        return exudyn, searched, check_error, float(np.mean(nis))
+
+
+def _step(name: str | None, crane: Crane, d: Diagnosis, judge: _Judge) -> Step:
+    error, searched, check_error, nis = judge.errors(crane)
+    return Step(name, error, check_error, nis, d.verdict, searched, sentence(d) + _disagreement(error, searched))
 
 
 def _disagreement(error: float, searched: float) -> str:
@@ -232,14 +247,15 @@ def _disagreement(error: float, searched: float) -> str:
     return f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
 
 
-def exudyn_error(crane: Crane, recording: Recording) -> tuple[float, float]:
-    """Return the open-loop RMS error in noise units on the Exudyn engine, and on the engine of the search, from the same start."""
+def exudyn_error(crane: Crane, recording: Recording, own: Sequence[str] = ()) -> tuple[float, float, Crane]:
+    """Return the open-loop RMS error in noise units on the Exudyn engine, and on that of the search, from the same start, and the crane with
+    the recording's own parameters."""
     from crane_exudyn.engine import ExudynEngine
 
-    searched, fit = open_loop_error(crane, recording)
+    searched, fit = open_loop_error(crane, recording, own=own)
     data = FitData.of(recording, crane, rate=math.inf, step=FINE)
-    engine = ExudynEngine(crane)
-    return rms(residuals(crane, data, fit.starts, fit.late, engine.simulate)), searched
+    engine = ExudynEngine(fit.crane)
+    return rms(residuals(fit.crane, data, fit.starts, fit.late, engine.simulate)), searched, fit.crane
 
 
 def nis_mean(crane: Crane, recording: Recording) -> float:

@@ -184,7 +184,7 @@ def levels_of(
     for c, r in errors.items():
         rms = float(np.sqrt(np.mean(r**2)))
         levels[c] = max(noise[c], rms if most is None else min(rms, most[c]))
-        worth.append(len(r) / max(independent(r), len(r) * found.data.interval / apart))
+        worth.append(len(r) / max(independent(r), len(r) * found.data.parts[0].interval / apart))
     factor = math.sqrt(float(np.mean(worth)))
     return levels, factor
 
@@ -380,7 +380,7 @@ def promising(growth: _Growth) -> list[Score]:
     """
     now = growth.current
     short = _following(growth)
-    offered = [s for s in starts(now.crane, now.data) if not measured(s.key, now.data)]
+    offered = [s for s in starts(now.crane, now.data.parts[0]) if not measured(s.key, now.data.parts[0])]
     found = [likely(screen(f, offered, stiffness), TRIED) for f, stiffness in ((now, JOINED), (short, 1.0))]
     chosen: dict[str, Score] = {}
     for pair in zip_longest(*found):
@@ -447,7 +447,7 @@ def judged(found: Fit, learned: FitData, held: FitData, start: float) -> tuple[d
 
     Where the held-out data are the rest of the same recording, one run goes on from the learned stretch into it.
     """
-    levels = {s.channel: s.noise for s in found.data.samples}
+    levels = {s.channel: s.noise for s in found.data.parts[0].samples}
     run = run_of(found, with_noise(learned, levels))
     x0, late = run.starts, found.late
     own = shares(found.crane, learned, x0, late)
@@ -628,7 +628,7 @@ def _whole_run(growth: _Growth, whole: FitData) -> Fit:
     Anew is the crane as given, with effects of the size that is met in practice: where much has moved step by step, that valley may
     be the deeper one.
     """
-    data = with_noise(whole, {s.channel: s.noise for s in growth.current.data.samples})
+    data = with_noise(whole, {s.channel: s.noise for s in growth.current.data.parts[0].samples})
     found = _extended(growth, data)
     fresh = typical(growth.crane, growth.keys)
     windows = tuple(cut(data, WINDOW))
@@ -648,7 +648,7 @@ def typical(crane: Crane, keys: Sequence[str]) -> Crane:
 
 def _settled(growth: _Growth, whole: FitData, start: Fit, crane: Crane) -> Fit:
     """Return the open-loop fit from a start, fitted again a few times with the error levels that it leaves."""
-    found = _open_loop(crane, growth.crane, growth.keys, start.data, start, 6)
+    found = _open_loop(crane, growth.crane, growth.keys, start.data.parts[0], start, 6)
     for _ in range(SETTLED):
         levels, factor = levels_of(found, growth.noise, apart=DRIFT)
         data = with_noise(whole, {c: factor * level for c, level in levels.items()})
@@ -663,7 +663,7 @@ def _likelihoods(fits: Sequence[Fit], noise: Mapping[str, float]) -> list[float]
     """
     found = [levels_of(f, noise, apart=DRIFT) for f in fits]
     factor = float(np.mean([factor for _, factor in found]))
-    counts = {s.channel: len(s.values) for s in fits[0].data.samples}
+    counts = {s.channel: len(s.values) for s in fits[0].data.parts[0].samples}
     return [
         -sum(n / factor**2 * math.log(levels[c] / noise[c]) for c, n in counts.items()) - f.prior_cost
         for f, (levels, _) in zip(fits, found, strict=True)
@@ -698,7 +698,7 @@ def _left_out(growth: _Growth, keys: Sequence[str], final: Fit) -> dict[str, Fit
 def _best_run(crane: Crane, given: Crane, keys: Sequence[str], final: Fit) -> Fit:
     """Return the best of three fits of one open-loop run: straight from where the final one stands, and by way of long windows that
     begin on its run, or on the machine's: without an effect the run may be far from both."""
-    data = final.data
+    data = final.data.parts[0]
     variables, values = _everything(crane, given, keys, data)
     values["timing"] = final.late / timing_of(data).scale
     straight = fitted(given, data, variables, final, Stage(LONG, 1.0, 8, STEP), values)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,6 +41,7 @@ class NominalDirection:
     lower: float = -math.inf
     upper: float = math.inf
     difference: float = 1e-4
+    recording: int | None = None  # the one that it belongs to, of several; None: all of them
 
     def moved(self, values: dict[str, float], u: float) -> None:
         """Add the move to `values` (SI by name), in place."""
@@ -55,6 +57,7 @@ class EffectParameter:
     parameter: Parameter
     start: float
     difference: float = 1e-4
+    recording: ClassVar[None] = None
 
     @property
     def name(self) -> str:
@@ -122,14 +125,26 @@ class Timing:
     lower: float = -3.0
     upper: float = 3.0
     difference: float = 0.5
+    recording: int | None = None
 
 
 Variable = NominalDirection | EffectParameter | Timing
 
 
-def lateness(variables: Sequence[Variable], u: np.ndarray) -> float:
-    """Return by how many seconds the variables shift the commands."""
-    return sum(v.scale * float(x) for v, x in zip(variables, u, strict=True) if isinstance(v, Timing))
+def acts(variable: Variable, recording: int | None) -> bool:
+    """Whether a variable belongs to one of several recordings (None: to what they share)."""
+    return variable.recording in (None, recording)
+
+
+def alone(variable: Variable) -> Variable:
+    """Return the variable as one of the only recording that there is."""
+    return variable if isinstance(variable, EffectParameter) else replace(variable, recording=None)
+
+
+def lateness(variables: Sequence[Variable], u: np.ndarray, recording: int | None = None) -> float:
+    """Return by how many seconds the variables shift the commands of a recording."""
+    pairs = zip(variables, u, strict=True)
+    return sum(v.scale * float(x) for v, x in pairs if isinstance(v, Timing) and acts(v, recording))
 
 
 def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
@@ -155,11 +170,13 @@ def is_moment(parameter: Parameter) -> bool:
     return parameter.shape and parameter.unit == "s"
 
 
-def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray) -> Crane:
-    """Return the crane that the values u (one each variable) describe."""
+def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray, recording: int | None = None) -> Crane:
+    """Return the crane that the values u (one each variable) describe, as it was in a recording (None: what all share)."""
     values = dict(crane.values)
     effects: dict[str, dict[str, float]] = {}
     for variable, number in zip(variables, u, strict=True):
+        if not acts(variable, recording):
+            continue
         if isinstance(variable, NominalDirection):
             variable.moved(values, float(number))
         elif isinstance(variable, EffectParameter):
@@ -190,8 +207,8 @@ def physical(crane: Crane, values: Mapping[str, float]) -> dict[str, float]:
     return kept
 
 
-def uncertain_parameters(crane: Crane) -> list[NominalDirection]:
-    """Return one variable a nominal parameter that is not exactly known, in the order of P."""
+def uncertain_parameters(crane: Crane, own: Sequence[str] = (), recordings: int = 1) -> list[NominalDirection]:
+    """Return one variable a nominal parameter that is not exactly known, in the order of P; of `own`, one a recording."""
     found = []
     for name in (n for n in crane.values if n in crane.uncertainty):
         known, value = crane.uncertainty[name], crane.values[name]
@@ -201,7 +218,12 @@ def uncertain_parameters(crane: Crane) -> list[NominalDirection]:
             scale = _RANGE_SHARE * (known.upper - known.lower)
             low, high = (known.lower - value) / scale, (known.upper - value) / scale
             found.append(NominalDirection(name, {name: scale}, math.inf, low, high))
-    return found
+    if recordings == 1:
+        return found
+    each = [
+        replace(v, name=f"{v.name} {i + 1}", recording=i) for v in found if v.name in own for i in range(recordings)
+    ]
+    return [*(v for v in found if v.name not in own), *each]
 
 
 def principal(directions: Sequence[NominalDirection], basis: np.ndarray) -> list[NominalDirection]:

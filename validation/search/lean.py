@@ -13,10 +13,10 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 
-from ..fit.data import FitData
-from ..fit.linear import columns_of, model_at, normal_equations
+from ..fit.data import Data
+from ..fit.linear import linearised
 from ..fit.solve import Fit, reduce, with_prior
-from ..fit.staged import STIFF, timing_of
+from ..fit.staged import STIFF, timings
 from ..fit.variables import Variable, effect_variables, uncertain_parameters
 from .weigh import Weighed, weigh
 
@@ -24,10 +24,10 @@ from .weigh import Weighed, weigh
 _WORTH, _MOST = 2.0, 10
 
 
-def leaner(crane: Crane, data: FitData, full: Weighed) -> Weighed:
+def leaner(crane: Crane, data: Data, full: Weighed) -> Weighed:
     """Return the explanation with the fewest moved parameters, or `full` where moving everything is better supported."""
     own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
-    held: list[Variable] = [timing_of(data), *own]
+    held: list[Variable] = [*timings(data), *own]
     bare = weigh(crane, data, held, full.fit, full.hypothesis, (STIFF,))
     tried = [full, bare]
     let_go = needed(crane, bare.fit)
@@ -43,13 +43,11 @@ def leaner(crane: Crane, data: FitData, full: Weighed) -> Weighed:
 def needed(crane: Crane, fit: Fit, most: int = _MOST) -> list[Variable]:
     """Return the nominal parameters whose freedom the linearised fit supports, the most telling first."""
     names = {v.name for v in fit.variables}
-    offered: list[Variable] = [v for v in uncertain_parameters(crane) if v.name not in names]
+    every = uncertain_parameters(crane, fit.data.own, len(fit.data.parts))
+    offered: list[Variable] = [v for v in every if v.name not in names]
     variables = [*fit.variables, *offered]
     u = np.concatenate([fit.u, np.zeros(len(offered))])
-    base = model_at(crane, variables, u, fit.data)
-    linear = normal_equations(
-        fit.windows, fit.knots, base, columns_of(crane, variables, u, base, fit.data), STIFF.stiffness
-    )
+    linear, _ = linearised(crane, fit.data, fit.windows, fit.knots, variables, u, STIFF.stiffness)
     if linear.failed:
         return []
     H, g = with_prior(reduce(linear, fit.knots, fit.knots), variables, u)

@@ -12,11 +12,11 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 
-from ..fit.data import FitData
+from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
 from ..fit.staged import FINE, START, Stage, first_knots, residuals, rms, staged, timing_of
-from ..fit.variables import EffectParameter, NominalDirection, Variable, effect_variables
+from ..fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
 
 #: a window counts as explained up to this error, in noise units
 EXPLAINED = 1.3
@@ -56,7 +56,7 @@ class Weighed:
 
 def weigh(
     crane: Crane,
-    data: FitData,
+    data: Data,
     variables: Sequence[Variable],
     before: Fit,
     hypothesis: Hypothesis,
@@ -96,10 +96,12 @@ def threshold(fit: Fit) -> np.ndarray:
     return np.maximum(EXPLAINED, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(counts, 1)))
 
 
-def open_loop_error(crane: Crane, recording: Recording, knots: Fit | None = None) -> tuple[float, Fit]:
+def open_loop_error(
+    crane: Crane, recording: Recording, knots: Fit | None = None, own: Sequence[str] = ()
+) -> tuple[float, Fit]:
     """Return the RMS error over all samples, in noise units, of an open-loop run of which only the start is fitted, and that fit.
 
-    The start is the first state, and by how little the recorded commands come late.
+    The start is the first state, and by how little the recorded commands come late; parameters `own` are each recording's.
 
     Args:
         crane: the crane as it is.
@@ -109,11 +111,12 @@ def open_loop_error(crane: Crane, recording: Recording, knots: Fit | None = None
     data = FitData.of(recording, crane)
     variables: list[Variable] = [timing_of(data)]
     if knots is None:
-        fit = staged(crane, data, variables, np.zeros(1), first_knots(crane, data), START)
+        variables += [v for v in uncertain_parameters(crane) if v.name in own]
+        fit = staged(crane, data, variables, np.zeros(len(variables)), first_knots(crane, data), START)
     else:
         fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, START[-1:])
     every = FitData.of(recording, crane, rate=math.inf, step=FINE)
-    return rms(residuals(crane, every, fit.starts, fit.late)), fit
+    return rms(residuals(fit.crane, every, fit.starts, fit.late)), fit
 
 
 def fitted_values(weighed: Weighed, key: str) -> dict[str, float]:
