@@ -23,7 +23,7 @@ from .options import (
     load_checked,
     load_crane,
 )
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ def command(
     """
     chosen = load_crane(crane, effects)
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
-    announce_compilation()
     from validation.compare import compare
 
     with progress("Comparing", json) as step:

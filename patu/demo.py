@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ def command(
     printer = Printer(json)
     begin = perf_counter()
     chosen = load_crane(crane, effects)
-    announce_compilation()
     from validation.paper import run_case
 
     printer.line(f"The paper's experiment on {chosen.name}, {engine} engine: 25 s at 1 kHz, 17 sigma points …")

@@ -23,7 +23,7 @@ from .options import (
     load_crane,
     picture,
 )
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -53,11 +53,10 @@ def command(
     chosen = load_crane(crane, effects)
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
-    announce_compilation()
     from validation.diagnosis import diagnose
 
     with progress("Diagnose") as done:
-        result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda text, share: done(share))
+        result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
     from validation.plots import save as save_figure
     from validation.search.reports import report_diagnosis
 

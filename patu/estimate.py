@@ -26,7 +26,7 @@ from .options import (
     load_crane,
     picture,
 )
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -84,7 +84,6 @@ def command(
     chosen = load_crane(crane, effects)
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
-    announce_compilation()
     from ukf.estimator import Estimator
     from ukf.model_error import estimate
 
