@@ -24,7 +24,7 @@ from .options import (
     load_crane,
     load_several,
 )
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -67,9 +67,14 @@ def command(
     one after the other; what --per-recording names is fitted to each.
     """
     chosen = load_crane(crane, effects)
+<<<<<<< HEAD
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     announce_compilation()
     from validation.compare import compare_all
+=======
+    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
+    from validation.compare import compare
+>>>>>>> first
 
     with progress("Comparing", json) as step:
         results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)

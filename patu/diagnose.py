@@ -26,7 +26,7 @@ from .options import (
     load_several,
     picture,
 )
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -58,10 +58,10 @@ def command(
     chosen = load_crane(crane, effects)
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
-    announce_compilation()
     from validation.diagnosis import diagnose
 
     with progress("Diagnose") as done:
+<<<<<<< HEAD
         result = diagnose(
             chosen,
             measured,
@@ -70,6 +70,9 @@ def command(
             jobs=jobs,
             progress=lambda text, share: done(share),
         )
+=======
+        result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
+>>>>>>> first
     from validation.plots import save as save_figure
     from validation.search.reports import report_diagnosis
 

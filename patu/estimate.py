@@ -27,8 +27,13 @@ from .options import (
     load_crane,
     picture,
 )
+<<<<<<< HEAD
 from .output import Printer, announce_compilation, progress
 from .outputs import Reads, Writes, saving
+=======
+from .output import Printer, progress
+from .outputs import Writes, saving
+>>>>>>> first
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
@@ -98,7 +103,6 @@ def command(
     chosen = next(iter(cranes.values()))
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
-    announce_compilation()
     from ukf.estimator import Estimator
     from ukf.model_error import estimate
 

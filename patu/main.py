@@ -31,7 +31,10 @@ class Command(NamedTuple):
 
 #: all commands, in the order of the help; nothing of them is imported before it is asked for
 COMMANDS: dict[str, Command] = {
-    "demo": Command("the paper's experiment on the Exudyn engine: table, plots, report", "patu demo -o out/demo"),
+    "demo": Command(
+        "the main job on what comes with the package: follow, find, improve; report and pictures",
+        "patu demo -o out/demo",
+    ),
     "sample": Command("recordings to play with", "patu sample out/sample"),
     "check": Command("is a recording what it says it is: signs, units, exchanged channels", "patu check lift.csv"),
     "simulate": Command("open-loop run of the crane", "patu simulate --inputs lift.csv -o run.csv"),
