@@ -63,6 +63,11 @@ def command(
 
     printer = Printer(json)
     tell(printer, result)
+    if result.verdict == "unknown" and not result.misses_check:
+        more = [*(["--check", str(check)] if check else []), *(["--crane", crane] if crane != DEFAULT_CRANE else [])]
+        printer.line(
+            f"Go on: {' '.join(['patu', 'learn', str(recording), *more])}   looks for a law that is not in the library"
+        )
     given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
     with saving(printer) as save:
         save.json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())

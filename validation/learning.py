@@ -30,6 +30,7 @@ from .fit.data import FitData
 from .fit.solve import Fit
 from .fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions
 from .fit.variables import NominalDirection, Variable, effect_variables
+from .history import added
 from .learned.fits import Explained, Part, explain, left_out_gain
 from .learned.laws import Law, laws_of, unit_over
 from .learned.resembles import Resemblance, resembles
@@ -175,7 +176,7 @@ def learn(
     from .fitness import check_check, check_recording
 
     began = time.perf_counter()
-    notes = list(check_recording(recording, crane, purpose="learn"))
+    notes = list(check_recording(recording, crane, purpose="diagnose"))
     if check is not None:
         notes = check_check(check, recording, crane) + notes
     progress("fitting the nominal parameters", 0.05)
@@ -293,7 +294,9 @@ def _concluded(
         laws.append(_told(search, lean, part, _names(best, ties), best.evidence - nothing.evidence))
     noise = {s.channel: s.noise for s in search.data.samples}
     telling = best_manoeuvre(best.fit.crane, ties[0].fit.crane, noise, search.data.channels) if ties else ""
-    found = Learned(search.data.name, lean.fit.crane, search.crane, tuple(laws), tuple(effects), telling, tuple(notes))
+    kept = {"recording": recording.name, "evidence": lean.evidence - nothing.evidence}
+    crane = added(search.crane, lean.fit.crane, **kept)
+    found = Learned(search.data.name, crane, search.crane, tuple(laws), tuple(effects), telling, tuple(notes))
     return _with_errors(found, lean, recording, check, search, nothing)
 
 

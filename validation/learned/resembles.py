@@ -13,7 +13,7 @@ from crane_exudyn.effects.curve import Argument
 from crane_exudyn.units import factor_to_si
 
 #: SI unit -> the one that people read
-_READ = {
+READ = {
     "Pa": "bar",
     "N": "kN",
     "m^3/s": "l/min",
@@ -99,7 +99,7 @@ def resembles(
 
     The forms compete by BIC. A curve over the spool is described as a whole, one over the pressure drop of a valve by its factor.
     """
-    fx, fy = factor_to_si(_READ.get(over.unit, over.unit), over.unit), factor_to_si(_READ.get(unit, unit), unit)
+    fx, fy = factor_to_si(READ.get(over.unit, over.unit), over.unit), factor_to_si(READ.get(unit, unit), unit)
     X, Y, spread = x / fx, y / fy, _whitener(cov / fy**2, y / fy)
     best: tuple[float, Form, np.ndarray, float] | None = None
     for form in FORMS:
@@ -120,7 +120,7 @@ def resembles(
     departure = np.abs(Y - [over.neutral(v * fx) / fy for v in X]).max()
     if math.sqrt(squares / len(X)) > _ERRORS and left > _SHARE * departure:
         return Resemblance("", "")
-    words = form.words(p, spread, _READ.get(unit, unit), _READ.get(over.unit, over.unit)).replace("  ", " ").strip()
+    words = form.words(p, spread, READ.get(unit, unit), READ.get(over.unit, over.unit)).replace("  ", " ").strip()
     text = _told(form, p, words, over, key)
     law = lambda s: form.law(np.asarray(s) / fx, p) * fy  # noqa: E731
     return Resemblance(form.name, text, tuple(p), _library(form, key, over, against), law)
