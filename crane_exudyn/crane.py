@@ -327,6 +327,8 @@ def check_effect(where: str, layout: Layout, acting: Acting) -> None:
                 f"{where}: effect {acting.key!r}: {name} = {value:g} {p.unit} is outside {p.lower:g} … {p.upper:g}. "
                 f"The neutral value is {p.neutral:g}."
             )
+    if effect.curve is not None:
+        effect.curve.check(f"{where}: effect {acting.key!r}", acting.parameters)
 
 
 def names_matching(pattern: str, names: Iterable[str]) -> list[str]:

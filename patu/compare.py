@@ -67,14 +67,8 @@ def command(
     one after the other; what --per-recording names is fitted to each.
     """
     chosen = load_crane(crane, effects)
-<<<<<<< HEAD
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
-    announce_compilation()
     from validation.compare import compare_all
-=======
-    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
-    from validation.compare import compare
->>>>>>> first
 
     with progress("Comparing", json) as step:
         results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)

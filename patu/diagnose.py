@@ -61,23 +61,24 @@ def command(
     from validation.diagnosis import diagnose
 
     with progress("Diagnose") as done:
-<<<<<<< HEAD
         result = diagnose(
             chosen,
             measured,
             other,
             per_recording=per_recording or (),
             jobs=jobs,
-            progress=lambda text, share: done(share),
+            progress=lambda part, share: done(share, part),
         )
-=======
-        result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
->>>>>>> first
     from validation.plots import save as save_figure
     from validation.search.reports import report_diagnosis
 
     printer = Printer(json)
     tell(printer, result)
+    if result.verdict == "unknown" and not result.misses_check:
+        more = [*(["--check", str(check)] if check else []), *(["--crane", crane] if crane != DEFAULT_CRANE else [])]
+        printer.line(
+            f"Go on: {' '.join(['patu', 'learn', *map(str, recordings), *more])}   looks for a law that is not in the library"
+        )
     given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
     with saving(printer) as save:
         save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())

@@ -27,13 +27,8 @@ from .options import (
     load_crane,
     picture,
 )
-<<<<<<< HEAD
-from .output import Printer, announce_compilation, progress
-from .outputs import Reads, Writes, saving
-=======
 from .output import Printer, progress
-from .outputs import Writes, saving
->>>>>>> first
+from .outputs import Reads, Writes, saving
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane

@@ -63,13 +63,8 @@ def command(
     printer = Printer(json)
     with progress("Improve") as done:
         result = improve(
-<<<<<<< HEAD
             chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most,
-            told=lambda step: tell(printer, step), progress=lambda text, share: done(share),
-=======
-            chosen, measured, other, jobs=jobs, most=most,
             told=lambda step: tell(printer, step), progress=lambda part, share: done(share, part),
->>>>>>> first
         )  # fmt: skip
     from validation.plots import save as save_figure
     from validation.search.reports import report_improvement

@@ -42,6 +42,9 @@ COMMANDS: dict[str, Command] = {
     "crosscheck": Command("both engines against each other, quantity by quantity", "patu crosscheck"),
     "compare": Command("model against measurement: how good, and where it fails", "patu compare lift.csv"),
     "diagnose": Command("which physical effect is missing", "patu diagnose lift.csv --check lower.csv"),
+    "learn": Command(
+        "a law that nobody wrote: where it is missing, over what, its curve", "patu learn lift.csv -o new.toml"
+    ),
     "add": Command(
         "add an effect, fitted, to a crane file",
         "patu add internal_leakage@lift --fit lift.csv -o new.toml",

@@ -21,7 +21,7 @@ from .fit.data import Data, data_of
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
 from .fit.staged import LOOSE, STIFF, TIGHT, WHOLE, all_parameters, informed_directions, timings
-from .fit.variables import EffectParameter, Variable, effect_variables
+from .fit.variables import EffectVariable, Variable, effect_variables
 from .search.candidates import around, scaled, starts
 from .search.lean import leaner
 from .search.manoeuvre import best_manoeuvre
@@ -220,11 +220,11 @@ class _Search:
         """Return the screen at the crane as it is, all its uncertain parameters free to move."""
         return self.scores(self.unmoved(self.nominal))
 
-    def unmoved(self, fit: Fit, effects: Sequence[EffectParameter] = ()) -> Fit:
+    def unmoved(self, fit: Fit, effects: Sequence[EffectVariable] = ()) -> Fit:
         """Return a fit of the crane as given (with effects as they are) in which all uncertain parameters may move from where it states them."""
         known = {v.name: u for v, u in zip(fit.variables, fit.u, strict=True)}
         variables = (*self.base.variables, *effects)
-        u = [known.get(v.name, v.to_u(v.start) if isinstance(v, EffectParameter) else 0.0) for v in variables]
+        u = [known.get(v.name, v.begin if isinstance(v, EffectVariable) else 0.0) for v in variables]
         return replace(fit, origin=self.crane, variables=variables, u=np.array(u))
 
 

@@ -34,7 +34,15 @@ from .fit.evidence import log_evidence
 from .fit.linear import cut
 from .fit.solve import Fit, fit, reknot
 from .fit.staged import LONG, SHORT, Stage, all_parameters, first_knots, informed_directions, residuals, timing_of
-from .fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
+from .fit.variables import (
+    CurveDirection,
+    EffectParameter,
+    EffectVariable,
+    NominalDirection,
+    Variable,
+    effect_variables,
+    uncertain_parameters,
+)
 from .search.candidates import scaled, starts
 from .search.screen import Score, screen
 from .search.weigh import deviation
@@ -240,14 +248,19 @@ def _parameters(crane: Crane, key: str) -> Mapping[str, float]:
     return acting.parameters
 
 
-def plausible(key: str, values: Mapping[str, float], layout: Layout) -> list[EffectParameter]:
+def plausible(key: str, values: Mapping[str, float], layout: Layout) -> list[EffectVariable]:
     """Return the variables of an effect with priors of plausible size."""
-    return [Plausible(v.key, v.parameter, v.start, v.difference) for v in effect_variables(key, values, layout)]
+    return [_as(Plausible, v) for v in effect_variables(key, values, layout)]
 
 
-def stated(key: str, values: Mapping[str, float], layout: Layout) -> list[EffectParameter]:
+def stated(key: str, values: Mapping[str, float], layout: Layout) -> list[EffectVariable]:
     """Return the variables of an effect that the crane file has, held near the file's values."""
-    return [Stated(v.key, v.parameter, v.start, v.difference) for v in effect_variables(key, values, layout)]
+    return [_as(Stated, v) for v in effect_variables(key, values, layout)]
+
+
+def _as(kind: type[EffectParameter], v: EffectVariable) -> EffectVariable:
+    """Return a variable with the prior of a kind; those of curves have one of their own."""
+    return kind(v.key, v.parameter, v.start, v.difference) if isinstance(v, EffectParameter) else v
 
 
 def fitted(
@@ -255,7 +268,7 @@ def fitted(
 ) -> Fit:
     """Return a fit from the knots of another; variables start at `values` (u by name), or at the effect's own start."""
     windows = cut(data, stage.seconds)
-    u = np.array([values.get(v.name, v.to_u(v.start) if isinstance(v, EffectParameter) else 0.0) for v in variables])
+    u = np.array([values.get(v.name, v.begin if isinstance(v, EffectVariable) else 0.0) for v in variables])
     knots = reknot(before, windows)
     return fit(crane, data, windows, knots, variables, u, stiffness=stage.stiffness, iterations=stage.iterations)
 
@@ -269,7 +282,7 @@ def carried(
     crane: Crane,
     data: FitData,
     shared: Sequence[Variable],
-    effects: Sequence[EffectParameter],
+    effects: Sequence[EffectVariable],
     before: Fit,
     stage: Stage,
     kept: Sequence[str],
@@ -291,7 +304,7 @@ def carried(
 
 def neutral(found: Fit, key: str) -> bool:
     """Whether an effect that a fit moves has gone where it does nothing."""
-    return all(
+    return not any(isinstance(v, CurveDirection) and v.key == key for v in found.variables) and all(
         abs(u - v.neutral) < 1e-3
         for v, u in zip(found.variables, found.u, strict=True)
         if isinstance(v, EffectParameter) and v.key == key and not v.parameter.shape
@@ -316,7 +329,7 @@ def _tried(
     return carried(crane, data, shared, [*old, *new], first, Stage(WINDOW, JOINED, 6, STEP), keys)
 
 
-def acting(crane: Crane, keys: Sequence[str]) -> list[EffectParameter]:
+def acting(crane: Crane, keys: Sequence[str]) -> list[EffectVariable]:
     """Return the variables of effects that a crane has, as they are."""
     return [v for k in keys for v in plausible(k, _parameters(crane, k), crane.layout)]
 
@@ -565,11 +578,11 @@ def _everything(
     """Return timing, all uncertain parameters and all effects as variables, and their values in a crane."""
     nominal = [_believable(v) for v in uncertain_parameters(given)]
     found = acting(crane, keys)
-    variables = [v for e in given.effects for v in stated(e.key, e.parameters, given.layout)]
-    own = [(v, _parameters(crane, v.key)[v.parameter.name]) for v in variables]
+    own = [v for e in given.effects for v in stated(e.key, e.parameters, given.layout)]
+    moved = {v.name: v.to_u(_parameters(crane, v.key)[v.parameter.name]) for v in own if isinstance(v, EffectParameter)}
     values = {v.name: (crane[v.name] - given[v.name]) / v.weights[v.name] for v in nominal}
-    values |= {v.name: v.to_u(v.start) for v in found} | {v.name: v.to_u(x) for v, x in own}
-    return [timing_of(data), *nominal, *(v for v, _ in own), *found], values
+    values |= {v.name: v.begin for v in found} | moved
+    return [timing_of(data), *nominal, *own, *found], values
 
 
 def _believable(v: NominalDirection) -> NominalDirection:

@@ -16,7 +16,15 @@ from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
 from ..fit.staged import FINE, START, Stage, first_knots, residuals, rms, staged, timing_of
-from ..fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
+from ..fit.variables import (
+    CurveDirection,
+    EffectParameter,
+    EffectVariable,
+    NominalDirection,
+    Variable,
+    effect_variables,
+    uncertain_parameters,
+)
 
 #: a window counts as explained up to this error, in noise units
 EXPLAINED = 1.3
@@ -63,12 +71,12 @@ def weigh(
     stages: Sequence[Stage],
 ) -> Weighed:
     """Return a hypothesis fitted through the stages, from the knots (and where it has them the values) of an earlier fit."""
-    own: list[EffectParameter] = [
+    own: list[EffectVariable] = [
         v for key, values in hypothesis.effects.items() for v in effect_variables(key, values, crane.layout)
     ]
     known = {v.name: x for v, x in zip(before.variables, before.u, strict=True)}
     shared = np.array([known.get(v.name, 0.0 if own else projected(v, before, known)) for v in variables])
-    u = np.concatenate([shared, [known.get(v.name, v.to_u(v.start)) for v in own]])
+    u = np.concatenate([shared, [known.get(v.name, v.begin) for v in own]])
     return judged(hypothesis, staged(crane, data, [*variables, *own], u, before, stages))
 
 
@@ -134,7 +142,16 @@ def deviations(weighed: Weighed, key: str) -> dict[str, float]:
         if isinstance(v, EffectParameter) and v.key == key:
             u, spread = float(weighed.fit.u[i]), math.sqrt(max(float(weighed.fit.cov[i, i]), 0.0))
             found[v.parameter.name] = deviation(v, u, spread)
-    return found
+    return found | _curve_deviations(weighed.fit, key)
+
+
+def _curve_deviations(fit: Fit, key: str) -> dict[str, float]:
+    """Return the standard deviation (SI) of each value of a curve; none for another effect."""
+    at = [i for i, v in enumerate(fit.variables) if isinstance(v, CurveDirection) and v.key == key]
+    names = sorted({n for i in at for n in fit.variables[i].weights}, key=lambda n: int(n[1:]))  # type: ignore[union-attr]
+    root = np.array([[fit.variables[i].weights[n] for i in at] for n in names])  # type: ignore[union-attr]
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", root, fit.cov[np.ix_(at, at)], root), 0.0)) if names else []
+    return {n: float(s) for n, s in zip(names, spread, strict=True)}
 
 
 def deviation(variable: EffectParameter, u: float, spread: float) -> float:
