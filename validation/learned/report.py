@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..learning import Learned, sentence
-from ..report import Picture, Section, Table, write_report
+from ..learning import Learned, LearnedLaw, sentence
+from ..report import Mood, Picture, Section, Table, write_report
 
 _CAPTION = (
     "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the places that carry it. Outside it is "
@@ -36,7 +36,7 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
     )  # fmt: skip
     sections.append(("Errors", [errors]))
     parameters = {"crane": found.given.name, "recording": found.recording} | dict(given or {})
-    mood = "good" if found.laws else "neutral"
+    mood: Mood = "good" if found.laws else "neutral"
     return write_report(
         directory,
         f"Learned from {found.recording}",
@@ -47,7 +47,7 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
     )
 
 
-def _knots(law) -> Table:  # type: ignore[no-untyped-def]
+def _knots(law: LearnedLaw) -> Table:
     rows = [(float(x), float(y), float(1.96 * s)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
     note = f"{law.effect} over {law.over.replace('_', ' ')}" + (f": {law.resembles}" if law.resembles else "")
     return Table((f"{law.over} [{law.unit_over or '-'}]", f"value [{law.unit or '-'}]", "± (95 %)"), rows, note=note)
