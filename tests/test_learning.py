@@ -27,12 +27,42 @@ def _read(law, y, share=0.01):
 @pytest.mark.parametrize(
     ("law", "of", "name", "words", "library"),
     [
-        (FORCE, lambda x: 5e3 * np.exp(-(((x - 0.42) / 0.1) ** 2)), "bump", "5 kN within 0.42 ± 0.1 m of the stroke", ""),
+        (
+            FORCE,
+            lambda x: 5e3 * np.exp(-(((x - 0.42) / 0.1) ** 2)),
+            "bump",
+            "5 kN within 0.42 ± 0.1 m of the stroke",
+            "",
+        ),
         (FORCE, lambda x: 2e3 + 0 * x, "constant", "2 kN", "seal_friction@lift"),
-        (_law("learned_opening@tilt", "spool", -0.6, 0.6), lambda u: np.sign(u) * np.abs(u) ** 1.5, "power", "opening = U^1.5", ""),
-        (_law("learned_leakage@lift", "pressure_drop", 0.0, 80e5), lambda p: 2e-12 * p, "linear", "0.012 l/min/bar", "internal_leakage@lift"),
-        (_law("learned_leakage@lift", "pressure_drop", 0.0, 80e5), lambda p: 1e-8 * np.sqrt(p), "square root", "0.19 l/min/√bar", ""),
-        (_law("learned_flow@p1", "pressure", 0.0, 80e5), lambda p: 1e-11 * np.maximum(p - 50e5, 0.0), "dead zone", "nothing up to 50 bar", ""),
+        (
+            _law("learned_opening@tilt", "spool", -0.6, 0.6),
+            lambda u: np.sign(u) * np.abs(u) ** 1.5,
+            "power",
+            "opening = U^1.5",
+            "",
+        ),
+        (
+            _law("learned_leakage@lift", "pressure_drop", 0.0, 80e5),
+            lambda p: 2e-12 * p,
+            "linear",
+            "0.012 l/min/bar",
+            "internal_leakage@lift",
+        ),
+        (
+            _law("learned_leakage@lift", "pressure_drop", 0.0, 80e5),
+            lambda p: 1e-8 * np.sqrt(p),
+            "square root",
+            "0.19 l/min/√bar",
+            "",
+        ),
+        (
+            _law("learned_flow@p1", "pressure", 0.0, 80e5),
+            lambda p: 1e-11 * np.maximum(p - 50e5, 0.0),
+            "dead zone",
+            "nothing up to 50 bar",
+            "",
+        ),
         (_law("learned_supply", "flow", 0.0, 1e-3), lambda q: 3e12 * q**2, "power", "the power 2", ""),
     ],
 )

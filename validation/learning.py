@@ -87,8 +87,9 @@ class LearnedLaw:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON of learn."""
-        keys = ("effect", "over", "unit_over", "unit", "x", "y", "std", "resembles", "against_motion", "evidence")
-        return {k: getattr(self, k) for k in keys} | {"tied_with": list(self.tied_with)}
+        keys = ("effect", "over", "unit_over", "unit", "resembles", "against_motion", "evidence")
+        lists = {k: getattr(self, k).tolist() for k in ("x", "y", "std")}
+        return {k: getattr(self, k) for k in keys} | lists | {"tied_with": list(self.tied_with)}
 
 
 @dataclass(frozen=True)
