@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -15,21 +16,23 @@ from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
 from .diagnosis import (
-    FITTED,
-    LEFT_BY_SECOND,
+    HOPELESS,
+    NEAR,
     PROOF,
     TIE,
     Progress,
     _good,
     _likely,
+    _plausible,
     _silent,
     in_parallel,
     screened,
     together,
 )
 from .fit.data import Data, data_of
+from .fit.evidence import log_evidence
 from .fit.solve import Fit
-from .fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions
+from .fit.staged import LOOSE, STIFF, TIGHT, Stage, all_parameters, informed_directions
 from .fit.variables import NominalDirection, Variable, effect_variables
 from .history import added
 from .learned.fits import Explained, Part, explain, left_out_gain
@@ -43,15 +46,15 @@ from .search.manoeuvre import best_manoeuvre
 from .search.weigh import open_loop_error
 
 #: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to the end
-LOOSELY, CARRIED = 5, 3
+LOOSELY, FITTED, CARRIED = 4, 3, 2
+#: laws are sifted in loosely joined windows with so many iterations
+SIFT = Stage(LOOSE.seconds, LOOSE.stiffness, 3)
 #: laws beside each other
 MOST = 2
 #: length of the blocks of time that are left out in turn, s
 BLOCK = 1.5
 #: share of what a law gains where it was fitted that it must gain where it was not
 PREDICTED = 0.4
-#: share of the excess error (squared level beyond noise) that laws may leave
-LEFT = LEFT_BY_SECOND
 #: standard deviations by which a curve may fall below what physics allows
 ASTRAY = 3.0
 
@@ -85,8 +88,9 @@ class LearnedLaw:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON of learn."""
-        keys = ("effect", "over", "unit_over", "unit", "x", "y", "std", "resembles", "against_motion", "evidence")
-        return {k: getattr(self, k) for k in keys} | {"tied_with": list(self.tied_with)}
+        keys = ("effect", "over", "unit_over", "unit", "resembles", "against_motion", "evidence")
+        lists = {k: getattr(self, k).tolist() for k in ("x", "y", "std")}
+        return {k: getattr(self, k) for k in keys} | lists | {"tied_with": list(self.tied_with)}
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,7 @@ class _Search:
     crane: Crane
     data: Data
     jobs: int
-    base: Fit
+    base: Fit  # all uncertain parameters fitted in loosely joined windows
     shared: Sequence[Variable]
 
     def explain(self, tried: Sequence[tuple[tuple[Part, ...], Fit]], stages: Sequence[Any]) -> list[Explained]:
@@ -222,25 +226,53 @@ def _searched(
 
 def _grown(search: _Search, best: Explained, before: Fit, progress: Progress) -> list[Explained]:
     """Return explanations with one part more, fitted to the end, best first."""
-    loose = before
     if best.parts:
-        loose = explain(search.crane, search.data, search.shared, before, best.parts, (LOOSE,)).fit
-    tried: list[tuple[tuple[Part, ...], Fit]] = []
-    scores = _likely(screened(loose, search.data, LOOSE.stiffness), FITTED)
-    for score in scores[:LOOSELY]:
-        values = scaled(score.start, score.amplitude)
-        variables = tuple(effect_variables(score.start.key, values, search.crane.layout))
-        tried.append(((*best.parts, Part(score.start.key, variables, np.array([v.begin for v in variables]))), loose))
-    laws = [f for f in screened_laws(loose, laws_of(loose), LOOSE.stiffness) if allowed(f) and f.gain > PROOF]
-    tried += [((*best.parts, Part.of(f)), loose) for f in laws[:LOOSELY]]
+        before = explain(search.crane, search.data, search.shared, before, best.parts, (LOOSE,)).fit
+    tried = [((*best.parts, part), before) for part in _promising(search, before)]
     progress("fitting the likely ones", 0.35)
-    found = search.explain(tried, (LOOSE,))
-    count = len(best.laws)
-    leading = [e for e in found if len(e.laws) == count][: CARRIED - 1] + [e for e in found if len(e.laws) > count][
-        :CARRIED
-    ]
+    found = search.explain(tried, (SIFT,))
+    plain, curved = ([e for e in found if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
+    near = [e for e in curved if e.evidence > found[0].evidence - NEAR * (found[0].evidence - log_evidence(before))]
     progress("carrying the leading ones to the end", 0.5)
-    return search.explain([(e.parts, e.fit) for e in leading], (TIGHT, STIFF))
+    return search.explain([(e.parts, e.fit) for e in (*near[:CARRIED], *plain[:1])], (TIGHT, STIFF))
+
+
+def _promising(search: _Search, fit: Fit) -> list[Part]:
+    """Return the laws and the effects of the library that a screen at a fit finds most promising.
+
+    Parameters that have moved further than they may do a law's work and hide it: then the crane as given is screened too.
+    """
+    laws, effects = _screened(search, fit)
+    if fit is search.base and not _plausible(fit):
+        nominal = all_parameters(replace(search.crane, uncertainty={}), search.data)
+        known = {v.name: u for v, u in zip(nominal.variables, nominal.u, strict=True)}
+        u = np.array([known.get(v.name, 0.0) for v in fit.variables])
+        unmoved = replace(nominal, origin=search.crane, variables=fit.variables, u=u)
+        more, others = _screened(search, unmoved)
+        laws, effects = _merged(laws, more), _merged(effects, others)
+    return [*laws[:LOOSELY], *effects[:FITTED]]
+
+
+def _merged(first: Sequence[Part], second: Sequence[Part]) -> list[Part]:
+    """Return both lists in turn, the first of each name."""
+    found: dict[str, Part] = {}
+    for pair in zip_longest(first, second):
+        for part in filter(None, pair):
+            found.setdefault(_name(part), part)
+    return list(found.values())
+
+
+def _screened(search: _Search, fit: Fit) -> tuple[list[Part], list[Part]]:
+    """Return laws and effects of the library that could act beside a fit, the most promising first."""
+    found = screened_laws(fit, laws_of(fit), LOOSE.stiffness)
+    least = max(PROOF, HOPELESS * found[0].gain) if found else PROOF
+    laws = [Part.of(f) for f in found if allowed(f) and f.gain > least]
+    effects = []
+    for score in _likely(screened(fit, search.data, LOOSE.stiffness), FITTED):
+        key = score.start.key
+        variables = tuple(effect_variables(key, scaled(score.start, score.amplitude), search.crane.layout))
+        effects.append(Part(key, variables, np.array([v.begin for v in variables])))
+    return laws, effects
 
 
 def _sound(e: Explained) -> bool:

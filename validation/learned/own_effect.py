@@ -6,6 +6,8 @@ import inspect
 import textwrap
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import HOOKS
 from crane_exudyn.errors import CraneError
@@ -107,5 +109,5 @@ def _of(law: LearnedLaw) -> tuple[str, str, str]:
     return hook, at, result
 
 
-def _numbers(values) -> str:  # type: ignore[no-untyped-def]
+def _numbers(values: np.ndarray) -> str:
     return ", ".join(f"{v:.6g}" for v in values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..learning import Learned, sentence
+from ..learning import Learned, LearnedLaw, sentence
 from ..report import Mood, Picture, Section, Table, write_report
 
 _CAPTION = (
@@ -47,7 +47,7 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
     )
 
 
-def _knots(law) -> Table:  # type: ignore[no-untyped-def]
+def _knots(law: LearnedLaw) -> Table:
     rows = [(float(x), float(y), float(1.96 * s)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
     note = f"{law.effect} over {law.over.replace('_', ' ')}" + (f": {law.resembles}" if law.resembles else "")
     return Table((f"{law.over} [{law.unit_over or '-'}]", f"value [{law.unit or '-'}]", "± (95 %)"), rows, note=note)
