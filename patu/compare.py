@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,14 +28,8 @@ from .outputs import Writes, saving
 if TYPE_CHECKING:
     from validation.compare import Comparison
 
-_COLUMNS = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²", "whiteness p")
 _SHOWN = 10
-_CAPTIONS = {
-    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, dark is bad.",
-    "open_loop": "The crane started as the recording starts and then saw only the commands.",
-    "balances": "Flow and moment that each balance lacks, with 95 % interval from the sensors' noise.",
-    "balances_by_work": "The same, averaged over each kind of work.",
-}
+_PICTURES = ("where", "open_loop", "balances", "balances_by_work")
 
 
 def command(
@@ -46,7 +39,7 @@ def command(
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Write pictures there."),
-        Writes(files=tuple(f"{name}.png" for name in _CAPTIONS)),
+        Writes(files=tuple(f"{name}.png" for name in _PICTURES)),
     ] = None,
     report: ReportOption = None,
     effects: EffectsOption = None,
@@ -66,20 +59,25 @@ def command(
 
     with progress("Comparing", json) as step:
         result = compare(chosen, measured, engine, progress=step)
+    from validation.reports import report_comparison
+
     printer = Printer(json)
     tell(printer, result)
     with saving(printer) as save:
         save.json(json, result.to_dict())
         save(output, partial(save_figures, result))
-        save(report, partial(write, result))
+        save(report, partial(report_comparison, result, chosen, measured))
 
 
 def tell(printer: Printer, result: Comparison) -> None:
     """Print the verdict, the tables and the worst places."""
+    from validation.reports import ERROR_COLUMNS, balance_table, error_rows, filter_words
+
     printer.line(f"{result.recording} against {result.crane} on {result.engine}")
     for note in result.notes:
         printer.line(f"note: {note}")
-    printer.table("Open loop, start fitted", _COLUMNS, error_rows(result))
+    printer.table("Open loop, start fitted", ERROR_COLUMNS, error_rows(result))
+    printer.line(result.started)
     printer.line(filter_words(result))
     printer.table("What the balances lack, by work done (± 95 %)", *balance_table(result))
     if result.where:
@@ -87,41 +85,6 @@ def tell(printer: Printer, result: Comparison) -> None:
         if len(result.where) > _SHOWN:
             printer.line(f"… and {len(result.where) - _SHOWN} more; --json gives all.")
     printer.line(result.verdict)
-
-
-def error_rows(result: Comparison) -> list[tuple[object, ...]]:
-    """Return the table of channels."""
-    white = result.estimate.whiteness
-    return [
-        (n, c.unit, c.rmse, c.pn_rmse, c.bias, c.noise_std, c.error_over_noise, c.r2, white.get(n))
-        for n, c in result.channels.items()
-    ]
-
-
-def filter_words(result: Comparison) -> str:
-    """Return what the filter's innovations say."""
-    low, high = result.nis_bounds
-    word = "consistent with the model" if result.consistent else "NOT consistent with the model"
-    return f"Filter that trusts the model: mean NIS {result.estimate.nis_mean:.3g}, expected {low:.3g} … {high:.3g}; {word}."
-
-
-def balance_table(result: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not zero."""
-    from validation.findings import VIOLATED, people_unit, rounded
-
-    equations = result.layout.equations
-    units = [people_unit(e, result.layout) for e in equations]
-    columns = ("work", *(f"{e} {unit}" for e, (unit, _) in zip(equations, units, strict=True)))
-    rows = []
-    for kind, mean, std in result.scores.by_kind():
-        cells = [
-            (rounded(m / factor, 1.96 * s / factor) + ("*" if abs(m) > VIOLATED * s else " "))
-            if isfinite(s)
-            else "unknown "
-            for m, s, (_, factor) in zip(mean, std, units, strict=True)
-        ]
-        rows.append((kind, *cells))
-    return columns, rows
 
 
 def worst(result: Comparison, most: int = _SHOWN) -> list[tuple[str, str]]:
@@ -139,25 +102,3 @@ def save_figures(result: Comparison, folder: Path) -> list[Path]:
         paths.append(folder / f"{name}.png")
         plots.save(figure, paths[-1])
     return paths
-
-
-def write(result: Comparison, folder: Path) -> Path:
-    """Write the report and return its path."""
-    from validation.report import Mood, Picture, Section, Table, write_report
-
-    pictures = {name: Picture(figure, _CAPTIONS[name]) for name, figure in result.figures().items()}
-    columns, by_work = balance_table(result)
-    headings = [c.replace("torque.", "moment at ").replace("flow.", "flow into ") for c in columns]
-    sections: list[Section] = [
-        ("Where the model fails", [pictures["where"], Table(("score", "where"), worst(result, 20))]),
-        ("What the balances lack", [Table(headings, by_work), pictures["balances_by_work"], pictures["balances"]]),
-        ("Open loop", [Table(_COLUMNS, error_rows(result)), pictures["open_loop"]]),
-        ("Filter", [filter_words(result), *(f"Note: {note}." for note in result.notes)]),
-    ]
-    title = f"{result.recording} against {result.crane}"
-    mood: Mood = "good" if not result.where and result.error < 1.2 else "bad"
-    parameters = {
-        "crane": result.crane, "recording": result.recording, "engine": result.engine,
-        "noise of the sensors": ", ".join(f"{n} {c.noise_std:.3g} {c.unit}" for n, c in result.channels.items()),
-    }  # fmt: skip
-    return write_report(folder, title, result.verdict, sections, parameters=parameters, mood=mood)

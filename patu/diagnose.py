@@ -58,7 +58,7 @@ def command(
     with progress("Diagnose") as done:
         result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
     from validation.plots import save as save_figure
-    from validation.search.reports import report_diagnosis
+    from validation.reports import Examined, report_diagnosis
 
     printer = Printer(json)
     tell(printer, result)
@@ -66,7 +66,7 @@ def command(
     with saving(printer) as save:
         save.json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
-        save(report, lambda path: report_diagnosis(result, path, given))
+        save(report, lambda path: report_diagnosis(result, path, given, Examined(measured, other)))
 
 
 def tell(printer: Printer, d: Diagnosis) -> None:
