@@ -70,7 +70,7 @@ def command(
             progress=lambda part, share: done(share, part),
         )
     from validation.plots import save as save_figure
-    from validation.search.reports import report_diagnosis
+    from validation.reports import Examined, report_diagnosis
 
     printer = Printer(json)
     tell(printer, result)
@@ -83,7 +83,7 @@ def command(
     with saving(printer) as save:
         save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
-        save(report, lambda path: report_diagnosis(result, path, given))
+        save(report, lambda path: report_diagnosis(result, path, given, Examined(measured, other)))
 
 
 def tell(printer: Printer, d: Diagnosis) -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from crane_exudyn.layout import Layout
 
-    from .compare import Comparison, Series
+    from .compare import Comparison
 
 #: colours of the kinds of work: extending warm, retracting cold, what is special dark
 _COLORS = {REST: "#eeeeee", REVERSAL: "#7A5C8E", LOW_PRESSURE: "#3E6E5A", STROKE_END: "#333333"}
@@ -46,10 +46,8 @@ def figures(comparison: Comparison) -> dict[str, Figure]:
 
 def _stacked(ratios: Sequence[float], height: float) -> Figure:
     """Return a figure of panels on one time axis whose heights are as these numbers, `height` inches in all."""
-    from matplotlib.figure import Figure
-
     with plots.style():
-        made = Figure(figsize=(plots.WIDTH, height), layout="constrained")
+        made = plots.empty_figure(plots.WIDTH, height, layout="constrained")
         made.subplots(len(ratios), 1, sharex=True, gridspec_kw={"height_ratios": list(ratios)})
     return made
 
@@ -204,7 +202,7 @@ def _work(axes: Axes, found: Sequence[tuple[str, np.ndarray, np.ndarray]], j: in
 _TRACES, _CLOSER = 3, 1.5
 
 
-def traces_figure(lines: Mapping[str, Series], layout: Layout) -> Figure:
+def traces_figure(lines: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], layout: Layout) -> Figure:
     """Return the channels in which the first model errs most, over time, and below the worst one where it is worst.
 
     Args:
