@@ -223,7 +223,7 @@ def _draw_machine(panel: _Panel, crane: Crane, marks: Sequence[str] = ()) -> Non
     for mark in marks:
         line = _place_of(crane, points, mark)
         look: dict[str, Any] = {"lw": 15, "solid_capstyle": "round"} if len(line) > 1 else {"marker": "o", "ms": 22}
-        panel.axes.plot(*np.reshape(line, (-1, 2)).T, color=_MARK, alpha=0.45, zorder=5, **look)
+        panel.axes.plot(*np.reshape(line, (-1, 2)).T, color=_MARK, alpha=0.6, zorder=5, **look)
         panel.keep_clear(line)
     angles = {GROUND: 0.0} | {name: float(angle[0]) for name, angle in closed.angles.items()}
     for joint in machine.joints:
