@@ -65,7 +65,7 @@ def where_figure(comparison: Comparison) -> Figure:
         mesh = _map(map_axes, scores.phases, rows, values)
         map_axes.axhline(len(scores.channel_names), color="#444444", lw=1.2)
         bar = made.colorbar(mesh, ax=[command_axes, strip, map_axes], aspect=40, pad=0.01)
-        bar.setbalance_words("times what noise explains")
+        bar.set_label("times what noise explains")
         bar.set_ticks([1, 3, 10, 30, 100], labels=["1", "3", "10", "30", "100"])
         made.suptitle(f"Where {comparison.crane} fails on {comparison.recording}", x=0.01, ha="left", fontsize=10)
     return made
