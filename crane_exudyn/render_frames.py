@@ -29,7 +29,7 @@ _WIDTH, _WHOLE, _PANEL, _TITLE, _GAP = (
     0.34,
     0.2,
 )  # inches: page, the whole machine, a body, a title, between
-_OVERVIEW = (7.2, 3.6)  # inches: the machine alone
+_OVERVIEW = (5.4, 3.0)  # inches: the machine alone
 _SIZE = 8.5  # points of most texts
 _MARGIN = 0.13  # share of a panel left free on each side for labels
 _PALER = 0.62
@@ -63,7 +63,7 @@ def overview(crane: Crane, marks: Sequence[str] = ()) -> Figure:
     wide, high = _OVERVIEW
     with style():
         figure = empty_figure(wide, high + _TITLE)
-        panel = _Panel.on(figure, (0.05, 0.05, wide - 0.1, high), _told_start(crane))
+        panel = _Panel.on(figure, (0.05, 0.05, wide - 0.1, high), f"{crane.name} at its start")
         _draw_machine(panel, crane, marks)
     return figure
 
@@ -223,7 +223,7 @@ def _draw_machine(panel: _Panel, crane: Crane, marks: Sequence[str] = ()) -> Non
     for mark in marks:
         line = _place_of(crane, points, mark)
         look: dict[str, Any] = {"lw": 15, "solid_capstyle": "round"} if len(line) > 1 else {"marker": "o", "ms": 22}
-        panel.axes.plot(*np.reshape(line, (-1, 2)).T, color=_MARK, alpha=0.45, zorder=5, **look)
+        panel.axes.plot(*np.reshape(line, (-1, 2)).T, color=_MARK, alpha=0.6, zorder=5, **look)
         panel.keep_clear(line)
     angles = {GROUND: 0.0} | {name: float(angle[0]) for name, angle in closed.angles.items()}
     for joint in machine.joints:

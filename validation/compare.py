@@ -31,7 +31,7 @@ from ukf.noise import ProcessNoise
 from ukf.signals import Signals
 
 from .balances import Balances, balances_of
-from .findings import Finding, Scores, people_unit, scores_of, told
+from .findings import Finding, Scores, balance_words, people_unit, scores_of, told
 from .fit.data import FitData, known_parameters
 from .fit.model import model_of, spool_path
 from .fit.solve import Fit
@@ -129,7 +129,7 @@ class Comparison:
             return size + " No channel and no balance of the model is clearly off in any phase of work."
         if self.everywhere:
             return (
-                f"{size} Every balance of the model is violated, worst that of {self.violated[0]}: no single place stands out. "
+                f"{size} Every balance of the model is violated, worst the {balance_words(self.violated[0])}: no single place stands out. "
                 "Several parameters, or the recording itself, may be wrong."
             )
         first = next((f for f in self.where if f.kind == "equation"), self.where[0])

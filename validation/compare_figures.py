@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import plots
-from .findings import PREDICTED_BADLY, VIOLATED, people_unit
+from .findings import PREDICTED_BADLY, VIOLATED, balance_words, people_unit
 from .phases import LOW_PRESSURE, REST, REVERSAL, STROKE_END, Phase, kinds, moving, together
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def _stacked(ratios: Sequence[float], height: float) -> Figure:
 def where_figure(comparison: Comparison) -> Figure:
     """Return a map of time against channels and equations: the darker, the worse the model; what the crane did stands above."""
     scores = comparison.scores
-    rows = [*scores.channel_names, *map(_label, scores.layout.equations)]
+    rows = [*scores.channel_names, *map(balance_words, scores.layout.equations)]
     values = np.column_stack([scores.channels, np.abs(scores.equations) / (VIOLATED / PREDICTED_BADLY)]).T
     made = _stacked((1.0, 0.22, 0.27 * len(rows)), 2.2 + 0.27 * len(rows))
     with plots.style():
@@ -94,11 +94,6 @@ def _strip(axes: Axes, phases: Sequence[Phase]) -> None:
         [Patch(**_look(k, layout)) for k in present], present, loc="lower left", bbox_to_anchor=(0.0, 1.0),
         ncols=3, fontsize=7.5, handlelength=2.0, columnspacing=0.9, borderpad=0.1,
     )  # fmt: skip
-
-
-def _label(equation: str) -> str:
-    """Return a balance in words, such as "flow into p1"."""
-    return equation.replace("torque.", "moment at ").replace("flow.", "flow into ")
 
 
 def _look(kind: str, layout: Layout) -> dict[str, Any]:
@@ -154,7 +149,9 @@ def balances_figure(comparison: Comparison) -> Figure:
             axes.fill_between(t, y - 1.96 * s, y + 1.96 * s, color="#0072B2", alpha=0.25, lw=0)
             axes.plot(t, y, color="#0072B2", lw=1.1)
             axes.axhline(0.0, color="#111111", lw=0.8)
-            axes.set_title(f"{_label(equation)} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0)
+            axes.set_title(
+                f"{balance_words(equation)} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0
+            )
             axes.set_ylabel(unit)
         made.axes[-1].set_xlim(balances.time[0], balances.time[-1])
         made.axes[-1].set_xlabel("time / s")
@@ -195,7 +192,7 @@ def _work(axes: Axes, found: Sequence[tuple[str, np.ndarray, np.ndarray]], j: in
     axes.axvline(0.0, color="#111111", lw=0.8)
     axes.invert_yaxis()
     axes.set_xlabel(unit)
-    axes.set_title(_label(layout.equations[j]), loc="left", fontsize=9)
+    axes.set_title(balance_words(layout.equations[j]), loc="left", fontsize=9)
 
 
 #: panels of a figure of traces, and s that its last one shows

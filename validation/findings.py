@@ -149,6 +149,11 @@ def people_unit(name: str, layout: Layout) -> tuple[str, float]:
     return engineering(units[name] if name in units else layout.unit_of(name))
 
 
+def balance_words(equation: str) -> str:
+    """Return a balance in words, such as "flow into p1"."""
+    return equation.replace("torque.", "moment at ").replace("flow.", "flow into ")
+
+
 def told(name: str, value: float, layout: Layout) -> str:
     """Return a value in SI as people read it, such as "1.2 bar"."""
     unit, factor = people_unit(name, layout)

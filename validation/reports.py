@@ -20,7 +20,7 @@ from crane_exudyn.recording import Recording
 from .compare import Comparison, from_one_start
 from .compare_figures import traces_figure
 from .diagnosis import Candidate, Diagnosis, sentence
-from .findings import VIOLATED, people_unit
+from .findings import VIOLATED, balance_words, people_unit
 from .improvement import Improvement
 from .report import Mood, Part, Picture, Section, Table, write_report
 from .search.plots import in_words
@@ -94,7 +94,7 @@ def comparison_sections(c: Comparison, crane: Crane, examined: Examined) -> list
     sections += [
         ("Details: open loop", [Table(ERROR_COLUMNS, error_rows(c), note=_ERRORS), Picture(found["open_loop"], c.started)]),
         ("Details: what the balances lack", [
-            Table([_balance_words(h) for h in headings], by_work, note="± 95 %; a star marks what is clearly not zero."),
+            Table([balance_words(h) for h in headings], by_work, note="± 95 %; a star marks what is clearly not zero."),
             *(Picture(found[n], _CAPTIONS[n]) for n in ("balances_by_work", "balances")),
         ]),
         ("Details: the filter", [filter_words(c), *(f"Note: {note}." for note in c.notes)]),
@@ -136,10 +136,6 @@ def balance_table(c: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]
         ]
         rows.append((kind, *cells))
     return columns, rows
-
-
-def _balance_words(heading: str) -> str:
-    return heading.replace("torque.", "moment at ").replace("flow.", "flow into ")
 
 
 _CAPTIONS = {
