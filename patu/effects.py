@@ -32,16 +32,11 @@ def command(
     if name:
         tell(printer, chosen[0], layout)
     else:
-        rows = [(e.name, _places(e, layout), ", ".join(p.name for p in e.parameters), title(e)) for e in chosen]
+        rows = [(e.name, _places(e, layout), ", ".join(p.name for p in e.parameters), e.law()) for e in chosen]
         printer.table("", ("effect", "places", "parameters", "what it is"), rows)
         printer.line("`patu effects NAME` tells one of them whole.")
     with saving(printer) as save:
         save.json(json, [describe(effect, layout) for effect in chosen])
-
-
-def title(effect: type[Effect]) -> str:
-    """Return the first line of the effect's docstring."""
-    return inspect.cleandoc(effect.__doc__ or effect.name).splitlines()[0]
 
 
 def describe(effect: type[Effect], layout: Layout) -> dict[str, Any]:
