@@ -67,7 +67,7 @@ def command(
         _write(result, output, json, {"effect": effect})
         return
     announce_compilation()
-    from validation.search.fitted import fitted_effect, helped
+    from validation.selection.fitted import fitted_effect, helped
 
     with doing(f"fitting {effect} to {fit}"):
         result, document = fitted_effect(chosen, effect, load_recording(fit, chosen, mapping, map_file), values_given)

@@ -68,7 +68,7 @@ def command(
             told=lambda step: tell(printer, step), progress=lambda text, share: done(share),
         )  # fmt: skip
     from validation.plots import save as save_figure
-    from validation.search.reports import report_improvement
+    from validation.selection.reports import report_improvement
 
     for note in result.notes:
         printer.line(f"{note}.")

@@ -21,7 +21,7 @@ from validation import plots, report
 from validation.compare import ChannelError, Comparison
 from validation.diagnosis import Candidate, Diagnosis
 from validation.improvement import Improvement, Step
-from validation.search.reports import report_diagnosis, report_improvement
+from validation.selection.reports import report_diagnosis, report_improvement
 
 TIME = np.linspace(0.0, 25.0, 5001)
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..diagnosis import Candidate, Diagnosis, sentence
+from ..diagnosis import Candidate, Diagnosis, own_values, sentence
 from ..improvement import Improvement
 from ..report import Mood, Picture, Section, Table, write_report
 from .plots import in_words
@@ -68,6 +68,9 @@ def diagnosis_sections(d: Diagnosis) -> list[Section]:
         rows = [(n, p["value"], 1.96 * p["std"], p["nominal"], p["unit"]) for n, p in d.parameters.items()]
         wide = ("parameter", "value", "± (95 %)", "nominal", "unit")
         sections.append(("Nominal parameters that moved", [Table(wide, rows)]))
+    if d.recordings:
+        each = [(r["recording"], r["error_before"], r["error_after"], own_values(r)) for r in d.recordings]
+        sections.append(("By recording", [Table(("recording", "error before", "after", "its own"), each)]))
     remarks = [*d.notes, *(w["text"] for w in d.where), *([f"Next: {d.next_manoeuvre}"] if d.next_manoeuvre else [])]
     if remarks:
         sections.append(("Remarks", [f"{r[0].upper()}{r[1:].rstrip('.')}." for r in remarks]))
