@@ -1,11 +1,11 @@
-# make demo   install into .venv and run the paper's experiment; says where the pictures are
+# make demo   install into .venv and show the main job; says where the report is
 # make test   install the development tools and run the whole test suite
 # make lint   ruff and mypy;   make docs   the documentation site;   make clean
 VENV := .venv
 BIN := $(VENV)/bin
 OUT := out
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
-SOURCES := pyproject.toml README.md $(shell find crane_exudyn ukf validation patu -name '*.py' -o -name '*.toml' -o -name '*.j2')
+SOURCES := pyproject.toml README.md $(shell find crane_exudyn ukf validation patu -name '*.py' -o -name '*.toml' -o -name '*.j2' -o -name '*.gz')
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v $$p; break; }; done)
 

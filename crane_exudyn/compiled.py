@@ -4,6 +4,8 @@ numba looks only at the file of the compiled function when it decides whether it
 of the functions called from there. Here every change of a source that compiled code may come from, and every set of user
 effects, gets a cache folder of its own, so that a stale kernel cannot be run. A change in one package leaves the cache of the
 others alone, except that all build on crane_exudyn.
+
+Whoever waits for a compilation is told of it, through the logger of this package.
 """
 
 from __future__ import annotations
@@ -11,20 +13,25 @@ from __future__ import annotations
 import atexit
 import functools
 import hashlib
+import logging
 import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
 
 from .effects import registry
 
 _ROOT = Path(__file__).resolve().parent.parent
 _FOUNDATION = "crane_exudyn"
+#: s of compiling after which it is told
+_TOLD_AFTER = 1.0
 
 
 @functools.cache
@@ -71,6 +78,32 @@ def cache_folder(package: str = _FOUNDATION) -> Path:
 
 
 registry.freeze()
+
+
+class Announcement(event.Listener):
+    """Says once, as a warning of the logger `crane_exudyn`, that functions are being compiled; code from the cache is not."""
+
+    def __init__(self, after: float = _TOLD_AFTER) -> None:
+        self._after = after
+        self._depth, self._since, self._spent, self._told = 0, 0.0, 0.0, False
+
+    def on_start(self, event: Any) -> None:
+        now = time.monotonic()
+        self._since = now if self._depth == 0 else self._since
+        self._depth += 1
+        if not self._told and self._spent + now - self._since > self._after:
+            self._told = True
+            logging.getLogger(_FOUNDATION).warning(
+                "Compiling the equations, once after an installation or a change: one to two minutes in all."
+            )
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        self._spent += time.monotonic() - self._since if self._depth == 0 else 0.0
+
+
+ANNOUNCEMENT = Announcement()
+event.register("numba:compile", ANNOUNCEMENT)
 
 
 def njit(*args: Any, **options: Any) -> Callable[..., Any]:

@@ -130,6 +130,11 @@ class Crane:
 
     # -- numbers -------------------------------------------------------------------------------------------------
 
+    def areas(self, cylinder: str) -> tuple[float, float]:
+        """Return the areas in m² of a cylinder's piston side and rod side."""
+        bore, rod = self[f"cylinders.{cylinder}.bore"], self[f"cylinders.{cylinder}.rod"]
+        return 0.25 * math.pi * bore**2, 0.25 * math.pi * (bore**2 - rod**2)
+
     def __getitem__(self, name: str) -> float:
         """Return a nominal parameter in SI by its name, such as "payload.mass"."""
         try:
@@ -322,6 +327,8 @@ def check_effect(where: str, layout: Layout, acting: Acting) -> None:
                 f"{where}: effect {acting.key!r}: {name} = {value:g} {p.unit} is outside {p.lower:g} … {p.upper:g}. "
                 f"The neutral value is {p.neutral:g}."
             )
+    if effect.curve is not None:
+        effect.curve.check(f"{where}: effect {acting.key!r}", acting.parameters)
 
 
 def names_matching(pattern: str, names: Iterable[str]) -> list[str]:

@@ -155,8 +155,9 @@ def fill_frames(topology, P, z, arms):
 
 @part
 def turn_frames(topology, q, arms):
-    """Fill cosine and sine of the frames in arms for redundant coordinates q."""
+    """Fill angle, cosine and sine of the frames in arms for redundant coordinates q."""
     for b in range(topology[0, BODIES]):
+        arms[b, ANGLE] = q[3 * b + 2]
         arms[b, COS], arms[b, SIN] = math.cos(q[3 * b + 2]), math.sin(q[3 * b + 2])
 
 

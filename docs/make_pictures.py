@@ -64,10 +64,10 @@ def patu(*words: str, work: str) -> None:
 
 
 def demo(folder: Path) -> None:
-    """Keep the picture of the states that the demo makes."""
+    """Keep the demo's picture of a model before and after it was improved."""
     with tempfile.TemporaryDirectory() as work:
         patu("demo", "-o", "demo", work=work)
-        with Image.open(Path(work) / "demo" / "states.png") as picture:  # few colours: a quarter of the size
+        with Image.open(Path(work) / "demo" / "before_after.png") as picture:  # few colours: a quarter of the size
             picture.convert("RGB").quantize(64, dither=Image.Dither.NONE).save(folder / "demo.png", optimize=True)
 
 

@@ -20,7 +20,7 @@ from .options import (
     load_crane,
     load_recording,
 )
-from .output import Printer, announce_compilation, write_out
+from .output import Printer, write_out
 from .outputs import Reads, Writes, saving
 
 if TYPE_CHECKING:
@@ -66,7 +66,6 @@ def command(
         result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
         _write(result, output, json, {"effect": effect})
         return
-    announce_compilation()
     from validation.selection.fitted import fitted_effect, helped
 
     with doing(f"fitting {effect} to {fit}"):

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import saving
 
 
@@ -27,7 +27,6 @@ def command(
     Everything is measured in this one run, so the ratios hold for this machine as it is now; kernels are compiled first.
     """
     chosen = load_crane(crane, effects)
-    announce_compilation()
     from validation.benchmark import run
 
     with progress("Measuring") as done:

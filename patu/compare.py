@@ -24,7 +24,7 @@ from .options import (
     load_crane,
     load_several,
 )
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -68,7 +68,6 @@ def command(
     """
     chosen = load_crane(crane, effects)
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
-    announce_compilation()
     from validation.compare import compare_all
 
     with progress("Comparing", json) as step:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, ReportOption, load_crane
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ def command(
     Exit status 1 if anything is out of its tolerance; the first such line is nearest to the cause.
     """
     chosen = load_crane(crane, effects)
-    announce_compilation()
     from validation.crosscheck import crosscheck, save_figures
 
     if quick:

@@ -1,7 +1,9 @@
-"""`patu demo`: the paper's experiment on the Exudyn engine, with its table, plots and a report."""
+"""`patu demo`: the main job in three acts: the filter follows a crane, a hidden effect is found and added, and a picture."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -9,127 +11,223 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress
+from crane_exudyn.errors import CraneError
+
+from .options import DEFAULT_CRANE, EngineOption, JobsOption, JsonOption, load_crane
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from crane_exudyn.crane import Crane
+    from crane_exudyn.recording import Recording
+    from validation.compare import Comparison
+    from validation.diagnosis import Diagnosis
     from validation.paper import Case
+    from validation.report import Section
 
 MODEL_ERROR = 0.15
+COLUMNS = ("state", "own means %", "paper's tuning %", "published %", "model alone %")
+_FILES = ("filter.png", "before_after.png", "error.png", "crane.png", "improved.toml", "report.html")
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the demo found: the paper's case by both tunings, and the recordings with the hidden effect, examined."""
+
+    cases: dict[str, Case]
+    recordings: tuple[Recording, Recording]
+    comparison: Comparison
+    diagnosis: Diagnosis
+    seconds: float
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON result."""
+        return {
+            "cases": [case.document() for case in self.cases.values()],
+            "compare": self.comparison.to_dict(),
+            "diagnose": self.diagnosis.to_dict(),
+            "seconds": self.seconds,
+        }
 
 
 def command(
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder for plots, states and report; made if missing."),
-        Writes(files=("states.png", "errors.png", "states.csv", "report.html")),
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for report, pictures and results; made if missing."),
+        Writes(files=_FILES),
     ] = Path("out/demo"),
-    crane: CraneOption = DEFAULT_CRANE,
     engine: EngineOption = "exudyn",
-    effects: EffectsOption = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise.")] = 0,
+    jobs: JobsOption = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise in the paper's experiment.")] = 0,
     json: JsonOption = None,
 ) -> None:
-    """Run the paper's experiment: a crane with true numbers, a model with wrong ones, and a filter that holds the model on the truth.
+    """Show the main job on what comes with the package.
 
-    The model has 15 % too much mass and inertia in its booms, a payload of 10 kg, shifted joints, 20 bar too much pump pressure
-    and a wrong start. The filter sees two angles and two pressures, with noise, at 1 kHz for 25 s.
+    First a crane follows the paper's working cycle, and a filter whose model has wrong masses, joints, payload and pump
+    follows the crane. Then a recording of a crane with a hidden effect is compared and diagnosed, and the effect is added.
+    Last a picture of that crane is drawn. One report shows all three.
     """
     printer = Printer(json)
     begin = perf_counter()
-    chosen = load_crane(crane, effects)
-    announce_compilation()
-    from validation.paper import run_case
-
-    printer.line(f"The paper's experiment on {chosen.name}, {engine} engine: 25 s at 1 kHz, 17 sigma points …")
-    with progress("Filter") as done:
-        case = run_case(MODEL_ERROR, engine=engine, seed=seed, crane=chosen, progress=done)
-    seconds = perf_counter() - begin
-    tell(printer, case, seconds)
+    crane = load_crane(DEFAULT_CRANE)
+    printer.line(
+        f"1 of 3: a crane follows the paper's 25 s working cycle ({engine} engine), a filter follows the crane."
+    )
+    with progress("The paper's cycle") as done:
+        cases = follow(crane, engine, seed, done)
+    printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(cases))
+    printer.line(followed(cases))
+    printer.line("2 of 3: a recording of a crane with a hidden effect is compared and diagnosed, the effect is added.")
+    with progress("The hidden effect") as done:
+        recordings, comparison, diagnosis = search(crane, jobs, done)
+    printer.line(f"Compared: {comparison.verdict}")
+    found = Found(cases, recordings, comparison, diagnosis, perf_counter() - begin)
+    printer.line("3 of 3: a picture of that crane.")
     with saving(printer) as save:
-        save(output, partial(write, case, seed))
-        save.json(json, document(case, seconds))
+        save(output, partial(write, found, seed, printer))
+        save.json(json, found.document())
+    printer.line(f"Found in {perf_counter() - begin:.0f} s: {named(diagnosis)}")
+    printer.line(f"Report: {output / 'report.html'}")
 
 
-def document(case: Case, seconds: float) -> dict[str, Any]:
-    """Return the JSON result, shaped as that of `patu paper` with its one case."""
-    return {"cases": [case.document()], "realtime_factor": case.realtime_factor, "seconds": seconds}
+def follow(crane: Crane, engine: str, seed: int, done: Callable[..., None]) -> dict[str, Case]:
+    """Return the paper's case by the estimator's own means and by the paper's tuning, on one run of one crane."""
+    from validation.paper import real_system, run_case, simulation_model, wrong_crane
+
+    done(0.0, "the crane")
+    experiment = real_system(crane, 1, engine, seed)
+    alone = simulation_model(wrong_crane(crane, MODEL_ERROR), experiment, engine)
+    cases = {}
+    for k, (tuning, words) in enumerate((("own", "the filter"), ("paper", "the filter with the paper's tuning"))):
+        cases[tuning] = run_case(
+            MODEL_ERROR, 1, "semi-recursive", seed, tuning=tuning, crane=crane, experiment=experiment, open_loop=alone,
+            progress=partial(_filtering, done, k, words),
+        )  # fmt: skip
+    return cases
 
 
-def rows(case: Case) -> list[tuple[object, ...]]:
-    """Return the table: PN-RMSE in % of each state by the filter, as published, by the model alone; share inside 95 %."""
+def _filtering(done: Callable[..., None], case: int, words: str, share: float) -> None:
+    done(0.2 + 0.4 * (case + share), words)
+
+
+def rows(cases: dict[str, Case]) -> list[tuple[object, ...]]:
+    """Return the table: PN-RMSE in % of each state by both tunings, as published, and by the model alone."""
     from crane_exudyn.plots import shown
 
-    published = case.published or {}
-    filtered, alone, inside = case.pn_rmse, case.pn_rmse_open_loop, case.coverage
-    return [(shown(s).symbol, filtered[s], published.get(s), alone[s], 100 * inside[s]) for s in filtered]
+    own, paper = cases["own"], cases["paper"]
+    published = own.published or {}
+    return [
+        (shown(s).symbol, v, paper.pn_rmse[s], published.get(s), own.pn_rmse_open_loop[s])
+        for s, v in own.pn_rmse.items()
+    ]
 
 
-OWN_MEANS = (
-    "This is the filter with the paper's own covariances. `patu paper` shows all cases of the paper, why these covariances cannot "
-    "do better here, and how far the filter gets when it estimates along with the state what the model may be wrong about."
-)
-COLUMNS = ("state", "filter %", "published %", "model alone %", "inside 95 % interval, % of time")
+def followed(cases: dict[str, Case]) -> str:
+    """Return in words how well the filter follows the crane."""
+    own = cases["own"]
+    published = own.published or {}
+    better = sum(own.pn_rmse[s] <= value for s, value in published.items())
+    return (
+        f"The model alone leaves the crane by up to {max(own.pn_rmse_open_loop.values()):.0f} % of a state's range. The filter, "
+        f"which estimates along with the state what its model may be wrong about, stays within {max(own.pn_rmse.values()):.2g} %: "
+        f"below the published error in {better} of {len(published)} states. The paper's own tuning is shown beside it."
+    )
 
 
-def tell(printer: Printer, case: Case, seconds: float) -> None:
-    """Print the table, and what to make of it."""
-    printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(case))
-    printer.line(f"{verdict(case)} Filter at {case.realtime_factor:.2g} times real time; all in {seconds:.0f} s.")
-    printer.line(OWN_MEANS)
+def search(
+    crane: Crane, jobs: int, done: Callable[..., None]
+) -> tuple[tuple[Recording, Recording], Comparison, Diagnosis]:
+    """Return the recordings that come with the package, how the model compares with the first, and what it lacks."""
+    from validation.compare import compare
+    from validation.diagnosis import diagnose
+    from validation.sample import with_the_package
+
+    learn, check = with_the_package()
+    comparison = compare(crane, learn, progress=lambda share: done(0.4 * share, "comparing"))
+    diagnosis = diagnose(crane, learn, check, jobs=jobs, progress=lambda part, share: done(0.4 + 0.6 * share, part))
+    return (learn, check), comparison, diagnosis
 
 
-def verdict(case: Case) -> str:
-    """Return in one sentence how the filter compares with the published one."""
+def named(d: Diagnosis) -> str:
+    """Return in words what was found, and how the error fell."""
+    from validation.selection.reports import verdict
 
-    published = case.published or {}
-    better = [s for s, value in published.items() if case.pn_rmse[s] <= value]
-    return f"{len(better)} of {len(published)} states are at or below the published error."
+    check = f"; on a recording that was only predicted, from {d.check_error_before:.3g} to {d.check_error_after:.3g}"
+    return verdict(d).removesuffix(".") + (check if d.effects else "") + "."
 
 
-def write(case: Case, seed: int, folder: Path) -> list[Path]:
-    """Write plots, states and report to `folder`, and return the files."""
-    from validation import paper_figures, plots
-    from validation.report import Picture, Table, write_report
+def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]:
+    """Write report, pictures, states and the improved crane file to `folder`, and return the files."""
+    from validation import plots
+    from validation.compare import from_one_start
+    from validation.compare_figures import traces_figure
+    from validation.paper_figures import following_figure
+    from validation.report import write_report
 
     folder.mkdir(parents=True, exist_ok=True)
-    figures = {"states.png": states_figure(case, columns=2), "errors.png": paper_figures.figure_7(case)}
+    d = found.diagnosis
+    figures = {
+        "filter.png": following_figure(found.cases["own"]),
+        "before_after.png": traces_figure(
+            from_one_start(found.recordings[0], {"as given": d.given, "improved": d.crane}), d.given.layout
+        ),
+        "error.png": plots.bars(
+            ["learned from", "only predicted"],
+            {"as given": (d.error_before, d.check_error_before), "with what was found": (d.error_after, d.check_error_after)},
+            axis="open-loop error / noise of the sensors",
+        ),
+    }  # fmt: skip
     for name, figure in figures.items():
         plots.save(figure, folder / name)
-    case.estimate.to_csv(folder / "states.csv")
-    sections: list[tuple[str, list[Any]]] = [
-        ("Errors", [Table(COLUMNS, rows(case), note="PN-RMSE: 100 RMSE / (max - min of the true state)."), OWN_MEANS]),
-        ("States", [Picture(states_figure(case), "True states, the model without filter, and the estimate.")]),
-        (
-            "Errors and 95 % intervals",
-            [Picture(figures["errors.png"], "Error of the estimate, over its 95 % interval.")],
-        ),
-    ]
-    title = f"The paper's experiment on {case.experiment.crane.name}"
-    parameters = {
-        "crane": case.experiment.crane.name, "engine": case.engine, "tuning": case.tuning,
-        "error of the booms' masses and inertias": f"{100 * case.model_error:g} %", "sensors": "z1, z4, p1, p4 at 1 kHz",
-    }  # fmt: skip
-    report = write_report(folder, title, verdict(case), sections, seed=seed, parameters=parameters)
-    return [*(folder / name for name in figures), folder / "states.csv", report]
+    drawn = draw(found, folder / "crane.png", printer)
+    d.crane.save(folder / "improved.toml")
+    written = [*(folder / name for name in figures), *drawn, folder / "improved.toml"]
+    parameters = {"crane": found.comparison.crane, "engine of the crane": found.cases["own"].engine}
+    report = write_report(
+        folder, "What crane-exudyn does", named(d), sections(found, figures, drawn, written), seed=seed,
+        parameters=parameters, mood="good" if d.effects else "bad",
+    )  # fmt: skip
+    return [*written, report]
 
 
-def states_figure(case: Case, columns: int = 1) -> Figure:
-    """Return all eight states over time: true, model alone, estimated with 95 % interval; one column, or two for wide pages."""
-    from validation import plots
-    from validation.paper import STATES
+def draw(found: Found, path: Path, printer: Printer) -> list[Path]:
+    """Draw the recorded crane with an arrow at what was found; return the file, or nothing where that cannot be done."""
+    from crane_exudyn.render import Scene, Trajectory
 
-    truth, alone = case.experiment.truth, case.open_loop
-    low, high = case.estimate.interval()
-    made = plots.figure(8 // columns, columns, height=1.25 if columns == 1 else 1.5, width=plots.WIDTH * columns**0.5)
-    for i, (axes, name) in enumerate(zip(made.axes, STATES, strict=True)):
-        lines = {"true": truth[:, i], "model alone": alone[:, i], "estimated": case.estimate.mean[:, i]}
-        plots.draw_lines(axes, case.experiment.time, lines, channel=name, band=(low[:, i], high[:, i]))
-    for axes in made.axes[-columns:]:
-        axes.set_xlabel("time / s")
-    made.align_ylabels()
-    plots.legend_above(made, columns=4 if columns > 1 else 2)
-    return made
+    learn, d = found.recordings[0], found.diagnosis
+    places = [place for place in (key.partition("@")[2] for key in d.effects) if place]
+    try:
+        scene = Scene(
+            d.given, [Trajectory.from_recording(learn)], colour="pressure", marks=places, size=(960, 540),
+            title="The recorded crane",
+        )  # fmt: skip
+        scene.save(path, time=3.0)
+    except CraneError as problem:
+        printer.line(f"No picture: {' '.join(str(problem).split())}")
+        return []
+    return [path]
+
+
+def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: list[Path]) -> list[Section]:
+    """Return the sections of the report: three acts, and what was written."""
+    from validation.report import Links, Picture, Table
+
+    d, (learn, check) = found.diagnosis, found.recordings
+    return [
+        ("1. A filter follows a crane", [
+            followed(found.cases),
+            Picture(figures["filter.png"], "Above the whole cycle, below two pressures without a sensor around the stop at 5 s and the start at 12 s."),
+            Table(COLUMNS, rows(found.cases), note="PN-RMSE: 100 RMSE / (max - min of the true state)."),
+            "`patu paper` shows all cases of the paper, and why its tuning cannot do better on this crane.",
+        ]),
+        ("2. A hidden effect is found", [
+            f"Two recordings come with the package, {learn.duration:g} and {check.duration:g} s of a crane that is not as its file says.",
+            f"Compared with the first: {found.comparison.verdict}",
+            f"Diagnosed: {named(d)}",
+            Picture(figures["error.png"], "Open-loop error, 1 is the noise of the sensors."),
+            Picture(figures["before_after.png"], "What was measured, and what the crane file as given and the improved one do from the same start."),
+        ]),
+        ("3. A picture", [Picture(drawn[0], "The recorded crane after 3 s, coloured by pressure; the arrow marks what was found.")]
+            if drawn else ["No picture could be drawn here."]),
+        ("Files", [Links(written)]),
+    ]  # fmt: skip

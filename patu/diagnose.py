@@ -25,7 +25,7 @@ from .options import (
     load_several,
     picture,
 )
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -57,7 +57,6 @@ def command(
     chosen = load_crane(crane, effects)
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
-    announce_compilation()
     from validation.diagnosis import diagnose
 
     with progress("Diagnose") as done:
@@ -67,13 +66,18 @@ def command(
             other,
             per_recording=per_recording or (),
             jobs=jobs,
-            progress=lambda text, share: done(share),
+            progress=lambda part, share: done(share, part),
         )
     from validation.plots import save as save_figure
     from validation.selection.reports import report_diagnosis
 
     printer = Printer(json)
     tell(printer, result)
+    if result.verdict == "unknown" and not result.misses_check:
+        more = [*(["--check", str(check)] if check else []), *(["--crane", crane] if crane != DEFAULT_CRANE else [])]
+        printer.line(
+            f"Go on: {' '.join(['patu', 'learn', *map(str, recordings), *more])}   looks for a law that is not in the library"
+        )
     given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
     with saving(printer) as save:
         save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())

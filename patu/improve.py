@@ -25,7 +25,7 @@ from .options import (
     load_several,
     picture,
 )
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -58,14 +58,13 @@ def command(
     chosen = load_crane(crane, effects)
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
-    announce_compilation()
     from validation.improvement import improve
 
     printer = Printer(json)
     with progress("Improve") as done:
         result = improve(
             chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most,
-            told=lambda step: tell(printer, step), progress=lambda text, share: done(share),
+            told=lambda step: tell(printer, step), progress=lambda part, share: done(share, part),
         )  # fmt: skip
     from validation.plots import save as save_figure
     from validation.selection.reports import report_improvement

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ def command(
     """
     _check(runs, inputs, duration, step, model_error, method)
     chosen = load_crane(crane, effects)
-    announce_compilation()
     from validation.montecarlo import Settings, run_series
 
     settings = Settings(model_error, inputs, duration, step, engine, method, seed=seed)

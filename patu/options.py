@@ -12,7 +12,6 @@ import typer
 
 from crane_exudyn.errors import CraneError, doing
 
-from .output import announce_compilation
 from .outputs import Reads, Writes
 
 if TYPE_CHECKING:
@@ -170,7 +169,6 @@ def load_mapping(crane: Crane, entries: Sequence[str] | None, map_file: Path | N
 
 def make_engine(name: EngineName, crane: Crane) -> Any:
     """Return the engine that `--engine` names, holding `crane`."""
-    announce_compilation()
     if name == "exudyn":
         from crane_exudyn.engine import ExudynEngine
 

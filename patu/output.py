@@ -7,6 +7,8 @@ import dataclasses
 import json
 import math
 import sys
+import threading
+import time
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -132,30 +134,51 @@ def _cell(value: object) -> str:
 
 
 @contextmanager
-def progress(text: str, json: str | None = None) -> Iterator[Callable[[float], None]]:
-    """Yield a function that takes the fraction done; shows a bar on standard error when that is a terminal."""
-    with doing(text):
-        if not sys.stderr.isatty():
-            yield lambda fraction: None
-            return
-        with _bar(text) as bar:
-            yield bar
+def progress(text: str, json: str | None = None) -> Iterator[Callable[..., None]]:
+    """Yield a function that takes the fraction done and, if there is one, the name of what is being done.
+
+    Standard error shows a bar where it is a terminal, and a line every ten seconds where it is not.
+    """
+    with doing(text), (_bar if sys.stderr.isatty() else _lines)(text) as show:
+        yield show
 
 
 @contextmanager
-def _bar(text: str) -> Iterator[Callable[[float], None]]:
+def _bar(text: str) -> Iterator[Callable[..., None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=1.0)
-        yield lambda fraction: bar.update(task, completed=min(fraction, 1.0))
+
+        def show(fraction: float, part: str = "") -> None:
+            described = f"{text}: {part}" if part else None
+            bar.update(task, completed=min(fraction, 1.0), description=described)
+
+        yield show
 
 
-def announce_compilation() -> None:
-    """Say on standard error that the first run after an installation or a change takes longer, if this is one."""
-    from crane_exudyn.compiled import cache_folder
+#: s between two lines of progress
+PAUSE = 10.0
 
-    if not cache_folder("validation").is_dir():
-        print("First run: the equations are compiled once, which takes about half a minute.", file=sys.stderr)
+
+@contextmanager
+def _lines(text: str) -> Iterator[Callable[..., None]]:
+    begin, ended, now = time.monotonic(), threading.Event(), [0.0, ""]
+
+    def show(fraction: float, part: str = "") -> None:
+        now[:] = min(fraction, 1.0), part or now[1]
+
+    def tell() -> None:
+        while not ended.wait(PAUSE):
+            said = ": ".join(filter(None, (text, str(now[1]))))
+            print(f"{said}, {now[0]:.0%}, {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield show
+    finally:
+        ended.set()
+        teller.join()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
-from .output import Printer, announce_compilation, progress
+from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -57,7 +57,6 @@ def command(
     """
     chosen = load_crane(crane, effects)
     _check(model_error, inputs, tuning)
-    announce_compilation()
     from validation.paper import INPUT_SETS, MODEL_ERRORS, reproduce
 
     with progress("Cases") as done:

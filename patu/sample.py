@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
-from .output import Printer, announce_compilation
+from .output import Printer
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ def command(
 ) -> None:
     """Write recordings to play with, simulated on the spot: a sound one, a hidden effect, and what loggers make of one."""
     chosen = load_crane(crane, effects)
-    announce_compilation()
     from validation.sample import samples
 
     made = samples(chosen)

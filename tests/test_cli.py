@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,8 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 from made_up import made_up
+from numba.core import event
 
-from crane_exudyn import errors
+from crane_exudyn import compiled, errors
 from crane_exudyn.errors import CraneError
 from crane_exudyn.mapping import Column, parse_map
 from patu import main, output
@@ -332,10 +334,30 @@ def test_jsonable_takes_numpy_and_turns_nan_into_null() -> None:
     json.loads(output.json_text(value))
 
 
-def test_progress_says_nothing_where_nobody_watches(capsys: pytest.CaptureFixture[str]) -> None:
-    with output.progress("Working") as done:
+def test_piped_progress_is_a_line_every_now_and_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with output.progress("Working") as done:  # nothing in the first ten seconds
         done(0.5)
     assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(output, "PAUSE", 0.05)
+    with output.progress("Working") as done:
+        done(0.5, "on it")
+        time.sleep(0.3)
+    said = capsys.readouterr()
+    assert said.out == "" and "Working: on it, 50%, 0 s" in said.err.splitlines()
+
+
+def test_a_compilation_is_announced_once(caplog: pytest.LogCaptureFixture) -> None:
+    event.unregister("numba:compile", compiled.ANNOUNCEMENT)  # it has spoken, or not, for other tests
+    try:
+        with event.install_listener("numba:compile", compiled.Announcement(after=0.0)):
+            for _ in range(2):
+                inner = compiled.njit(lambda x: x + 1.0, cache=False)
+                assert compiled.njit(lambda x, inner=inner: inner(x) + 1.0, cache=False)(1.0) == 3.0
+    finally:
+        event.register("numba:compile", compiled.ANNOUNCEMENT)
+    assert ["Compiling the equations" in r.message for r in caplog.records] == [True]
 
 
 def test_a_users_effect_takes_part(tmp_path: Path) -> None:

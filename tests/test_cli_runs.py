@@ -166,20 +166,26 @@ def test_steps_without_number_are_refused(capsys: pytest.CaptureFixture[str]) ->
 # -- demo ------------------------------------------------------------------------------------------------------------
 
 
-def test_demo_prints_the_table_and_leaves_plots_states_and_report(printed: Callable[..., str], tmp_path: Path) -> None:
-    out = printed("demo", "-o", str(tmp_path / "a" / "demo"), *FAST, "--json", str(tmp_path / "demo.json"))
+def test_demo_follows_finds_improves_and_draws_on_one_page(printed: Callable[..., str], tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "demo"
+    out = printed("demo", "-o", str(folder), *FAST, "--json", str(tmp_path / "demo.json"))
     document = json.loads((tmp_path / "demo.json").read_text())
-    case = document["cases"][0]
-    assert (case["model_error"], case["inputs"], case["engine"]) == (0.15, 1, "semi-recursive")
-    assert case["published"]["p3"] == 5.92
-    for state, error in case["pn_rmse"].items():
-        assert error < case["pn_rmse_open_loop"][state]  # the filter is worth having, state by state
-        assert f"{error:.4g}" in out
-    files = {p.name: p for p in (tmp_path / "a" / "demo").iterdir()}
-    assert set(files) == {"states.png", "errors.png", "states.csv", "report.html"}
-    assert all(files[name].read_bytes().startswith(b"\x89PNG") for name in ("states.png", "errors.png"))
-    assert all(str(path) in out for path in files.values())
-    assert "5.92" in files["report.html"].read_text()
+    own, paper = document["cases"]
+    assert (own["model_error"], own["inputs"], own["tuning"], paper["tuning"]) == (0.15, 1, "own", "paper")
+    for state, published in own["published"].items():
+        assert own["pn_rmse"][state] <= published
+        assert paper["pn_rmse"][state] < paper["pn_rmse_open_loop"][state]  # a filter is worth having, state by state
+    found = document["diagnose"]
+    assert (found["verdict"], found["effects"]) == ("effect", ["internal_leakage@lift"])
+    assert found["check_error_before"] > 5.0 and found["check_error_after"] < 1.1
+    files = {p.name: p for p in folder.iterdir()}
+    pictures = {"filter.png", "before_after.png", "error.png", "crane.png"}
+    assert set(files) == pictures | {"improved.toml", "report.html"}
+    assert all(files[name].read_bytes().startswith(b"\x89PNG") for name in pictures)
+    assert all(f'href="{name}"' in files["report.html"].read_text() for name in pictures)
+    assert Crane.load(files["improved.toml"]).effect("internal_leakage@lift") is not None
+    last = out.splitlines()[-2:]
+    assert "internal leakage (lift) is missing" in last[0].lower() and last[1] == f"Report: {files['report.html']}"
 
 
 # -- benchmark -------------------------------------------------------------------------------------------------------

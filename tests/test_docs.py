@@ -95,6 +95,19 @@ def without_numbers(text: str) -> str:
     return re.sub(r"[-−]?\d[\d.]*(e[-+]?\d+)?", "#", " ".join(text.split()))
 
 
+def test_files_that_the_readme_types_are_written_before(patu, tmp_path, monkeypatch):
+    """Every file that a line of the README reads comes from `patu sample`, or from a line above it."""
+    monkeypatch.chdir(tmp_path)
+    first, *lines = re.findall(r"^    patu ((?:sample|.*play/).*)", (ROOT / "README.md").read_text(), re.MULTILINE)
+    patu(*shlex.split(first, comments=True))
+    written = set()
+    for words in (shlex.split(line, comments=True) for line in lines):
+        files = {word for word in words if "/" in word or "." in word}
+        written |= {words[words.index("-o") + 1]} if "-o" in words else set()
+        assert all((tmp_path / file).is_file() or file in written for file in files), words
+    assert len(lines) > 4
+
+
 def test_shell_lines_name_what_exists():
     """Lines that install something are not run; what they name must be there."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]

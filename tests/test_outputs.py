@@ -116,7 +116,7 @@ def test_a_file_is_replaced_if_the_program_wrote_it_and_nobody_changed_it(
         ("e.json", ("effects", "--json", "e.json")),
         ("c.toml", ("add", "dead_band@tilt", "-o", "c.toml")),
         ("out/report.html", ("demo", "-o", "out")),
-        ("out/states.csv", ("demo", "-o", "out")),
+        ("out/improved.toml", ("demo", "-o", "out")),
         ("r/report.html", ("estimate", "l.csv", "--report", "r")),
         ("out/figure5_own.png", ("paper", "-o", "out")),
     ],

@@ -96,7 +96,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Path
 
 def package_files() -> set[str]:
     """Return the files that must be in a package: all sources and everything that is read at run time."""
-    endings = {".py", ".toml", ".j2", ".typed", ".css"}
+    endings = {".py", ".toml", ".j2", ".typed", ".css", ".gz"}
     folders = ("crane_exudyn", "ukf", "validation", "patu")
     return {str(p.relative_to(ROOT)) for f in folders for p in (ROOT / f).rglob("*") if p.suffix in endings or p.name == "py.typed"}  # fmt: skip
 

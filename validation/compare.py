@@ -33,7 +33,7 @@ from ukf.signals import Signals
 from .balances import Balances, balances_of
 from .findings import Finding, Scores, people_unit, scores_of
 from .fit.data import FitData, known_parameters
-from .fit.model import spool_path
+from .fit.model import model_of, spool_path
 from .fit.solve import Fit
 from .fit.staged import FINE, LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged, timing_of
 from .fitness import check_recording, usable
@@ -309,6 +309,19 @@ def open_loop(crane: Crane, data: FitData, starts: np.ndarray, engine: Engine) -
     left = residuals(crane, data, starts, simulate=simulate)
     measured = {s.channel: (left[s.channel][0], s.values) for s in data.samples}
     return measured, {s.channel: (left[s.channel][0], s.values - left[s.channel][1] * s.noise) for s in data.samples}
+
+
+def from_one_start(recording: Recording, cranes: Mapping[str, Crane]) -> dict[str, Series]:
+    """Return what was measured, and open-loop runs of several cranes, by label, from the start that suits the last one best."""
+    kept, (*_, last) = usable(recording), cranes.values()
+    start = started(last, FitData.of(kept, last))
+    lines: dict[str, Series] = {}
+    for label, crane in cranes.items():
+        data = FitData.of(kept, crane, rate=np.inf, step=FINE).shifted(start.late)
+        own = start.starts[:, : model_of(crane, data).nx]  # of a pendulum that only the last one has, nothing
+        measured, simulated = open_loop(crane, data, own, "semi-recursive")
+        lines |= {"measured": measured, label: simulated}
+    return lines
 
 
 class _Following(Estimator):

@@ -12,7 +12,7 @@ from .findings import PREDICTED_BADLY, VIOLATED, people_unit
 from .phases import LOW_PRESSURE, REST, REVERSAL, STROKE_END, Phase, kinds, moving, together
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from crane_exudyn.layout import Layout
 
-    from .compare import Comparison
+    from .compare import Comparison, Series
 
 #: colours of the kinds of work: extending warm, retracting cold, what is special dark
 _COLORS = {REST: "#eeeeee", REVERSAL: "#7A5C8E", LOW_PRESSURE: "#3E6E5A", STROKE_END: "#333333"}
@@ -198,3 +198,41 @@ def _work(axes: Axes, found: Sequence[tuple[str, np.ndarray, np.ndarray]], j: in
     axes.invert_yaxis()
     axes.set_xlabel(unit)
     axes.set_title(_label(layout.equations[j]), loc="left", fontsize=9)
+
+
+#: panels of a figure of traces, and s that its last one shows
+_TRACES, _CLOSER = 3, 1.5
+
+
+def traces_figure(lines: Mapping[str, Series], layout: Layout) -> Figure:
+    """Return the channels in which the first model errs most, over time, and below the worst one where it is worst.
+
+    Args:
+        lines: "measured", then models by label: channel -> (time (n,), values (n,)), as `compare.from_one_start` gives them.
+        layout: of the machine.
+    """
+    measured, first = lines["measured"], lines[next(label for label in lines if label != "measured")]
+    sizes = layout.sensors
+    off = {n: np.abs(first[n][1] - y) / sizes[n].sizes.noise for n, (_, y) in measured.items()}
+    worst = sorted(off, key=lambda n: -float(np.sqrt(np.mean(off[n] ** 2))))[:_TRACES]
+    made = plots.figure(len(worst) + 1, height=1.45, sharex=False)
+    time = measured[worst[0]][0]
+    peak = float(time[np.argmax(np.convolve(off[worst[0]] ** 2, np.ones(1 + len(time) // 40), "same"))])
+    begin = min(max(peak - 0.5 * _CLOSER, time[0]), max(time[-1] - _CLOSER, time[0]))
+    for axes, name in zip(made.axes, (*worst, worst[0]), strict=True):
+        shown = {label: named[name] for label, named in lines.items()}
+        if axes is made.axes[-1]:
+            shown = {label: _cut(line, begin, begin + _CLOSER) for label, line in shown.items()}
+        plots.draw_lines(axes, shown["measured"][0], shown, channel=name, layout=layout)
+    with plots.style():
+        made.axes[-1].set_title("closer", loc="right", fontsize=9)
+        made.axes[-1].set_xlabel("time / s")
+    made.align_ylabels()
+    plots.legend_above(made)
+    return made
+
+
+def _cut(line: tuple[np.ndarray, np.ndarray], begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    time, values = line
+    inside = (time >= begin) & (time <= end)
+    return time[inside], values[inside]

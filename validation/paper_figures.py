@@ -66,3 +66,26 @@ def figure_7(case: Case) -> Figure:
     made.align_ylabels()
     plots.legend_above(made)
     return made
+
+
+#: s, and the state shown there: no sensor sees it
+_CLOSER = (((4.8, 6.0), "p2"), ((11.8, 13.0), "p3"))
+
+
+def following_figure(case: Case) -> Figure:
+    """Return true, simulated and estimated states: angles over the whole cycle, pressures without a sensor over short times."""
+    made = plots.figure(4, height=1.5, sharex=False)
+    time = case.experiment.time
+    panels = [((time[0], time[-1]), "z1"), ((time[0], time[-1]), "z4"), *_CLOSER]
+    for axes, ((start, end), name) in zip(made.axes, panels, strict=True):
+        i, part = STATES.index(name), (time >= start) & (time <= end)
+        lines = {
+            "true": case.experiment.truth[part, i],
+            "simulated, model alone": case.open_loop[part, i],
+            "estimated by the filter": case.estimate.mean[part, i],
+        }
+        plots.draw_lines(axes, time[part], lines, channel=name)
+    made.axes[-1].set_xlabel("time / s")
+    made.align_ylabels()
+    plots.legend_above(made)
+    return made

@@ -1,7 +1,8 @@
 """Reports: one HTML file with the verdict first, then figures, tables, and what is needed to repeat it.
 
 The file needs no network and no second file: pictures stand inside as data, the style is in the page. A report is made of
-sections; a section is a title and parts; a part is a paragraph (text), a `Table`, a `Picture` or a matplotlib figure.
+sections; a section is a title and parts; a part is a paragraph (text), a `Table`, a `Picture`, a matplotlib figure, or `Links` to files
+beside it.
 
     write_report("out/report", "Lift test", "The model explains the recording.",
                  [("Angles", [figure, "The lift boom follows.", Table(("channel", "RMSE"), [("z1", 0.02)])])])
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FILE_NAME",
     "PACKAGES",
+    "Links",
     "Mood",
     "Part",
     "Picture",
@@ -79,7 +81,14 @@ class Picture:
     caption: str
 
 
-Part = str | Table | Picture | Any
+@dataclass(frozen=True)
+class Links:
+    """A list of links of a report to files that stand in its folder."""
+
+    files: Sequence[Path]
+
+
+Part = str | Table | Picture | Links | Any
 Section = tuple[str, Sequence[Part]]
 
 
@@ -202,6 +211,8 @@ def _part(part: Part) -> dict[str, Any]:
             "kind": "table",
             "html": table_html(part.columns, part.rows, title=part.title, note=part.note),
         }
+    if isinstance(part, Links):
+        return {"kind": "links", "names": [file.name for file in part.files]}
     picture = part if isinstance(part, Picture) else Picture(part, _title_of(part))
     return {"kind": "picture", "caption": picture.caption, "source": _source(picture.content)}
 

@@ -17,14 +17,35 @@ from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import simulate
 from crane_exudyn.units import factor_to_si
 
-#: s, and steps of the recordings
-_DURATION, _STEP = 20.0, 0.005
-#: of the first valve: when it opens, for how long, by how much, in s; the next one does the same so much later; ramps
-_PULSES = {
-    "learn": ((1.5, 2.0, 0.3), (6.5, 1.5, -0.2), (11.0, 1.5, 0.2), (15.0, 1.5, -0.3)),
-    "check": ((1.0, 1.2, 0.4), (5.5, 2.0, -0.25), (10.0, 2.2, 0.15), (14.5, 1.0, -0.2)),
+#: s, step of the recordings, and of the ramps with which valves open
+_STEP, _RAMP = 0.005, 0.15
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """What an operator does: a duration in s, and pulses of the first valve (when it opens, for how long, by how much).
+
+    The next valve does the same `later` seconds after.
+    """
+
+    duration: float
+    pulses: tuple[tuple[float, float, float], ...]
+    later: float
+
+    def commands(self, time: np.ndarray, valve: int) -> np.ndarray:
+        """Return the command (n,) of a valve, which opens and closes by ramps."""
+        corners = [
+            (t, u)
+            for begin, lasts, size in self.pulses
+            for t, u in ((begin, 0.0), (begin + _RAMP, size), (begin + lasts, size), (begin + lasts + _RAMP, 0.0))
+        ]
+        return np.interp(time - valve * self.later, *np.array(corners).T)
+
+
+_MANOEUVRES = {
+    "learn": Manoeuvre(20.0, ((1.5, 2.0, 0.3), (6.5, 1.5, -0.2), (11.0, 1.5, 0.2), (15.0, 1.5, -0.3)), later=2.2),
+    "check": Manoeuvre(20.0, ((1.0, 1.2, 0.4), (5.5, 2.0, -0.25), (10.0, 2.2, 0.15), (14.5, 1.0, -0.2)), later=2.2),
 }
-_LATER, _RAMP = 2.2, 0.15
 #: the effect that is hidden, at the first cylinder: a third of a litre a minute at 50 bar
 _EFFECT, _VALUES = "internal_leakage", {"k": 1e-12}
 #: how the logger writes each quantity: name, unit, sign
@@ -54,8 +75,9 @@ def samples(crane: Crane) -> list[Sample]:
     """Return all files to play with, of a crane."""
     lay = crane.layout
     key = f"{_EFFECT}@{lay.cylinders[0]}"
-    sound = recorded(crane, "learn")
-    learn, check = (recorded(crane.with_effect(key, _VALUES), part) for part in _PULSES)
+    sound = recorded(crane, "learn", _MANOEUVRES["learn"], seed=0)
+    leaky = crane.with_effect(key, _VALUES)
+    learn, check = (recorded(leaky, name, how, seed) for seed, (name, how) in enumerate(_MANOEUVRES.items(), 1))
     table, mapping = _logged(sound)
     a, b = lay.sides[0]
     last = lay.commands[-1]
@@ -71,30 +93,27 @@ def samples(crane: Crane) -> list[Sample]:
     ]  # fmt: skip
 
 
-def recorded(crane: Crane, part: str) -> Recording:
+def recorded(crane: Crane, name: str, manoeuvre: Manoeuvre, seed: int) -> Recording:
     """Return what usual sensors of a crane show while its valves open one after the other."""
     from .semi_recursive import SemiRecursiveEngine
 
     lay = crane.layout
-    time = np.arange(round(_DURATION / _STEP) + 1) * _STEP
-    commands = {n: _pulses(time - c * _LATER, part) for c, n in enumerate(lay.commands)}
-    run = simulate(crane, Recording.from_arrays(part, time, commands, layout=lay), engine=SemiRecursiveEngine(crane))
-    rng = np.random.default_rng(len(part))
+    time = np.arange(round(manoeuvre.duration / _STEP) + 1) * _STEP
+    commands = {n: manoeuvre.commands(time, c) for c, n in enumerate(lay.commands)}
+    run = simulate(crane, Recording.from_arrays(name, time, commands, layout=lay), engine=SemiRecursiveEngine(crane))
+    rng = np.random.default_rng(seed)
     shown = {
         n: run[n] + lay.sensors[n].sizes.noise * rng.standard_normal(len(time))
         for n in (*lay.coordinates, *lay.chambers)
     }
-    return Recording.from_arrays(part, time, commands | shown, layout=lay)
+    return Recording.from_arrays(name, time, commands | shown, layout=lay)
 
 
-def _pulses(time: np.ndarray, part: str) -> np.ndarray:
-    """Return the command (N,) of a valve that opens and closes by ramps."""
-    corners = [
-        (t, u)
-        for begin, lasts, size in _PULSES[part]
-        for t, u in ((begin, 0.0), (begin + _RAMP, size), (begin + lasts, size), (begin + lasts + _RAMP, 0.0))
-    ]
-    return np.interp(time, *np.array(corners).T)
+def with_the_package() -> tuple[Recording, Recording]:
+    """Return the two recordings that come with the package, of one crane that is not as its file says."""
+    folder = Path(__file__).parent / "data"
+    learn, check = (Recording.load(folder / f"demo_{part}.csv.gz") for part in ("learn", "check"))
+    return learn, check
 
 
 def _logged(recording: Recording) -> tuple[dict[str, np.ndarray], dict[str, Column]]:

@@ -17,6 +17,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import Parameter
+from crane_exudyn.effects.curve import Table
 from crane_exudyn.layout import Layout
 
 #: scale of a parameter of which only a range is known: this share of the range
@@ -125,6 +126,40 @@ class EffectParameter:
         """u at which the effect is off."""
         return self.to_u(self.parameter.neutral) if self._about_start else 0.0
 
+    @property
+    def begin(self) -> float:
+        """u of the starting value."""
+        return self.to_u(self.start)
+
+
+@dataclass(frozen=True)
+class CurveDirection:
+    """A joint move of the values of a curve (`Effect.curve`): value k moves by weights[k] (SI) per unit of u, whose prior deviation is 1.
+
+    `start` are the effect's parameters at u = 0.
+    """
+
+    key: str
+    number: int
+    start: Mapping[str, float]
+    weights: Mapping[str, float]
+    prior: float = 1.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    difference: float = 1e-3
+    begin: float = 0.0
+    recording: ClassVar[None] = None
+
+    @property
+    def name(self) -> str:
+        """ "name@place:curve number"."""
+        return f"{self.key}:curve {self.number}"
+
+    def moved(self, values: dict[str, float], u: float) -> None:
+        """Add the move to the effect's parameters, in place."""
+        for name, weight in self.weights.items():
+            values[name] += weight * u
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -143,7 +178,8 @@ class Timing:
     recording: int | None = None
 
 
-Variable = NominalDirection | EffectParameter | Timing
+EffectVariable = EffectParameter | CurveDirection
+Variable = NominalDirection | EffectVariable | Timing
 
 
 def acts(variable: Variable, recording: int | None) -> bool:
@@ -153,7 +189,7 @@ def acts(variable: Variable, recording: int | None) -> bool:
 
 def alone(variable: Variable) -> Variable:
     """Return the variable as one of the only recording that there is."""
-    return variable if isinstance(variable, EffectParameter) else replace(variable, recording=None)
+    return replace(variable, recording=None) if isinstance(variable, NominalDirection | Timing) else variable
 
 
 def lateness(variables: Sequence[Variable], u: np.ndarray, recording: int | None = None) -> float:
@@ -170,19 +206,53 @@ def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
     return replace(parameter, unit=unit_at(parameter.unit, place, layout), typical=parameter.neutral + telling)
 
 
-def stated_effects(crane: Crane) -> list[EffectParameter]:
-    """Return the variables of the effects that a crane file has, held near its values."""
-    return [replace(v, stated=True) for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
+def stated_effects(crane: Crane) -> list[EffectVariable]:
+    """Return the variables of the effects that a crane file has, held near its values (those of curves have a prior of their own)."""
+    found = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
+    return [replace(v, stated=True) if isinstance(v, EffectParameter) else v for v in found]
 
 
-def effect_variables(key: str, start: Mapping[str, float], layout: Layout) -> list[EffectParameter]:
-    """Return the variables of the effect "name@place" of a machine with starting values (SI); others start neutral."""
+def effect_variables(key: str, start: Mapping[str, float], layout: Layout) -> list[EffectVariable]:
+    """Return the variables of the effect "name@place" of a machine with starting values (SI); others start neutral.
+
+    Those of a curve are joint moves of its values, smooth ones more than others.
+    """
     effect, place = registry.split_key(key, layout)
+    if effect.curve is not None:
+        return list(curve_variables(key, start, prior_root(effect.curve.table(start))))
     parameters = [at_place(p, place, layout) for p in effect.parameters]
     return [
         EffectParameter(key, p, float(start.get(p.name, p.neutral)), _MOMENT / abs(p.typical) if is_moment(p) else 1e-4)
         for p in parameters
     ]
+
+
+def curve_variables(key: str, start: Mapping[str, float], root: np.ndarray) -> list[CurveDirection]:
+    """Return the variables of a curve: column k of `root` (knots, m) is what variable k moves, SI."""
+    return [
+        CurveDirection(key, k, dict(start), {f"y{i + 1}": float(w) for i, w in enumerate(column)})
+        for k, column in enumerate(root.T)
+    ]
+
+
+def prior_root(table: Table, size: float | None = None, bend: float = 10.0) -> np.ndarray:
+    """Return B (knots, m) of a curve's prior y = neutral + B u, u standard normal: a line, and a doubly integrated random walk.
+
+    Args:
+        table: knots; a curve that begins in (0, 0) keeps that.
+        size: standard deviation (SI) of the curve at the ends of the line; by default the greatest departure of the curve from the neutral one.
+        bend: how much more the walk may depart from the line over the whole range.
+    """
+    x = np.array(table.x)
+    departure = np.abs(np.array(table.y) - [table.over.neutral(v) for v in x]).max()
+    size = size or max(float(departure), abs(table.over.size))
+    t = (x - x[0]) / (x[-1] - x[0])
+    least, apart = np.minimum.outer(t, t), np.abs(np.subtract.outer(t, t))
+    line = np.outer(t, t) if table.over.from_zero else 0.5 * (1.0 + np.outer(2.0 * t - 1.0, 2.0 * t - 1.0))
+    K = line + bend**2 * (least**3 / 3.0 + 0.5 * apart * least**2)
+    values, vectors = np.linalg.eigh(K)
+    kept = values > 1e-9 * values[-1]
+    return size * vectors[:, kept] * np.sqrt(values[kept])
 
 
 def is_moment(parameter: Parameter) -> bool:
@@ -199,6 +269,8 @@ def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray, r
             continue
         if isinstance(variable, NominalDirection):
             variable.moved(values, float(number))
+        elif isinstance(variable, CurveDirection):
+            variable.moved(effects.setdefault(variable.key, dict(variable.start)), float(number))
         elif isinstance(variable, EffectParameter):
             effects.setdefault(variable.key, {})[variable.parameter.name] = variable.to_value(float(number))
     changed = crane.with_parameters(physical(crane, values))

@@ -35,7 +35,8 @@ def fitted_effect(
     Raises:
         CraneError: no such effect, the crane has it already, or the recording cannot be true.
     """
-    registry.split_key(key, crane.layout)
+    if registry.split_key(key, crane.layout)[0].curve is not None:
+        raise CraneError(f"{key!r} is a curve, which has no typical size to be fitted from. Find it with `patu learn`.")
     if crane.effect(key) is not None:
         raise CraneError(
             f"{crane.name} has {key!r} already. Remove it first, or fit everything anew with `patu improve`."

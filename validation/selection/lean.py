@@ -41,7 +41,7 @@ def _with(crane: Crane, data: Data, full: Fitted, before: Fit, variables: Sequen
     return fitted(crane, data, Model(tuple(variables), full.model.effects), before, (STIFF,))
 
 
-def needed(crane: Crane, fit: Fit, most: int) -> list[Variable]:
+def needed(crane: Crane, fit: Fit, most: int = _MOST) -> list[Variable]:
     """Return the nominal parameters whose freedom the linearised fit supports, the most telling first."""
     names = {v.name for v in fit.variables}
     every = uncertain_parameters(crane, fit.data.own, len(fit.data.parts))

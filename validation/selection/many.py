@@ -35,7 +35,9 @@ from ..fit.staged import (
     timings,
 )
 from ..fit.variables import (
+    CurveDirection,
     EffectParameter,
+    EffectVariable,
     NominalDirection,
     Timing,
     Variable,
@@ -188,13 +190,13 @@ def _end(data: FitData) -> float:
     return float(data.time[0] + CRITERIA.learned * (data.time[-1] - data.time[0]))
 
 
-def _variables(crane: Crane, keys: Sequence[str]) -> list[EffectParameter]:
+def _variables(crane: Crane, keys: Sequence[str]) -> list[EffectVariable]:
     """Return the variables of effects that a crane has, as they are."""
     return [v for k in keys for v in effect_variables(k, parameters_of(crane, k), crane.layout)]
 
 
 def _carried(
-    crane: Crane, data: Data, shared: Sequence[Variable], effects: Sequence[EffectParameter], before: Fit,
+    crane: Crane, data: Data, shared: Sequence[Variable], effects: Sequence[EffectVariable], before: Fit,
     stages: Sequence[Stage], kept: Sequence[str],
 ) -> Fit:  # fmt: skip
     """Return a fit that goes on from another; of the effects those in `kept` that would fall asleep are held as they were before.
@@ -213,7 +215,7 @@ def _carried(
 
 def _neutral(found: Fit, key: str) -> bool:
     """Whether an effect that a fit moves has gone where it does nothing."""
-    return all(
+    return not any(isinstance(v, CurveDirection) and v.key == key for v in found.variables) and all(
         abs(u - v.neutral) < 1e-3
         for v, u in zip(found.variables, found.u, strict=True)
         if isinstance(v, EffectParameter) and v.key == key and not v.parameter.shape
@@ -274,13 +276,14 @@ def _following(search: _Search, now: Standing) -> Fit:
     return replace(found, data=data, windows=tuple(cut(data, SHORT)))
 
 
-def _tried(search: _Search, now: Standing, new: Sequence[EffectParameter]) -> Fit:
+def _tried(search: _Search, now: Standing, new: Sequence[EffectVariable]) -> Fit:
     """Return the fit with a new effect: first everything else finds its place beside it, then it is free as well.
 
     Where an effect starts with its full size, a step in all variables at once is far from linear and stalls.
     """
     data, old = now.fit.data, _variables(now.fit.crane, now.keys)
-    beside = search.crane.with_effect(new[0].key, {v.parameter.name: v.start for v in new})
+    values = {v.parameter.name: v.start for v in new if isinstance(v, EffectParameter)}
+    beside = search.crane.with_effect(new[0].key, values)
     first = _carried(beside, data, search.shared, old, now.fit, joined(3), now.keys)
     return _carried(search.crane, data, search.shared, [*old, *new], first, joined(6), now.keys)
 
@@ -334,9 +337,12 @@ def _everything(search: _Search, keys: Sequence[str], before: Fit, crane: Crane)
         name = next(iter(v.weights))
         has = crane if v.recording is None else before.of(v.recording).crane
         values.append((has[name] - given[name]) / v.weights[name])
-    values += [v.to_u(parameters_of(crane, v.key)[v.parameter.name]) for v in stated]
+    values += [
+        v.to_u(parameters_of(crane, v.key)[v.parameter.name]) if isinstance(v, EffectParameter) else v.begin
+        for v in stated
+    ]
     own = _variables(crane, keys)
-    return [*clocks, *nominal, *stated, *own], np.array([*values, *(v.to_u(v.start) for v in own)])
+    return [*clocks, *nominal, *stated, *own], np.array([*values, *(v.begin for v in own)])
 
 
 def _believable(v: NominalDirection) -> NominalDirection:

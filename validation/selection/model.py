@@ -24,7 +24,15 @@ from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
 from ..fit.staged import FINE, START, Stage, first_knots, residuals, rms, staged, timing_of
-from ..fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
+from ..fit.variables import (
+    CurveDirection,
+    EffectParameter,
+    EffectVariable,
+    NominalDirection,
+    Variable,
+    effect_variables,
+    uncertain_parameters,
+)
 from .criteria import CRITERIA
 
 #: a standard deviation of that many typical sizes means that the data say nothing
@@ -45,7 +53,7 @@ class Model:
         """The effects' names with their places."""
         return tuple(self.effects)
 
-    def own(self, layout: Layout) -> list[EffectParameter]:
+    def own(self, layout: Layout) -> list[EffectVariable]:
         """Return the variables of its effects."""
         return [v for key, values in self.effects.items() for v in effect_variables(key, values, layout)]
 
@@ -81,22 +89,14 @@ class Fitted:
         return unexplained(self.fit)
 
     @property
-    def _moves(self) -> np.ndarray:
-        pairs = zip(self.fit.variables, self.fit.u, strict=True)
-        return np.array(
-            [u / v.prior for v, u in pairs if math.isfinite(v.prior) and not isinstance(v, EffectParameter)]
-        )
-
-    @property
     def strain(self) -> float:
         """Half the sum of squares of the moves of nominal parameters, in standard uncertainties: their log prior, up to a sign."""
-        return 0.5 * float(np.square(self._moves).sum())
+        return 0.5 * float(np.square(_moves(self.fit)).sum())
 
     @property
     def plausible(self) -> bool:
         """Whether the moved parameters, taken together, are what their stated uncertainties allow."""
-        known = len(self._moves)
-        return known == 0 or 2.0 * self.strain < float(chi2.isf(CRITERIA.implausible, known))
+        return plausible(self.fit)
 
     @property
     def good(self) -> bool:
@@ -142,15 +142,27 @@ class Fitted:
 
     def deviations(self, key: str) -> dict[str, float]:
         """Return the standard deviation (SI) of each fitted parameter of an effect; infinite where the data do not determine it."""
-        return {
+        found = {
             v.parameter.name: deviation(v, float(u), math.sqrt(max(float(spread), 0.0)))
             for v, u, spread in zip(self.fit.variables, self.fit.u, np.diag(self.fit.cov), strict=True)
             if isinstance(v, EffectParameter) and v.key == key
         }
+        return found | _curve_deviations(self.fit, key)
 
     def at_bound(self, key: str) -> list[str]:
         """Return the parameters of an effect that the fit has driven to an end of their range."""
         return at_bound(self.fit, key)
+
+
+def _moves(fit: Fit) -> np.ndarray:
+    pairs = zip(fit.variables, fit.u, strict=True)
+    return np.array([u / v.prior for v, u in pairs if math.isfinite(v.prior) and not isinstance(v, EffectVariable)])
+
+
+def plausible(fit: Fit) -> bool:
+    """Whether the parameters that a fit moved, taken together, are what their stated uncertainties allow."""
+    moves = _moves(fit)
+    return not len(moves) or float(np.square(moves).sum()) < float(chi2.isf(CRITERIA.implausible, len(moves)))
 
 
 def at_bound(fit: Fit, key: str) -> list[str]:
@@ -170,6 +182,15 @@ def parameters_of(crane: Crane, key: str) -> dict[str, float]:
     if acting is None:
         raise CraneError(f"{crane.name} has no effect {key!r}.")
     return dict(acting.parameters)
+
+
+def _curve_deviations(fit: Fit, key: str) -> dict[str, float]:
+    """Return the standard deviation (SI) of each value of a curve; none for another effect."""
+    at = [i for i, v in enumerate(fit.variables) if isinstance(v, CurveDirection) and v.key == key]
+    names = sorted({n for i in at for n in fit.variables[i].weights}, key=lambda n: int(n[1:]))  # type: ignore[union-attr]
+    root = np.array([[fit.variables[i].weights[n] for i in at] for n in names])  # type: ignore[union-attr]
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", root, fit.cov[np.ix_(at, at)], root), 0.0)) if names else []
+    return {n: float(s) for n, s in zip(names, spread, strict=True)}
 
 
 def deviation(variable: EffectParameter, u: float, spread: float) -> float:
@@ -206,8 +227,8 @@ def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
 
     Beside a new effect parameters begin unmoved (nothing is known of them): they may have moved to do its work.
     """
-    if isinstance(variable, EffectParameter):
-        return variable.to_u(variable.start)
+    if isinstance(variable, EffectVariable):
+        return variable.begin
     if not isinstance(variable, NominalDirection) or not set(variable.weights) <= set(known):
         return 0.0
     scale = {

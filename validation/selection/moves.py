@@ -38,7 +38,7 @@ def starts(crane: Crane, data: Data, *, moments: float = _MOMENTS) -> list[Start
         if _is_measured(effect, data):
             continue
         for key, place in zip(effect.keys(lay), effect.on(lay), strict=True):
-            if crane.effect(key) is None and _can_show(effect, place, data, lay):
+            if effect.curve is None and crane.effect(key) is None and _can_show(effect, place, data, lay):
                 first = at_place(effect.parameters[0], place, lay)
                 found += [Start(key, values, _two_sided(effect)) for values in _values(effect, first, data, moments)]
     return found

@@ -156,9 +156,8 @@ class Problem:
         known = {v.name: u for v, u in zip(fit.variables, fit.u, strict=True)}
         own = model.own(self.crane.layout)
         variables = (*self.base.variables, *own)
-        u = [known.get(v.name, 0.0) for v in self.base.variables] + [v.to_u(v.start) for v in own]
-        unknown = np.full((len(u), len(u)), math.nan)
-        return replace(fit, origin=self.crane, variables=variables, u=np.array(u), cov=unknown)
+        u = [known.get(v.name, 0.0) for v in self.base.variables] + [v.begin for v in own]
+        return fit.begun(self.crane, variables, np.array(u))
 
 
 def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
