@@ -159,7 +159,7 @@ def test_parameters_moved_far_are_tied_with_one_effect_that_explains_at_once():
 def test_what_a_shift_of_the_clock_does_is_no_effect():
     """Where in a sampling interval a command came is not recorded."""
     crane = Crane.load("patu655")
-    data = FitData.of(Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0), crane)
+    data = FitData.of(Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 8.0), crane)
     problem = SimpleNamespace(data=SimpleNamespace(parts=(data,)))
     for key, values, within in (
         ("command_delay@lift", {"T": 0.004}, True), ("command_delay@lift", {"T": 0.03}, False),

@@ -47,7 +47,7 @@ from ..fit.variables import (
 )
 from .criteria import CRITERIA
 from .levels import DRIFT, Errors, Levels, falls, levels_of, likelihood
-from .model import at_bound, begin, deviation, parameters_of, values_of, with_effects
+from .model import Fitted, Model, at_bound, begin, parameters_of, values_of, with_effects
 from .moves import scaled, starts
 from .screen import screen
 from .search import Problem, in_parallel
@@ -117,57 +117,49 @@ class Many:
 
 @dataclass(frozen=True)
 class Standing:
-    """Where the search stands: a fit, the effects that it took in, the error levels of the round, and effects that were demanded but not taken."""
+    """Where the search stands: a fit to the first part of each recording (`learned`, with the sensors' noise), the effects that it took in, the error levels of
+    the round, and effects that were demanded but not taken: a linear look from a model without them may not show them a second time."""
 
+    learned: Data
     fit: Fit
     keys: tuple[str, ...]
     levels: Levels
     tried: Mapping[str, Mapping[str, float]]
 
 
-@dataclass(frozen=True)
-class _Search:
-    """What does not change: the crane as given, all data and those that are learned from (both with the sensors' noise), and shared variables."""
-
-    crane: Crane
-    whole: Data
-    learned: Data
-    shared: tuple[Variable, ...]
-    jobs: int
-
-
 def search_many(problem: Problem, most: int, progress: Progress = lambda text, share: None) -> Many | None:
     """Return the crane with at most so many effects taken in one by one, or None where none is worth it."""
-    search, standing = _begun(problem)
-    nominal = last = judged(search, standing.fit)
+    problem, standing = _begun(problem)
+    nominal = last = judged(problem, standing.fit)
     taken: list[Taken] = []
     while len(taken) < most:
         progress(f"looking for effect {len(taken) + 1}", 0.05 + 0.6 * len(taken) / most)
-        offered = _offered(search, standing)
-        chosen = _best(search, offered, last)
+        offered = _offered(problem, standing)
+        chosen = _best(problem, offered, last)
         if chosen is None:
             break
         key, found, last = chosen
         gains = {k: gain for k, gain, _ in offered}
         taken.append(Taken(key, gains.pop(key), gains))
         again = {k: parameters_of(f.crane, k) for k, gain, f in offered if gain > CRITERIA.demanded and k != key}
-        standing = _relevelled(search, replace(standing, fit=found, keys=(*standing.keys, key), tried=again))
+        standing = _relevelled(problem, replace(standing, fit=found, keys=(*standing.keys, key), tried=again))
     if not taken:
         return None
     progress("fitting everything together", 0.7)
-    return _together(search, standing, taken, (nominal[1], last[1]), progress)
+    return _together(problem, standing, taken, (nominal[1], last[1]), progress)
 
 
-def _begun(problem: Problem) -> tuple[_Search, Standing]:
-    """Return the search before its first round: nominal parameters fitted to the first part of each recording, levels of the channels found."""
-    whole = problem.data.stepped(STEP)
-    learned = _first_part(whole)
-    base = all_parameters(problem.crane, learned, (Stage(SHORT, 1.0, 5, STEP),))
-    shared = (*informed_directions(base), *stated_effects(problem.crane))
-    search = _Search(problem.crane, whole, learned, shared, problem.jobs)
-    raised = Levels({c: max(1.0, e) for c, e in base.errors.items()})
-    current = staged(search.crane, raised.raised(learned), shared, _begins(shared, base), base, joined(8))
-    return search, _relevelled(search, Standing(current, (), Levels({c: math.inf for c in base.errors}), {}))
+def _begun(problem: Problem) -> tuple[Problem, Standing]:
+    """Return the problem in coarse steps, and where its search begins: nominal parameters fitted, levels of the channels found."""
+    crane, whole = problem.crane, problem.data.stepped(STEP)
+    learned = replace(whole, parts=tuple(map(_part, whole.parts))) if isinstance(whole, Joint) else _part(whole)
+    base = all_parameters(crane, learned, (Stage(SHORT, 1.0, 5, STEP),))
+    shared = (*informed_directions(base), *stated_effects(crane))
+    raised = Levels({c: max(1.0, e) for c, e in base.errors.items()}).raised(learned)
+    current = staged(crane, raised, shared, _begins(shared, base), base, joined(8))
+    problem = replace(problem, data=whole, shared=shared)
+    standing = Standing(learned, current, (), Levels(dict.fromkeys(base.errors, math.inf)), {})
+    return problem, _relevelled(problem, standing)
 
 
 def _begins(variables: Sequence[Variable], before: Fit) -> np.ndarray:
@@ -175,14 +167,8 @@ def _begins(variables: Sequence[Variable], before: Fit) -> np.ndarray:
     return np.array([known.get(v.name, begin(v, before, known)) for v in variables])
 
 
-def _first_part(data: Data) -> Data:
-    """Return the part of each recording that is learned from."""
-    if isinstance(data, Joint):
-        return replace(data, parts=tuple(_part(p) for p in data.parts))
-    return _part(data)
-
-
 def _part(data: FitData) -> FitData:
+    """Return the part of a recording that is learned from."""
     return data.part(0, int(np.searchsorted(data.time, _end(data))))
 
 
@@ -222,13 +208,13 @@ def _neutral(found: Fit, key: str) -> bool:
     )
 
 
-def _relevelled(search: _Search, now: Standing) -> Standing:
+def _relevelled(problem: Problem, now: Standing) -> Standing:
     """Return the standing with the channels' levels as its model leaves them, never higher than before, all fitted again.
 
     By way of one open-loop run: slow drifts do not show in windows of two seconds.
     """
-    levels = levels_of(now.fit, search.learned, now.levels.of)
-    data, crane, shared, keys = levels.raised(search.learned), search.crane, search.shared, now.keys
+    levels = levels_of(now.fit, now.learned, now.levels.of)
+    data, crane, shared, keys = levels.raised(now.learned), problem.crane, problem.shared, now.keys
     long = _carried(crane, data, shared, _variables(now.fit.crane, keys), now.fit, run(6), keys)
     near = replace(long, knots=now.fit.knots, windows=now.fit.windows)  # its parameters, where the windows stand
     again = _carried(crane, data, shared, _variables(long.crane, keys), near, joined(6), keys)
@@ -238,24 +224,24 @@ def _relevelled(search: _Search, now: Standing) -> Standing:
 # -- one round -------------------------------------------------------------------------------------------------------
 
 
-def _offered(search: _Search, now: Standing) -> list[tuple[str, float, Fit]]:
+def _offered(problem: Problem, now: Standing) -> list[tuple[str, float, Fit]]:
     """Return effects fitted beside those taken in: key, gain in log evidence, fit; best first."""
-    begins = _promising(search, now) | dict(now.tried)
-    own = [effect_variables(k, v, search.crane.layout) for k, v in begins.items()]
-    fits = in_parallel(search.jobs, [(_tried, search, now, variables) for variables in own])
+    begins = _promising(problem, now) | dict(now.tried)
+    own = [effect_variables(k, v, problem.crane.layout) for k, v in begins.items()]
+    fits = in_parallel(problem.jobs, [(_tried, problem, now, variables) for variables in own])
     bare = log_evidence(now.fit)
     gains = [(k, log_evidence(f) - bare, f) for k, f in zip(begins, fits, strict=True) if not at_bound(f, k)]
     return sorted((g for g in gains if math.isfinite(g[1])), key=lambda g: -g[1])
 
 
-def _promising(search: _Search, now: Standing) -> dict[str, Mapping[str, float]]:
+def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]]:
     """Return what to try: the best of a screen in long windows, and the best of one in short windows that follow the machine.
 
     The long ones show what adds up; in the short ones a chamber that the model takes for stiff still stands where the machine's stands, so
     that an effect that changes all from there on (air) is seen at all.
     """
-    begins = starts(now.fit.crane, search.learned)
-    looks = [screen(f, begins, stiffness) for f, stiffness in ((now.fit, JOINED), (_following(search, now), 1.0))]
+    begins = starts(now.fit.crane, now.learned)
+    looks = [screen(f, begins, stiffness) for f, stiffness in ((now.fit, JOINED), (_following(problem, now), 1.0))]
     best = [
         list({s.start.key: s for s in reversed(look) if s.gain >= CRITERIA.promise}.values())[::-1] for look in looks
     ]
@@ -266,29 +252,29 @@ def _promising(search: _Search, now: Standing) -> dict[str, Mapping[str, float]]
     return chosen
 
 
-def _following(search: _Search, now: Standing) -> Fit:
+def _following(problem: Problem, now: Standing) -> Fit:
     """Return the current model in short, loosely joined windows, with the error levels that it has there."""
-    data, knots = search.learned, first_knots(now.fit.crane, search.learned, SHORT)
+    data, knots = now.learned, first_knots(now.fit.crane, now.learned, SHORT)
     for _ in range(2):
         windows = cut(data, SHORT)
-        found = fit(search.crane, data, windows, knots, now.fit.variables, now.fit.u, stiffness=1.0, iterations=2)
-        data = levels_of(found, search.learned).raised(search.learned)
+        found = fit(problem.crane, data, windows, knots, now.fit.variables, now.fit.u, stiffness=1.0, iterations=2)
+        data = levels_of(found, now.learned).raised(now.learned)
     return replace(found, data=data, windows=tuple(cut(data, SHORT)))
 
 
-def _tried(search: _Search, now: Standing, new: Sequence[EffectVariable]) -> Fit:
+def _tried(problem: Problem, now: Standing, new: Sequence[EffectVariable]) -> Fit:
     """Return the fit with a new effect: first everything else finds its place beside it, then it is free as well.
 
     Where an effect starts with its full size, a step in all variables at once is far from linear and stalls.
     """
     data, old = now.fit.data, _variables(now.fit.crane, now.keys)
     values = {v.parameter.name: v.start for v in new if isinstance(v, EffectParameter)}
-    beside = search.crane.with_effect(new[0].key, values)
-    first = _carried(beside, data, search.shared, old, now.fit, joined(3), now.keys)
-    return _carried(search.crane, data, search.shared, [*old, *new], first, joined(6), now.keys)
+    beside = problem.crane.with_effect(new[0].key, values)
+    first = _carried(beside, data, problem.shared, old, now.fit, joined(3), now.keys)
+    return _carried(problem.crane, data, problem.shared, [*old, *new], first, joined(6), now.keys)
 
 
-def _best(search: _Search, offered: Sequence[tuple[str, float, Fit]], last: Judged) -> tuple[str, Fit, Judged] | None:
+def _best(problem: Problem, offered: Sequence[tuple[str, float, Fit]], last: Judged) -> tuple[str, Fit, Judged] | None:
     """Return the effect with which whole runs have the least error, over what was learned from and what was not: key, fit, errors.
 
     Of those that the data demand, at least half as much as the first, and that make the errors fall; None if there is none. Windows
@@ -298,38 +284,40 @@ def _best(search: _Search, offered: Sequence[tuple[str, float, Fit]], last: Judg
     for key, gain, fit_with in offered:
         if gain < max(CRITERIA.demanded, CRITERIA.serious * offered[0][1]):
             break
-        errors = judged(search, fit_with)
+        errors = judged(problem, fit_with)
         fall, ahead = (falls(a, b) for a, b in zip(last, errors, strict=True))
         if fall + ahead > CRITERIA.gained and ahead > -CRITERIA.tolerated:
             found.append((fall + ahead, key, fit_with, errors))
     return max(found, key=lambda f: f[0])[1:] if found else None
 
 
-def judged(search: _Search, found: Fit) -> Judged:
+def judged(problem: Problem, found: Fit) -> Judged:
     """Return open-loop errors by channel over what was learned from, and over the rest, into which the same runs go on."""
-    left: tuple[dict[str, list[np.ndarray]], ...] = ({}, {})
-    for i, (whole, learned) in enumerate(zip(search.whole.parts, found.data.parts, strict=True)):
+    runs = []
+    for i, learned in enumerate(found.data.parts):
         own = found.of(i)
-        late = learned.shifted(own.late)
-        windows = cut(late, LONG)
-        start = fit(own.crane, late, windows, reknot(own, windows), (), np.zeros(0), iterations=5).starts
-        for c, (time, r) in residuals(own.crane, whole, start, own.late).items():
-            for parts, kept in zip(left, (time < _end(whole), time >= _end(whole)), strict=True):
-                parts.setdefault(c, []).append(r[kept])
-    return _rms(left[0]), _rms(left[1])
+        windows = cut(learned, LONG)
+        run = fit(own.crane, learned.shifted(own.late), windows, reknot(own, windows), (), np.zeros(0), iterations=5)
+        runs.append(replace(own, knots=run.knots, windows=run.windows))
+    return _errors(problem, runs, rest=False), _errors(problem, runs, rest=True)
 
 
-def _rms(parts: Mapping[str, Sequence[np.ndarray]]) -> dict[str, float]:
-    every = {c: np.concatenate(own) for c, own in parts.items()}
+def _errors(problem: Problem, runs: Sequence[Fit], rest: bool | None = None) -> dict[str, float]:
+    """Return by channel the errors of open-loop runs, one a recording, over all of it, or without or with nothing but the rest (not learned from)."""
+    left: dict[str, list[np.ndarray]] = {}
+    for data, run in zip(problem.data.parts, runs, strict=True):
+        for c, (time, r) in residuals(run.crane, data, run.starts, run.late).items():
+            left.setdefault(c, []).append(r if rest is None else r[(time >= _end(data)) == rest])
+    every = {c: np.concatenate(own) for c, own in left.items()}
     return {c: float(np.sqrt(np.mean(r**2))) for c, r in every.items() if len(r)}
 
 
 # -- everything together ---------------------------------------------------------------------------------------------
 
 
-def _everything(search: _Search, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
+def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
     """Return clocks, all uncertain parameters and all effects as variables, and their values in a crane; clocks as a fit found them."""
-    given, data = search.crane, search.whole
+    given, data = problem.crane, problem.data
     nominal = [_believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
     stated, clocks, known = stated_effects(given), timings(data), values_of(before)
     values: list[float] = [known.get(v.name, 0.0) for v in clocks]
@@ -352,41 +340,42 @@ def _believable(v: NominalDirection) -> NominalDirection:
     )
 
 
-def _open_loop(search: _Search, keys: Sequence[str], data: Data, before: Fit, crane: Crane, iterations: int) -> Fit:
+def _open_loop(problem: Problem, keys: Sequence[str], data: Data, before: Fit, crane: Crane, iterations: int) -> Fit:
     """Return everything fitted to one open-loop run, by way of long windows."""
-    variables, u = _everything(search, keys, before, crane)
-    windows = staged(search.crane, data, variables, u, before, joined(iterations))
-    return staged(search.crane, data, variables, windows.u, windows, run(2 * iterations))
+    variables, u = _everything(problem, keys, before, crane)
+    windows = staged(problem.crane, data, variables, u, before, joined(iterations))
+    return staged(problem.crane, data, variables, windows.u, windows, run(2 * iterations))
 
 
 def _together(
-    search: _Search, standing: Standing, taken: Sequence[Taken], left_out: tuple[Errors, Errors], progress: Progress
+    problem: Problem, standing: Standing, taken: Sequence[Taken], left_out: tuple[Errors, Errors], progress: Progress
 ) -> Many:
     """Fit everything to the whole recordings, leave out what is not needed, and say how well each effect is determined."""
-    final, keys = _whole_run(search, standing), list(standing.keys)
-    full = _errors(search, final)
+    final, keys = _whole_run(problem, standing), list(standing.keys)
+    each = range(len(problem.data.parts))
+    full = _errors(problem, [final.of(i) for i in each])
     while True:
         progress("leaving out each effect once", 0.8)
         fits = in_parallel(
-            search.jobs, [(_best_run, search, [k for k in keys if k != key], final, key) for key in keys]
+            problem.jobs, [(_best_run, problem, [k for k in keys if k != key], final, key) for key in keys]
         )
         left = dict(zip(keys, fits, strict=True))
         needed = {k: log_evidence(final) - log_evidence(f) for k, f in left.items()}
-        without = {k: _errors(search, f) for k, f in left.items()}
+        without = {k: _errors(problem, [f.of(i) for i in each]) for k, f in left.items()}
         idle = [k for k in keys if needed[k] < CRITERIA.demanded and not mends(without[k], full)]
         if not idle or len(keys) == 1:
             break
         weakest = min(idle, key=lambda k: needed[k])
         keys.remove(weakest)
         final = left[weakest]
-    parts = search.whole.parts
-    before = [residuals(search.crane, p, (f := start_fitted(search.crane, p)).starts, f.late) for p in parts]
+    parts = problem.data.parts
+    before = _errors(problem, [start_fitted(problem.crane, p) for p in parts])
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
     shared = zip(final.variables, final.u, strict=True)
     moved = {v.name: float(u) for v, u in shared if isinstance(v, NominalDirection) and v.recording is None}
     return Many(
-        final.crane, tuple(t for t in taken if t.key in keys), _rms(_by_channel(before)), _errors(search, final), needed, without,
-        *left_out, _deviations(final), _alike(final, keys), moved, ranges,
+        final.crane, tuple(t for t in taken if t.key in keys), before, _errors(problem, [final.of(i) for i in each]), needed, without,
+        *left_out, _deviations(final, keys), _alike(final, keys), moved, ranges,
     )  # fmt: skip
 
 
@@ -395,34 +384,19 @@ def mends(without: Errors, full: Errors) -> bool:
     return any(without[c] > CRITERIA.mended * max(full[c], 1.0) for c in full)
 
 
-def _errors(search: _Search, found: Fit) -> dict[str, float]:
-    """Return by channel the errors of the open-loop runs of a fit over the whole recordings."""
-    fits = [found.of(i) for i in range(len(search.whole.parts))]
-    runs = [residuals(f.crane, p, f.starts, f.late) for f, p in zip(fits, search.whole.parts, strict=True)]
-    return _rms(_by_channel(runs))
-
-
-def _by_channel(runs: Sequence[Mapping[str, tuple[np.ndarray, np.ndarray]]]) -> dict[str, list[np.ndarray]]:
-    found: dict[str, list[np.ndarray]] = {}
-    for each in runs:
-        for c, (_, r) in each.items():
-            found.setdefault(c, []).append(r)
-    return found
-
-
-def _whole_run(search: _Search, standing: Standing) -> Fit:
+def _whole_run(problem: Problem, standing: Standing) -> Fit:
     """Return the open-loop fit to the whole recordings: the most likely of those that begin at the current fit, at the machine, and anew.
 
     Anew is the crane as given, with effects of the size that is met in practice: where much has moved step by step, that valley may
     be the deeper one.
     """
-    data = standing.levels.raised(search.whole)
-    found, keys = _extended(search, standing, data), standing.keys
-    fresh, windows = _typical(search.crane, keys), tuple(cut(data, WINDOW))
+    data = standing.levels.raised(problem.data)
+    found, keys = _extended(problem, standing, data), standing.keys
+    fresh, windows = _typical(problem.crane, keys), tuple(cut(data, WINDOW))
     machine = [replace(found, windows=windows, knots=first_knots(c, data, WINDOW)) for c in (found.crane, fresh)]
     begins = [(found, found.crane), (machine[0], found.crane), (machine[1], fresh)]
-    fits: list[Fit] = in_parallel(search.jobs, [(_settled, search, keys, data, f, crane) for f, crane in begins])
-    return max(fits, key=lambda f: likelihood(f, search.whole))
+    fits: list[Fit] = in_parallel(problem.jobs, [(_settled, problem, keys, data, f, crane) for f, crane in begins])
+    return max(fits, key=lambda f: likelihood(f, problem.data))
 
 
 def _typical(crane: Crane, keys: Sequence[str]) -> Crane:
@@ -433,21 +407,21 @@ def _typical(crane: Crane, keys: Sequence[str]) -> Crane:
     )
 
 
-def _settled(search: _Search, keys: Sequence[str], data: Data, start: Fit, crane: Crane) -> Fit:
+def _settled(problem: Problem, keys: Sequence[str], data: Data, start: Fit, crane: Crane) -> Fit:
     """Return the open-loop fit from a start, fitted again a few times with the error levels that it leaves."""
-    found = _open_loop(search, keys, data, start, crane, 6)
+    found = _open_loop(problem, keys, data, start, crane, 6)
     for _ in range(SETTLED):
-        data = levels_of(found, search.whole, apart=DRIFT).raised(search.whole)
-        found = staged(search.crane, data, found.variables, found.u, found, run(12))
+        data = levels_of(found, problem.data, apart=DRIFT).raised(problem.data)
+        found = staged(problem.crane, data, found.variables, found.u, found, run(12))
     return found
 
 
-def _extended(search: _Search, standing: Standing, data: Data) -> Fit:
+def _extended(problem: Problem, standing: Standing, data: Data) -> Fit:
     """Return the current crane in windows over the whole recordings, of which the fit has seen only the first part."""
     found, windows = standing.fit, cut(data, WINDOW)
     guess = first_knots(found.crane, data, WINDOW)
     near = reknot(found, windows)
-    known = np.array([w.data.time[0] <= _end(search.whole.parts[w.recording]) - WINDOW for w in windows])
+    known = np.array([w.data.time[0] <= _end(problem.data.parts[w.recording]) - WINDOW for w in windows])
     if near.shape == guess.shape:
         guess[known] = near[known]
     kept = [i for i, v in enumerate(found.variables) if isinstance(v, Timing) or v.recording is not None]
@@ -455,26 +429,22 @@ def _extended(search: _Search, standing: Standing, data: Data) -> Fit:
     return fit(found.crane, data, windows, guess, variables, found.u[kept], stiffness=JOINED)
 
 
-def _best_run(search: _Search, keys: Sequence[str], final: Fit, without: str) -> Fit:
+def _best_run(problem: Problem, keys: Sequence[str], final: Fit, without: str) -> Fit:
     """Return the best of three fits of one open-loop run without an effect: straight from where the final one stands, and by way of long windows
     that begin on its run, or on the machine's: without an effect the run may be far from both."""
     crane, data = final.crane.without_effect(without), final.data
-    straight = staged(search.crane, data, *_everything(search, keys, final, crane), final, run(8))
+    straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
     measured = replace(final, windows=tuple(cut(data, WINDOW)), knots=first_knots(crane, data, WINDOW))
-    ways = [straight, *(_open_loop(search, keys, data, start, crane, 4) for start in (final, measured))]
+    ways = [straight, *(_open_loop(problem, keys, data, start, crane, 4) for start in (final, measured))]
     return max(ways, key=log_evidence)
 
 
-def _deviations(final: Fit) -> dict[str, float]:
-    """Return the standard deviation (SI) of each variable that the data determine better than its prior."""
-    found = {}
-    for i, v in enumerate(final.variables):
-        spread = math.sqrt(max(float(final.cov[i, i]), 0.0))
-        if isinstance(v, NominalDirection):
-            found[v.name] = spread * next(iter(v.weights.values()))
-        elif isinstance(v, EffectParameter):
-            found[v.name] = deviation(v, float(final.u[i]), spread)
-    return found
+def _deviations(final: Fit, keys: Sequence[str]) -> dict[str, float]:
+    """Return the standard deviation (SI) of each parameter of the effects, and of each nominal parameter that moved."""
+    model = Fitted(Model((), {key: {} for key in keys}), final, math.nan, final)
+    found = {f"{k}:{name}": spread for k in keys for name, spread in model.deviations(k).items()}
+    nominal = {v.name: next(iter(v.weights.values())) for v in final.variables if isinstance(v, NominalDirection)}
+    return found | {name: scale * final.std(name) for name, scale in nominal.items()}
 
 
 def _alike(final: Fit, keys: Sequence[str]) -> dict[tuple[str, str], float]:

@@ -18,6 +18,8 @@ from .search import Path, Problem
 Kind = Literal["adequate", "parameters", "effect", "tied", "unknown"]
 #: share of what an effect does to the commands that a shift of their clock may leave, and how finely shifts are tried
 _CLOCK, _SHIFTS = 0.1, 20
+#: hooks that act on commands before the spool follows them
+_BEFORE_THE_SPOOL = {"command", "delay", "backlash", "creep"}
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def _bounds(w: Fitted) -> tuple[str, ...]:
 
 def within_clocks(problem: Problem, w: Fitted) -> bool:
     """Whether all that the effects do is what commands do that come less than a sampling interval later: when in it they came is not recorded."""
-    if not all(set(registry.split_key(k)[0].hooks()) <= {"command"} for k in w.keys):
+    if not all(set(registry.split_key(k)[0].hooks()) <= _BEFORE_THE_SPOOL for k in w.keys):
         return False
     return all(_is_a_shift(problem, w, i, part) for i, part in enumerate(problem.data.parts))
 
