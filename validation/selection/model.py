@@ -115,7 +115,7 @@ class Fitted:
 
     @property
     def strained(self) -> bool:
-        """Whether parameters have moved so far that they may do an effect's work."""
+        """Whether parameters have moved further than they may, together or several of them."""
         return not self.plausible or len(self.far) >= CRITERIA.several
 
     @property

@@ -35,6 +35,7 @@ from .model import (
     excess,
     fitted,
     parameters_of,
+    plausible,
     run_error,
     together,
     unmoving,
@@ -84,6 +85,11 @@ class Path:
     def bare(self) -> float:
         """Evidence of the better model without effects."""
         return max(self.given.evidence, self.parameters.evidence)
+
+    @property
+    def strained(self) -> bool:
+        """Whether parameters without effects have moved so far that they may do an effect's work, in short windows, or as the whole explanation."""
+        return not plausible(self.problem.base) or (self.parameters.good and self.fewest.strained)
 
     @cached_property
     def weighed(self) -> tuple[Fitted, ...]:
@@ -184,7 +190,7 @@ def search(problem: Problem, most: int, progress: Progress = lambda text, share:
 def _begun(problem: Problem) -> Path:
     """Return the path before its first round: the crane as it is, and with its parameters moved."""
     crane, data = problem.crane, problem.data
-    given = fitted(crane, data, Model((*timings(data), *stated_effects(crane))), problem.nominal, (TIGHT, STIFF))
+    given = fitted(crane, data, Model(tuple(timings(data))), problem.nominal, (TIGHT, STIFF))
     parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
     parameters = replace(parameters, loose=problem.base)
     fewest = leaner(crane, data, parameters) if parameters.good and not given.good else parameters
@@ -245,7 +251,7 @@ def _additions(path: Path, parent: Fitted) -> list[Move]:
     found = [
         (s, fit) for s in likely(screened(fit, stiffness), most, CRITERIA.proof if parent.good else CRITERIA.promise)
     ]
-    if (path.fewest if parent is path.parameters else parent).strained:
+    if not parent.plausible if parent.keys else path.strained:
         effects = {k: parameters_of(fit.crane, k) for k in parent.keys}
         held = problem.with_effects(effects) if effects else problem.nominal
         held = problem.unmoved(held, Model(problem.shared, effects))
