@@ -60,6 +60,10 @@ class Channel:
     def __len__(self) -> int:
         return len(self.time)
 
+    def __repr__(self) -> str:
+        span = f"{self.time[0]:g} … {self.time[-1]:g} s" if len(self) else "no time"
+        return f"<Channel: {len(self)} samples over {span}, unit {self.unit or '1'}>"
+
     def at(self, time: np.ndarray) -> np.ndarray:
         """Return values at `time`, linear between samples, NaN outside the channel's own range."""
         return np.interp(time, self.time, self.values, left=np.nan, right=np.nan)

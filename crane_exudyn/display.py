@@ -16,6 +16,35 @@ _SHORT = 14
 _BREAKS = 22
 
 
+#: units in which engineers think, by SI unit, and what one of them is in SI
+_ENGINEERING = {
+    "rad": ("deg", math.pi / 180), "rad/s": ("deg/s", math.pi / 180), "Pa": ("bar", 1e5), "m": ("mm", 1e-3), "m/s": ("mm/s", 1e-3), "m^3/s": ("l/min", 1e-3 / 60.0),
+    "m^3/s/Pa": ("l/min at 100 bar", 1e-3 / 60.0 / 1e7), "Pa*s/m^3": ("bar at 100 l/min", 1e5 * 600.0), "N*m": ("N m", 1.0),
+    "N*m*s": ("N m at 10 deg/s", 18.0 / math.pi), "N/m": ("kN/mm", 1e6), "N*s/m": ("N at 10 mm/s", 1e2), "m^2": ("N at 100 bar", 1e-7),
+}  # fmt: skip
+
+
+def engineering(unit: str) -> tuple[str, float]:
+    """Return the unit in which engineers read a quantity of an SI unit, and what one of it is in SI: 2e-11 m^3/s/Pa are 12 l/min at 100 bar."""
+    return _ENGINEERING.get(unit, (unit, 1.0))
+
+
+def rounded(value: float, uncertainty: float) -> str:
+    """Return such as "2.1 ± 0.3": the uncertainty with one leading digit (two below 3), the value to the same place.
+
+    NaN stands for an uncertainty that is not known, and is left out.
+    """
+    if math.isnan(uncertainty):
+        return f"{value:.3g}"
+    if not (math.isfinite(uncertainty) and uncertainty > 0.0):
+        return f"{value:.3g} ± {uncertainty:g}"
+    power = math.floor(math.log10(uncertainty))
+    places = -power + (1 if round(uncertainty / 10.0**power, 1) < 3.0 else 0)
+    if places >= 0:
+        return f"{value:.{places}f} ± {uncertainty:.{places}f}"
+    return f"{round(value, places):.0f} ± {round(uncertainty, places):.0f}"
+
+
 def cell(value: object) -> str:
     """Return a table cell's text: four digits, yes and no, a dash for what is not there."""
     if value is None or (isinstance(value, float) and math.isnan(value)):

@@ -342,6 +342,21 @@ def write_table(path: str | Path, columns: Mapping[str, np.ndarray], digits: int
         write(temporary, columns, digits)
 
 
+def data_frame(time: np.ndarray, columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Any:
+    """Return columns (n,) over time (n,) in s as a pandas DataFrame; SI, the unit of each column stands in `attrs["units"]`.
+
+    Raises:
+        CraneError: pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as problem:
+        raise CraneError("A data frame needs pandas. Install it: pip install 'crane-exudyn[pandas]'.") from problem
+    frame = pandas.DataFrame(dict(columns), index=pandas.Index(time, name="time"))
+    frame.attrs["units"] = {"time": "s"} | {name: units.get(name, "") for name in columns}
+    return frame
+
+
 def writer_of(path: str | Path) -> Writer:
     """Return the writer for the ending of `path`; commands ask for it before they begin to work.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from functools import cache
+from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -155,11 +155,18 @@ def figure(
     rows: int = 1, columns: int = 1, *, height: float = 1.5, width: float = WIDTH, sharex: bool = True
 ) -> Figure:
     """Return a figure with rows x columns axes (`figure.axes`), `height` and `width` in inches a row and in all."""
+    with style():
+        made = empty_figure(width, max(height * rows, 2.0), layout="constrained")
+        made.subplots(rows, columns, sharex=sharex, squeeze=False)
+    return made
+
+
+def empty_figure(width: float, height: float, **options: Any) -> Figure:
+    """Return a figure of so many inches that notebooks show, though it is made without pyplot."""
     from matplotlib.figure import Figure
 
-    with style():
-        made = Figure(figsize=(width, max(height * rows, 2.0)), layout="constrained")
-        made.subplots(rows, columns, sharex=sharex, squeeze=False)
+    made = Figure(figsize=(width, height), **options)
+    made._repr_png_ = partial(png, made)  # type: ignore[attr-defined]
     return made
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -317,6 +317,13 @@ class Recording:
 
     to_csv = save
 
+    def to_dataframe(self) -> Any:
+        """Return all channels as a pandas DataFrame over time, SI, NaN where a channel has no sample; see `formats.data_frame`."""
+        from .formats import data_frame
+
+        time, values = self.aligned()
+        return data_frame(time, dict(zip(self.channels, values.T, strict=True)), channel_names.of(self.layout))
+
     def plot(self, names: Iterable[str] | None = None) -> Figure:
         """Return a matplotlib figure with one panel a channel, each on its own clock, in degrees and bar."""
         from . import plots
@@ -334,11 +341,13 @@ class Recording:
 
     def _repr_html_(self) -> str:
         from .display import table_html
+        from .plots import shown
 
-        rows = [
-            (name, channel_names.of(self.layout)[name] or "–", len(c), float(c.values.min()), float(c.values.max()))
-            for name, c in self.channels.items()
-        ]
+        rows = []
+        for name, c in self.channels.items():
+            what = shown(name, layout=self.layout)
+            ends = (float(v) * what.factor for v in (np.nanmin(c.values), np.nanmax(c.values)))
+            rows.append((name, what.unit or "–", len(c), *ends))
         title = f"{self.name}: {self.duration:g} s at {self.sampling_rate:g} Hz"
         return table_html(("channel", "unit", "samples", "min", "max"), rows, title=title, note="; ".join(self.notes))
 

@@ -202,12 +202,17 @@ class Scene:
         self.colour, self.marks = colour, tuple(marks)
         self.view: View = view or ("side" if len(trajectories) > 1 else "oblique")
         self.scales = _scales(crane.layout, self.trajectories, colour)
-        self.floor, self.reach, self.center, self.height = self._frame()
+        self.floor, self.middle, self.center, self.height = self._frame()
         self.system = exu.SystemContainer()
         self.mbs = self.system.AddSystem()
         self._problem: Exception | None = None
         self._fill(own)
         self._set_up_look()
+
+    @property
+    def width(self) -> float:
+        """What the picture shows from left to right, m."""
+        return self.height * self.size[0] / self.size[1]
 
     @property
     def start(self) -> float:
@@ -224,7 +229,7 @@ class Scene:
     def _fill(self, own: Callable[[Any], None] | None) -> None:
         """Add ground, pillar and cranes; moving parts are rigid bodies, what changes its colour is drawn by a function."""
         paints = self._paints()
-        fixed = [*shapes.ground(*self.reach, self.floor), *shapes.pillar(self.crane, paints[0], self.floor)]
+        fixed = [*shapes.ground(self.middle, self.width, self.floor), *shapes.pillar(self.crane, paints[0], self.floor)]
         self.mbs.AddObject(items.ObjectGround(visualization=items.VObjectGround(graphicsData=fixed)))
         for i, paint in enumerate(paints):
             self._add_crane(paint, hidden=self._recoloured() if i == 0 else (), depth=-_BEHIND[self.view] * i)
@@ -274,7 +279,9 @@ class Scene:
         general.useMultiThreadedRendering = False  # with it, pictures are taken before they are whole
         settings.exportImages.saveImageTimeOut = 20000
         settings.openGL.lightModelAmbient = [0.62, 0.62, 0.64, 1.0]
-        light.position, light.diffuse, light.specular, light.shadow = [-2.0, 9.0, 7.0, 0.0], 0.62, 0.25, 0.3
+        # a far point: shadows of a direction (fourth entry 0) end in the ray tracer a few metres behind what throws them
+        sun = [self.middle - 2.0 * self.height, 9.0 * self.height, 7.0 * self.height, 1.0]
+        light.position, light.diffuse, light.specular, light.shadow = sun, 0.62, 0.25, 0.3
         if (
             self.view == "side"
         ):  # the ground is a line, and shadows would only fall on ghosts; none at all spoils the depth
@@ -304,8 +311,8 @@ class Scene:
         c, s = math.cos(pitch), math.sin(pitch)
         return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ turn
 
-    def _frame(self) -> tuple[float, tuple[float, float], np.ndarray, float]:
-        """Return the floor's height, from where to where it reaches, and the picture's middle (3,), as the picture sees it, and height, in m.
+    def _frame(self) -> tuple[float, float, np.ndarray, float]:
+        """Return the floor's height and x of its middle, and the picture's middle (3,), as it sees it, and height, in m.
 
         Every machine stays in the picture all the time; a machine that reaches below its own ground stands on a lower one.
         """
@@ -321,14 +328,14 @@ class Scene:
                 boxes.append(_boxes(np.delete(payload, 2, axis=1), *shapes.payload_extent(self.crane)))
         machine_box = np.vstack(boxes)
         floor = min(0.0, float(machine_box[:, 1].min()))
-        reach = (float(machine_box[:, 0].min()) - 0.3, float(machine_box[:, 0].max()) + 0.3)
-        ground = [(x, floor, z) for x in reach for z in (-shapes.GROUND_HALF, shapes.GROUND_HALF)]
+        ground = machine_box * [1.0, 0.0, 1.0] + [0.0, floor, 0.0]
         seen = np.vstack([machine_box, ground]) @ self._rotation().T
         low, high = seen.min(axis=0)[:2], seen.max(axis=0)[:2]
         above, below = 0.15, 0.04 if self.colour is None else 0.19  # shares of the height for heading and colour scales
         height = max((high - low)[1] / (1.0 - above - below), 1.05 * (high - low)[0] * self.size[1] / self.size[0])
         x, y = (low + high) / 2.0
-        return floor, reach, np.array([x, y + 0.5 * (above - below) * height, 0.0]), float(height)
+        middle = 0.5 * float(machine_box[:, 0].min() + machine_box[:, 0].max())
+        return floor, middle, np.array([x, y + 0.5 * (above - below) * height, 0.0]), float(height)
 
     # -- what changes with time ----------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from . import render_shapes as shapes
 from .crane import Crane
 from .geometry import pose, told
 from .machine import GROUND, PRISMATIC
-from .plots import style
+from .plots import empty_figure, style
 from .render import coordinates
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _INK, _SOFT, _CYLINDER, _COORDINATE = "#1b1b1b", "#666666", "#0072B2", "#B00062"
+_MARK = "#FFB000"
 _WIDTH, _WHOLE, _PANEL, _TITLE, _GAP = (
     11.0,
     5.6,
@@ -28,6 +29,7 @@ _WIDTH, _WHOLE, _PANEL, _TITLE, _GAP = (
     0.34,
     0.2,
 )  # inches: page, the whole machine, a body, a title, between
+_OVERVIEW = (5.4, 3.0)  # inches: the machine alone
 _SIZE = 8.5  # points of most texts
 _MARGIN = 0.13  # share of a panel left free on each side for labels
 _PALER = 0.62
@@ -35,13 +37,11 @@ _PALER = 0.62
 
 def sketch(crane: Crane) -> Figure:
     """Return the figure: the machine in its start pose above, below it the ground and every body in its own frame."""
-    from matplotlib.figure import Figure
-
     names = (GROUND, *crane.machine.bodies)
     rows = math.ceil(len(names) / 2)
     height = _TITLE + _WHOLE + rows * (_TITLE + _PANEL) + _GAP
     with style():
-        figure = Figure(figsize=(_WIDTH, height))
+        figure = empty_figure(_WIDTH, height)
         top = height - _TITLE
         _draw_machine(_Panel.on(figure, (_GAP, top - _WHOLE, _WIDTH - 2 * _GAP, _WHOLE), _told_start(crane)), crane)
         wide = (_WIDTH - 3 * _GAP) / 2
@@ -50,6 +50,21 @@ def sketch(crane: Crane) -> Figure:
             y = top - _WHOLE - (row + 1) * (_TITLE + _PANEL)
             box = (_GAP + column * (wide + _GAP), y, wide, _PANEL)
             _draw_frame(_Panel.on(figure, box, _told_body(crane, name)), crane, name)
+    return figure
+
+
+def overview(crane: Crane, marks: Sequence[str] = ()) -> Figure:
+    """Return a figure of the machine at its start, on which places are marked.
+
+    Args:
+        crane: the machine.
+        marks: cylinders, chambers, joints or sensors, by the machine's names; what has no place on it is left out.
+    """
+    wide, high = _OVERVIEW
+    with style():
+        figure = empty_figure(wide, high + _TITLE)
+        panel = _Panel.on(figure, (0.05, 0.05, wide - 0.1, high), f"{crane.name} at its start")
+        _draw_machine(panel, crane, marks)
     return figure
 
 
@@ -192,8 +207,8 @@ def _draw_frame(panel: _Panel, crane: Crane, body: str) -> None:
     panel.place_labels()
 
 
-def _draw_machine(panel: _Panel, crane: Crane) -> None:
-    """Draw the machine at its start, with joints, coordinates, cylinders and bodies by name."""
+def _draw_machine(panel: _Panel, crane: Crane, marks: Sequence[str] = ()) -> None:
+    """Draw the machine at its start, with joints, coordinates, cylinders and bodies by name, and marks at places."""
     machine, start = crane.machine, np.array(crane.initial.pose)
     closed = pose(crane, *start)
     points = {name: at[0] for name, at in closed.points.items()}
@@ -205,6 +220,11 @@ def _draw_machine(panel: _Panel, crane: Crane) -> None:
     ]
     scale = panel.show(np.vstack([np.zeros((1, 2)), _fill(panel.axes, made)]))
     panel.draw_axes(scale)
+    for mark in marks:
+        line = _place_of(crane, points, mark)
+        look: dict[str, Any] = {"lw": 15, "solid_capstyle": "round"} if len(line) > 1 else {"marker": "o", "ms": 22}
+        panel.axes.plot(*np.reshape(line, (-1, 2)).T, color=_MARK, alpha=0.6, zorder=5, **look)
+        panel.keep_clear(line)
     angles = {GROUND: 0.0} | {name: float(angle[0]) for name, angle in closed.angles.items()}
     for joint in machine.joints:
         if joint.coordinate in machine.independent:
@@ -241,6 +261,19 @@ def _draw_machine(panel: _Panel, crane: Crane) -> None:
             name, np.array([x + c * com[0] - s * com[1], y + s * com[0] + c * com[1]]), color=_SOFT, fontstyle="italic"
         )
     panel.place_labels()
+
+
+def _place_of(crane: Crane, points: Mapping[str, np.ndarray], mark: str) -> list[np.ndarray]:
+    """Return the line along which a place lies, in m: a cylinder, half of it for a chamber, a joint; nothing where it has none."""
+    machine, lay = crane.machine, crane.layout
+    short = dict(zip(machine.points, machine.point_names, strict=True))
+    for c, cylinder in enumerate(machine.cylinders):
+        base, end = (points[short[p]] for p in cylinder.points)
+        if mark in (cylinder.name, lay.lengths[c]):
+            return [base, end]
+        if mark in cylinder.chambers:
+            return [base, 0.5 * (base + end)] if mark == cylinder.chambers[0] else [0.5 * (base + end), end]
+    return [points[short[j.pin]] for j in machine.joints if mark in (j.name, j.coordinate, f"{j.coordinate}_abs")]
 
 
 def _paint() -> shapes.Paint:

@@ -43,7 +43,9 @@ _PIN, _WALL, _LOG_LENGTH = 0.026, 0.011, 1.5
 #: radii of a beam at its beginning, in its middle and at its end, and at most as a share of its length
 _RADII, _SLIMMEST = (0.08, 0.095, 0.055), 0.2
 #: half of the ground's width, and where arrows stand in front of the machine, m
-GROUND_HALF, FRONT = 1.2, 0.3
+FRONT = 0.3
+#: m: the size of a grapple
+_GRAPPLE = 0.12
 #: a beam is at least so long, m, and bends at most by this share of its length
 _SHORTEST, _MOST_BENT = 0.05, 0.35
 #: share of a sliding body's beam that its sheath covers when it is drawn in
@@ -409,30 +411,20 @@ def _ground_lug(at: np.ndarray, pins: Sequence[np.ndarray], floor: float, unit: 
 
 
 def ground(
-    low: float,
-    high: float,
+    middle: float,
+    half: float,
     floor: float = 0.0,
     color: Color = (0.80, 0.81, 0.78, 1.0),
     line: Color = (0.70, 0.71, 0.68, 1.0),
 ) -> list[Graphics]:
-    """Return the ground from x = low to x = high (m): a plate with lines every half metre."""
+    """Return the floor around x = middle, so many m to all sides: a plate with lines every metre."""
     from exudyn.graphics import Brick, Lines
 
-    middle, length = 0.5 * (low + high), high - low
-    made: list[Graphics] = [
-        Brick(
-            [middle, floor - 0.03, 0.0],
-            [length, 0.06, 2 * GROUND_HALF],
-            color=list(color),
-            addEdges=True,
-            edgeColor=list(line),
-        )
-    ]
+    made: list[Graphics] = [Brick([middle, floor - 0.03, 0.0], [2 * half, 0.06, 2 * half], color=list(color))]
     top = floor + 0.003
-    for x in np.arange(math.ceil(2.0 * low + 1e-9), 2.0 * high) / 2.0:
-        made.append(Lines([[x, top, -GROUND_HALF], [x, top, GROUND_HALF]], color=list(line)))
-    for z in np.arange(-GROUND_HALF + 0.5, GROUND_HALF, 0.5):
-        made.append(Lines([[low, top, z], [high, top, z]], color=list(line)))
+    low, high = middle - half, middle + half
+    made += [Lines([[x, top, -half], [x, top, half]], color=list(line)) for x in np.arange(math.ceil(low), high)]
+    made += [Lines([[low, top, z], [high, top, z]], color=list(line)) for z in np.arange(math.ceil(-half), half)]
     return made
 
 
@@ -519,7 +511,21 @@ def payload(crane: Crane, paint: Paint) -> list[Graphics]:
     radius, half = max(0.04, crane["payload.height"] / 2.0), _LOG_LENGTH / 2.0
     ends = [bar([0, 0, z], [0, 0, 0.004], 0.9 * radius, paint.wood, paint.edges) for z in (-half - 0.004, half)]
     rings = [bar([0, 0, half + 0.004], [0, 0, 0.002], 0.45 * radius, paint.log, paint.edges)]
-    return [bar([0, 0, -half], [0, 0, 2 * half], radius, paint.log, paint.edges), *ends, *rings]
+    log = [bar([0, 0, -half], [0, 0, 2 * half], radius, paint.log, paint.edges), *ends, *rings]
+    return [*log, *_grapple(radius, paint)]
+
+
+def _grapple(radius: float, paint: Paint) -> list[Graphics]:
+    """Return a grapple that holds a log of so many m: a rotator above it, and two pairs of claws around."""
+    top = radius + 0.5 * _GRAPPLE
+    made = [plate(hull([(0.0, top, 0.5 * _GRAPPLE)]), -1.2 * _GRAPPLE, 1.2 * _GRAPPLE, paint.link, paint.edges)]
+    for side in (-1.0, 1.0):
+        start, middle = np.array([0.0, top]), np.array([side * (radius + 0.4 * _GRAPPLE), 0.0])
+        end = np.array([side * 0.2 * radius, -radius - 0.2 * _GRAPPLE])
+        outline = bent(start, middle, end, [0.35 * _GRAPPLE, 0.3 * _GRAPPLE, 0.12 * _GRAPPLE])
+        for at in (-1.0, 0.7):
+            made.append(plate(outline, at * _GRAPPLE, (at + 0.3) * _GRAPPLE, paint.link, paint.edges))
+    return made
 
 
 def payload_extent(crane: Crane) -> tuple[float, float]:
@@ -529,7 +535,9 @@ def payload_extent(crane: Crane) -> tuple[float, float]:
     width, height = crane["payload.width"], crane["payload.height"]
     round_ = _corners(crane) is None
     return (
-        (max(0.04, height / 2.0), _LOG_LENGTH / 2.0) if round_ else (0.5 * math.hypot(width, height), _load_half(crane))
+        (max(0.04, height / 2.0) + _GRAPPLE, _LOG_LENGTH / 2.0)
+        if round_
+        else (0.5 * math.hypot(width, height), _load_half(crane))
     )
 
 

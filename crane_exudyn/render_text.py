@@ -20,6 +20,8 @@ READ = {"Pa": (1e-5, "bar"), "rad": (math.degrees(1.0), "°"), "m": (1e3, "mm")}
 MAPS = {"pressure": "viridis", "residual": "YlOrRd"}
 #: values in a line of a colour scale
 _PER_LINE = 4
+#: lengths in m that a scale bar may stand for
+_LENGTHS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _QUANTITIES = {"Pa": "pressure", "rad": "angle", "m": "way"}
 _INK, _SOFT, _MARK = (25, 27, 30), (85, 90, 96), (176, 0, 98)
 
@@ -34,6 +36,7 @@ def write_on(picture: np.ndarray, scene: Scene, time: float) -> np.ndarray:
     _heading(draw, scene, time, unit)
     if len(scene.trajectories) > 1:
         _legend(draw, scene, unit)
+    _metres(draw, scene, unit, image.size)
     if scene.colour is not None:
         _scales(draw, scene, time, unit, image.size)
     for mark in scene.marks:
@@ -70,6 +73,18 @@ def _legend(draw: Any, scene: Scene, unit: float) -> None:
         draw.rectangle((28 * unit, y, 62 * unit, y + 16 * unit), fill=color, outline=_INK, width=max(1, round(unit)))
         how = " (coloured)" if plain else ""
         draw.text((72 * unit, y - 3 * unit), trajectory.label + how, font=_font(round(17 * unit)), fill=_INK)
+
+
+def _metres(draw: Any, scene: Scene, unit: float, size: tuple[int, int]) -> None:
+    """Draw how long a metre is in the picture, or another round length of about an eighth of its width."""
+    length = min(_LENGTHS, key=lambda m: abs(math.log(8.0 * m / scene.width)))
+    left, y, tick = 28 * unit, size[1] - 30 * unit, 5 * unit
+    right = left + length / scene.width * size[0]
+    for line in ((left, y, right, y), *((x, y - tick, x, y + tick) for x in (left, right))):
+        draw.line(line, fill=_INK, width=max(1, round(2 * unit)))
+    draw.text(
+        (0.5 * (left + right), y - 8 * unit), f"{length:g} m", font=_font(round(15 * unit)), fill=_INK, anchor="ms"
+    )
 
 
 def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, int]) -> None:

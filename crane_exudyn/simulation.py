@@ -76,6 +76,12 @@ class Simulation:
         columns = {f"{n}[{units[n] or '-'}]": values for n, values in self.channels().items()}
         write_table(path, {"time[s]": self.time} | columns)
 
+    def to_dataframe(self) -> Any:
+        """Return all channels as a pandas DataFrame over time, SI; see `formats.data_frame`."""
+        from .formats import data_frame
+
+        return data_frame(self.time, self.channels(), channels.of(self.crane.layout))
+
     def plot(self) -> Figure:
         """Return a matplotlib figure of commands, coordinates and pressures."""
         from . import plots

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,16 +30,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from validation.compare import Comparison
-    from validation.report import Section
 
-_COLUMNS = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²", "whiteness p")
 _SHOWN = 10
-_CAPTIONS = {
-    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, dark is bad.",
-    "open_loop": "The crane started as the recording starts and then saw only the commands.",
-    "balances": "Flow and moment that each balance lacks, with 95 % interval from the sensors' noise.",
-    "balances_by_work": "The same, averaged over each kind of work.",
-}
+_PICTURES = ("where", "open_loop", "balances", "balances_by_work")
 
 
 def command(
@@ -50,7 +42,7 @@ def command(
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Write pictures there."),
-        Writes(files=tuple(f"*{name}.png" for name in _CAPTIONS)),
+        Writes(files=tuple(f"*{name}.png" for name in _PICTURES)),
     ] = None,
     report: ReportOption = None,
     per_recording: PerRecordingOption = None,
@@ -72,21 +64,26 @@ def command(
 
     with progress("Comparing", json) as step:
         results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)
+    from validation.reports import report_comparison
+
     printer = Printer(json)
     for result in results:
         tell(printer, result)
     with saving(printer) as save:
         save.json(json, results[0].to_dict() if len(results) == 1 else {"recordings": [r.to_dict() for r in results]})
         save(output, partial(save_figures, results))
-        save(report, partial(write, results))
+        save(report, partial(report_comparison, results, chosen, measured))
 
 
 def tell(printer: Printer, result: Comparison) -> None:
     """Print the verdict, the tables and the worst places."""
+    from validation.reports import ERROR_COLUMNS, balance_table, error_rows, filter_words
+
     printer.line(f"{result.recording} against {result.crane} on {result.engine}")
     for note in result.notes:
         printer.line(f"note: {note}")
-    printer.table("Open loop, start fitted", _COLUMNS, error_rows(result))
+    printer.table("Open loop, start fitted", ERROR_COLUMNS, error_rows(result))
+    printer.line(result.started)
     printer.line(filter_words(result))
     printer.table("What the balances lack, by work done (± 95 %)", *balance_table(result))
     if result.where:
@@ -94,41 +91,6 @@ def tell(printer: Printer, result: Comparison) -> None:
         if len(result.where) > _SHOWN:
             printer.line(f"… and {len(result.where) - _SHOWN} more; --json gives all.")
     printer.line(result.verdict)
-
-
-def error_rows(result: Comparison) -> list[tuple[object, ...]]:
-    """Return the table of channels."""
-    white = result.estimate.whiteness
-    return [
-        (n, c.unit, c.rmse, c.pn_rmse, c.bias, c.noise_std, c.error_over_noise, c.r2, white.get(n))
-        for n, c in result.channels.items()
-    ]
-
-
-def filter_words(result: Comparison) -> str:
-    """Return what the filter's innovations say."""
-    low, high = result.nis_bounds
-    word = "consistent with the model" if result.consistent else "NOT consistent with the model"
-    return f"Filter that trusts the model: mean NIS {result.estimate.nis_mean:.3g}, expected {low:.3g} … {high:.3g}; {word}."
-
-
-def balance_table(result: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not zero."""
-    from validation.findings import VIOLATED, people_unit, rounded
-
-    equations = result.layout.equations
-    units = [people_unit(e, result.layout) for e in equations]
-    columns = ("work", *(f"{e} {unit}" for e, (unit, _) in zip(equations, units, strict=True)))
-    rows = []
-    for kind, mean, std in result.scores.by_kind():
-        cells = [
-            (rounded(m / factor, 1.96 * s / factor) + ("*" if abs(m) > VIOLATED * s else " "))
-            if isfinite(s)
-            else "unknown "
-            for m, s, (_, factor) in zip(mean, std, units, strict=True)
-        ]
-        rows.append((kind, *cells))
-    return columns, rows
 
 
 def worst(result: Comparison, most: int = _SHOWN) -> list[tuple[str, str]]:
@@ -148,37 +110,3 @@ def save_figures(results: Sequence[Comparison], folder: Path) -> list[Path]:
             paths.append(folder / f"{prefix}{name}.png")
             plots.save(figure, paths[-1])
     return paths
-
-
-def write(results: Sequence[Comparison], folder: Path) -> Path:
-    """Write the report and return its path."""
-    from validation.report import Mood, write_report
-
-    first = results[0]
-    several = len(results) > 1
-    sections = [
-        (f"{r.recording}: {title}" if several else title, parts) for r in results for title, parts in sections_of(r)
-    ]
-    names = ", ".join(r.recording for r in results)
-    verdict = " ".join(f"{r.recording}: {r.verdict}" if several else r.verdict for r in results)
-    mood: Mood = "good" if all(not r.where and r.error < 1.2 for r in results) else "bad"
-    parameters = {
-        "crane": first.crane, "recording": names, "engine": first.engine,
-        "noise of the sensors": ", ".join(f"{n} {c.noise_std:.3g} {c.unit}" for n, c in first.channels.items()),
-    }  # fmt: skip
-    return write_report(folder, f"{names} against {first.crane}", verdict, sections, parameters=parameters, mood=mood)
-
-
-def sections_of(result: Comparison) -> list[Section]:
-    """Return what a report says of one recording."""
-    from validation.report import Picture, Table
-
-    pictures = {name: Picture(figure, _CAPTIONS[name]) for name, figure in result.figures().items()}
-    columns, by_work = balance_table(result)
-    headings = [c.replace("torque.", "moment at ").replace("flow.", "flow into ") for c in columns]
-    return [
-        ("Where the model fails", [pictures["where"], Table(("score", "where"), worst(result, 20))]),
-        ("What the balances lack", [Table(headings, by_work), pictures["balances_by_work"], pictures["balances"]]),
-        ("Open loop", [Table(_COLUMNS, error_rows(result)), pictures["open_loop"]]),
-        ("Filter", [filter_words(result), *(f"Note: {note}." for note in result.notes)]),
-    ]

@@ -40,6 +40,11 @@ class Found:
     diagnosis: Diagnosis
     seconds: float
 
+    @property
+    def places(self) -> list[str]:
+        """The places of the effects that were found."""
+        return [place for place in (key.partition("@")[2] for key in self.diagnosis.effects) if place]
+
     def document(self) -> dict[str, Any]:
         """Return the JSON result."""
         return {
@@ -86,7 +91,9 @@ def command(
     with saving(printer) as save:
         save(output, partial(write, found, seed, printer))
         save.json(json, found.document())
-    printer.line(f"Found in {perf_counter() - begin:.0f} s: {named(diagnosis)}")
+    from validation.reports import verdict
+
+    printer.line(f"Found in {perf_counter() - begin:.0f} s: {verdict(diagnosis)}")
     printer.line(f"Report: {output / 'report.html'}")
 
 
@@ -148,14 +155,6 @@ def search(
     return (learn, check), comparison, diagnosis
 
 
-def named(d: Diagnosis) -> str:
-    """Return in words what was found, and how the error fell."""
-    from validation.selection.reports import verdict
-
-    check = f"; on a recording that was only predicted, from {d.check_error_before:.3g} to {d.check_error_after:.3g}"
-    return verdict(d).removesuffix(".") + (check if d.effects else "") + "."
-
-
 def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]:
     """Write report, pictures, states and the improved crane file to `folder`, and return the files."""
     from validation import plots
@@ -163,6 +162,7 @@ def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]
     from validation.compare_figures import traces_figure
     from validation.paper_figures import following_figure
     from validation.report import write_report
+    from validation.reports import verdict
 
     folder.mkdir(parents=True, exist_ok=True)
     d = found.diagnosis
@@ -184,7 +184,7 @@ def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]
     written = [*(folder / name for name in figures), *drawn, folder / "improved.toml"]
     parameters = {"crane": found.comparison.crane, "engine of the crane": found.cases["own"].engine}
     report = write_report(
-        folder, "What crane-exudyn does", named(d), sections(found, figures, drawn, written), seed=seed,
+        folder, "What crane-exudyn does", verdict(d), sections(found, figures, drawn, written), seed=seed,
         parameters=parameters, mood="good" if d.effects else "bad",
     )  # fmt: skip
     return [*written, report]
@@ -195,10 +195,9 @@ def draw(found: Found, path: Path, printer: Printer) -> list[Path]:
     from crane_exudyn.render import Scene, Trajectory
 
     learn, d = found.recordings[0], found.diagnosis
-    places = [place for place in (key.partition("@")[2] for key in d.effects) if place]
     try:
         scene = Scene(
-            d.given, [Trajectory.from_recording(learn)], colour="pressure", marks=places, size=(960, 540),
+            d.given, [Trajectory.from_recording(learn)], colour="pressure", marks=found.places, size=(960, 540),
             title="The recorded crane",
         )  # fmt: skip
         scene.save(path, time=3.0)
@@ -211,6 +210,7 @@ def draw(found: Found, path: Path, printer: Printer) -> list[Path]:
 def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: list[Path]) -> list[Section]:
     """Return the sections of the report: three acts, and what was written."""
     from validation.report import Links, Picture, Table
+    from validation.reports import law_parts, verdict, where_parts
 
     d, (learn, check) = found.diagnosis, found.recordings
     return [
@@ -223,9 +223,11 @@ def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: 
         ("2. A hidden effect is found", [
             f"Two recordings come with the package, {learn.duration:g} and {check.duration:g} s of a crane that is not as its file says.",
             f"Compared with the first: {found.comparison.verdict}",
-            f"Diagnosed: {named(d)}",
+            f"Diagnosed: {verdict(d)}",
             Picture(figures["error.png"], "Open-loop error, 1 is the noise of the sensors."),
             Picture(figures["before_after.png"], "What was measured, and what the crane file as given and the improved one do from the same start."),
+            *where_parts(d.given, found.places),
+            *law_parts(d.effects, next((c.parameters for c in d.candidates if c.effects == d.effects), {})),
         ]),
         ("3. A picture", [Picture(drawn[0], "The recorded crane after 3 s, coloured by pressure; the arrow marks what was found.")]
             if drawn else ["No picture could be drawn here."]),

@@ -69,7 +69,7 @@ def command(
             progress=lambda part, share: done(share, part),
         )
     from validation.plots import save as save_figure
-    from validation.selection.reports import report_diagnosis
+    from validation.reports import Examined, report_diagnosis
 
     printer = Printer(json)
     tell(printer, result)
@@ -82,21 +82,23 @@ def command(
     with saving(printer) as save:
         save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
-        save(report, lambda path: report_diagnosis(result, path, given))
+        save(report, lambda path: report_diagnosis(result, path, given, Examined(measured, other)))
 
 
 def tell(printer: Printer, d: Diagnosis) -> None:
     """Print verdict, candidates, parameters that moved, and what to do next."""
     from validation.diagnosis import own_values, sentence
+    from validation.reports import told
 
     printer.line(f"Verdict: {d.verdict} — {sentence(d)}.")
     printer.table(
-        "Weighed, best first", ("explanation", "log evidence", "probability", "error after", "on check"), _rows(d)
+        "Weighed, best first", ("explanation", "log evidence", "probability", "error / noise", "on check"), _rows(d)
     )
     if d.effects or d.verdict == "parameters":
         chosen = next((c for c in d.candidates if c.effects == d.effects), d.candidates[0])
         for name, p in chosen.parameters.items():
-            printer.line(f"  {name} = {p['value']:.4g} ± {2 * p['std']:.2g} {p['unit']} (95 %)")
+            in_si = f"{p['value']:.4g} {p['unit']}".strip()
+            printer.line(f"  {name} = {told(p)} (95 %; {in_si})")
     moved = list(d.parameters.items())[:6]
     if moved:
         printer.table(

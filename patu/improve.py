@@ -67,7 +67,7 @@ def command(
             told=lambda step: tell(printer, step), progress=lambda part, share: done(share, part),
         )  # fmt: skip
     from validation.plots import save as save_figure
-    from validation.selection.reports import report_improvement
+    from validation.reports import Examined, report_improvement
 
     for note in result.notes:
         printer.line(f"{note}.")
@@ -77,7 +77,7 @@ def command(
         save(output, result.crane.save, result.crane.to_toml())
         save.json(json, {"recording": ", ".join(map(str, recordings))} | result.to_dict(output))
         save(plot, lambda path: save_figure(result.plot(), path))
-        save(report, lambda path: report_improvement(result, path, given))
+        save(report, lambda path: report_improvement(result, path, given, Examined(measured, other)))
 
 
 def tell(printer: Printer, step: Step) -> None:

@@ -70,7 +70,9 @@ def command(
     effects: EffectsOption = None,
     mapping: MapOption = None,
     map_file: MapFileOption = None,
-    label: Annotated[str, typer.Option(help="What the run itself is called.")] = "measured",
+    label: Annotated[
+        str | None, typer.Option(help="What the run itself is called; by default measured, or simulated without noise.")
+    ] = None,
     time: Annotated[float | None, typer.Option(help="Time of the picture in s; the last if left out.")] = None,
     start: Annotated[float | None, typer.Option("--from", help="Start of the film in s.")] = None,
     end: Annotated[float | None, typer.Option("--to", help="End of the film in s.")] = None,
@@ -129,6 +131,8 @@ def command(
     printer = Printer(json)
     for path in written:
         printer.line(f"wrote {path}")
+    if not open_viewer:
+        printer.line(f"To turn it and zoom: patu render {recording or ''} --open (needs a screen).".replace("  ", " "))
     with saving(printer) as save:
         save.json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
 
@@ -148,19 +152,22 @@ def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:
 
 
 def _runs(
-    crane: Crane, recording: Path | None, label: str, ghosts: Sequence[str], read: Callable[[Path], Recording]
+    crane: Crane, recording: Path | None, label: str | None, ghosts: Sequence[str], read: Callable[[Path], Recording]
 ) -> list[Trajectory]:
     """Return the trajectories of the run itself and of its ghosts."""
     from crane_exudyn.render import Trajectory
 
     if recording is None:
         return [Trajectory.at_rest(crane)]
-    runs = [Trajectory.from_recording(read(recording), label)]
-    for entry, default in zip(ghosts, _GHOST_NAMES, strict=False):
+    main = read(recording)
+    noisy = set(main.sensors) - set(main.noise_free())
+    runs = [Trajectory.from_recording(main, label or ("measured" if noisy else "simulated"))]
+    names = [name for name in _GHOST_NAMES if name != runs[0].label]
+    for entry, default in zip(ghosts, names, strict=False):
         name, path = ghost_of(entry)
         runs.append(Trajectory.from_recording(read(Path(path)), name or default))
-    if len(ghosts) > len(_GHOST_NAMES):
-        raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(_GHOST_NAMES)}.")
+    if len(ghosts) > len(names):
+        raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(names)}.")
     return runs
 
 

@@ -14,6 +14,7 @@ import pytest
 from scipy.signal import lfilter
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.display import rounded
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import noise_std
@@ -21,7 +22,7 @@ from crane_exudyn.simulation import Simulation, simulate
 from validation import balances, phases
 from validation.balances import Balances, Steps, spread_of
 from validation.compare import Comparison, compare
-from validation.findings import rounded, scores_of, violation
+from validation.findings import scores_of, violation
 from validation.fitness import check_recording, noise_at_rest, usable
 from validation.phases import phases_of
 from validation.semi_recursive import SemiRecursiveEngine

@@ -354,7 +354,7 @@ def test_repr_and_plot_tell_the_channels(tmp_path: Path) -> None:
     recording = read(tmp_path, GOOD)
     assert repr(recording) == "<Recording lift: u1, u2, z1, p1; 0.01 s at 200 Hz>"
     told = re.sub(r"<[^>]*>", " ", recording._repr_html_())
-    assert re.search(r"p1 +Pa +3 +3.85e\+06 +4e\+06", told)
+    assert re.search(r"p1 +bar +3 +38.5 +40", told)
     figure = recording.plot()
     assert [axis.get_ylabel() for axis in figure.axes] == ["u1", "u2", "z1 / °", "p1 / bar"]
     np.testing.assert_allclose(figure.axes[3].lines[0].get_ydata(), [38.5, 39, 40])

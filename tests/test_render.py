@@ -220,6 +220,18 @@ def test_every_machine_stays_in_the_picture_and_fills_it(name, view):
     assert (np.ptp(pixels, axis=0) / SMALL).max() > 0.35
 
 
+def test_the_floor_is_larger_than_the_picture_and_shadows_are_whole():
+    """Below a level boom its shadow is one piece: every column of pixels between its ends has some of it."""
+    level = Trajectory("run", TIME, np.tile([0.3, -0.3], (81, 1)))
+    picture = draw(Scene(CRANE, [level], size=(640, 360)))
+    assert (picture[-1].std(axis=1) < 12).all() and picture[
+        -1
+    ].mean() < 235  # floor, no background, along the lower edge
+    dark = (np.abs(picture - 130) < 14).all(axis=2)
+    ends = np.flatnonzero(dark[200:].any(axis=0))
+    assert np.ptp(ends) > 200 and len(ends) > 0.95 * np.ptp(ends)
+
+
 # -- what colours mean -------------------------------------------------------------------------------------------------
 
 

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,14 +15,16 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane
+from crane_exudyn.display import engineering
 from crane_exudyn.errors import CraneError
 from crane_exudyn.simulation import Simulation
 from ukf.estimate import Estimate
 from validation import plots, report
 from validation.compare import ChannelError, Comparison
 from validation.diagnosis import Candidate, Diagnosis
+from validation.findings import Finding
 from validation.improvement import Improvement, Step
-from validation.selection.reports import report_diagnosis, report_improvement
+from validation.reports import report_diagnosis, report_improvement
 
 TIME = np.linspace(0.0, 25.0, 5001)
 
@@ -311,11 +314,59 @@ def test_results_show_themselves_in_notebooks(result, told):
     assert repr(result()).startswith(f"<{type(result()).__name__} o")
 
 
+def test_results_are_data_frames_in_si():
+    run = example_simulation()
+    frame = run.to_dataframe()
+    assert (
+        frame.index.name == "time" and frame["p1"].tolist() == run["p1"].tolist() and frame.attrs["units"]["p1"] == "Pa"
+    )
+    assert run.recording().to_dataframe()["z1"].tolist() == pytest.approx(frame["z1"].tolist())
+    assert example_estimate().to_dataframe().columns.tolist() == ["z1", "payload.mass", "z1_std", "payload.mass_std"]
+
+
+def test_notebooks_show_figures_and_degrees():
+    recording = example_simulation().recording()
+    assert recording.plot()._repr_png_().startswith(b"\x89PNG")
+    assert ">bar</td>" in recording._repr_html_() and ">Pa</td>" not in recording._repr_html_()
+    assert len(repr(recording["z1"])) < 80
+
+
 def test_a_diagnosis_is_told_and_drawn_in_words(tmp_path):
     text = report_diagnosis(example_diagnosis(), tmp_path, {"check": None}).read_text()
-    assert "Internal leakage (lift) is missing (<code>internal_leakage@lift</code>): the open-loop error falls" in text
+    found = "Internal leakage (lift), 12.00 ± 0.12 l/min at 100 bar, is missing (<code>internal_leakage@lift</code>)."
+    assert f"{found} The open-loop error falls from 22 to 0.99 times the sensors' noise" in text
+    assert "Law: Flow k (pa - pb) from the piston side to the rod side" in text
+    assert "How it shows: with its valve closed a loaded cylinder creeps" in text
+    order = ["What to do next", "<h2>Where", "<h2>What is missing", "<h2>How sure"]
+    assert [text.index(part) for part in order] == sorted(text.index(part) for part in order)
+    assert "marked: lift" in text
     labels = [label.get_text() for label in example_diagnosis().plot().axes[0].get_yticklabels()]
     assert labels == ["internal leakage (lift)", "parameters"]
+
+
+def test_a_start_away_from_what_was_measured_is_told():
+    off = example_comparison()
+    assert off.started.startswith("The run starts away from what was measured: z1 57 deg above; the start")  # 1 rad
+    near = replace(off, simulated=off.measured)
+    assert near.started.startswith("The run starts as was measured;")
+
+
+def test_where_everything_is_violated_no_single_place_is_named():
+    def places(names):
+        return [Finding("equation", n, 0.0, 1.0, "rest", 9.0, f"while at rest, {n} is off") for n in names]
+
+    equations = example_comparison().layout.equations
+    some, all_of_them = (replace(example_comparison(), where=places(n)) for n in (equations[:1], equations))
+    assert some.verdict.endswith(f"While at rest, {equations[0]} is off.")
+    assert "Every balance of the model is violated" in all_of_them.verdict and "is off" not in all_of_them.verdict
+
+
+def test_units_are_those_in_which_engineers_think():
+    unit, factor = engineering("m^3/s/Pa")
+    assert (unit, 2e-11 / factor) == ("l/min at 100 bar", pytest.approx(12.0))
+    unit, factor = engineering("N*m*s")
+    assert (unit, 573.0 / factor) == ("N m at 10 deg/s", pytest.approx(100.0, rel=1e-3))
+    assert engineering("kg") == ("kg", 1.0)
 
 
 def test_an_improvement_says_what_it_did(tmp_path):

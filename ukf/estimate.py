@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 #: shares of a sensor's noise below which its innovations are small, and below which they cannot hold that noise
 _SMALL, _NO_NOISE = 0.5, 0.25
+#: quantities that a representation names
+_NAMED = 8
 #: share of the steps at which a filter may fail and still be judged
 _FEW_FAILURES = 0.01
 #: flags of samples that are not believed, in words
@@ -287,6 +289,15 @@ class Estimate:
 
         write_csv(self, path)
 
+    def to_dataframe(self) -> Any:
+        """Return estimated quantities and, as "name_std", their standard deviations as a pandas DataFrame over time; SI."""
+        from crane_exudyn.formats import data_frame
+
+        stds = {f"{n}_std": s for n, s in zip(self.state_names, self.std.T, strict=True)}
+        columns = dict(zip(self.state_names, self.mean.T, strict=True)) | stds
+        units = {n: self.units.get(n.removesuffix("_std"), "") for n in columns}
+        return data_frame(self.time, columns, units)
+
     def plot(self, truth: np.ndarray | None = None) -> Figure:
         """Return a figure of states with 95 % intervals, measurements and innovations; `truth` (N, m) if it is known."""
         from .plots import estimate_figure
@@ -317,8 +328,10 @@ class Estimate:
 
     def __repr__(self) -> str:
         low, high = self.nis_bounds
+        names = self.state_names
+        told = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
         return (
-            f"<Estimate of {', '.join(self.state_names)} by {self.method} at {self.time.size} instants, "
+            f"<Estimate of {told} by {self.method} at {self.time.size} instants, "
             f"{self.time[0]:.3f} … {self.time[-1]:.3f} s; NIS {self.nis_mean:.3g} (expected {low:.3g} … {high:.3g}): "
             f"{self.verdict}; {len(self.events)} event(s)>"
         )

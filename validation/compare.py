@@ -31,7 +31,7 @@ from ukf.noise import ProcessNoise
 from ukf.signals import Signals
 
 from .balances import Balances, balances_of
-from .findings import Finding, Scores, people_unit, scores_of
+from .findings import Finding, Scores, balance_words, people_unit, scores_of, told
 from .fit.data import FitData, known_parameters
 from .fit.model import model_of, spool_path
 from .fit.solve import Fit
@@ -49,6 +49,8 @@ Series = dict[str, tuple[np.ndarray, np.ndarray]]
 
 #: what the filter allows the model to be wrong by: next to nothing, so that whatever the model lacks is left in the innovations
 _TRUSTING: tuple[Mapping[str, float], float] = ({"rad": 1e-6, "m": 1e-6}, 1e6)
+#: s at the start over which measured and simulated are compared, and by how many times the noise they may differ there
+_FIRST, _OFF = 0.1, 3.0
 #: a lateness of the commands beyond this is told, s
 _LATE = 1e-3
 
@@ -125,8 +127,35 @@ class Comparison:
         size = f"The open-loop error is {self.error:.3g} times the noise of the sensors."
         if not self.where:
             return size + " No channel and no balance of the model is clearly off in any phase of work."
+        if self.everywhere:
+            return (
+                f"{size} Every balance of the model is violated, worst the {balance_words(self.violated[0])}: no single place stands out. "
+                "Several parameters, or the recording itself, may be wrong."
+            )
         first = next((f for f in self.where if f.kind == "equation"), self.where[0])
         return f"{size} {first.text[0].upper()}{first.text[1:]}."
+
+    @property
+    def violated(self) -> tuple[str, ...]:
+        """The balances that are violated somewhere, worst first."""
+        return tuple(dict.fromkeys(f.name for f in self.where if f.kind == "equation"))
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether every balance is violated, so that none of them says where something is missing."""
+        return len(self.violated) == len(self.layout.equations)
+
+    @property
+    def started(self) -> str:
+        """Where the open-loop run starts: as was measured, or how far from it."""
+        off = []
+        for name, (time, values) in self.measured.items():
+            first = time <= time[0] + _FIRST
+            by = float(np.mean((self.simulated[name][1] - values)[first]))
+            if abs(by) > _OFF * self.channels[name].noise_std * people_unit(name, self.layout)[1]:
+                off.append(f"{name} {told(name, abs(by), self.layout)} {'above' if by > 0.0 else 'below'}")
+        where = f"away from what was measured: {', '.join(off)}" if off else "as was measured"
+        return f"The run starts {where}; the start was fitted. From there it sees only the commands."
 
     def to_dict(self) -> dict[str, Any]:
         """Return the comparison as `patu compare --json` writes it."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import plots
-from .findings import PREDICTED_BADLY, VIOLATED, people_unit
+from .findings import PREDICTED_BADLY, VIOLATED, balance_words, people_unit
 from .phases import LOW_PRESSURE, REST, REVERSAL, STROKE_END, Phase, kinds, moving, together
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from crane_exudyn.layout import Layout
 
-    from .compare import Comparison, Series
+    from .compare import Comparison
 
 #: colours of the kinds of work: extending warm, retracting cold, what is special dark
 _COLORS = {REST: "#eeeeee", REVERSAL: "#7A5C8E", LOW_PRESSURE: "#3E6E5A", STROKE_END: "#333333"}
@@ -46,10 +46,8 @@ def figures(comparison: Comparison) -> dict[str, Figure]:
 
 def _stacked(ratios: Sequence[float], height: float) -> Figure:
     """Return a figure of panels on one time axis whose heights are as these numbers, `height` inches in all."""
-    from matplotlib.figure import Figure
-
     with plots.style():
-        made = Figure(figsize=(plots.WIDTH, height), layout="constrained")
+        made = plots.empty_figure(plots.WIDTH, height, layout="constrained")
         made.subplots(len(ratios), 1, sharex=True, gridspec_kw={"height_ratios": list(ratios)})
     return made
 
@@ -57,7 +55,7 @@ def _stacked(ratios: Sequence[float], height: float) -> Figure:
 def where_figure(comparison: Comparison) -> Figure:
     """Return a map of time against channels and equations: the darker, the worse the model; what the crane did stands above."""
     scores = comparison.scores
-    rows = [*scores.channel_names, *map(_label, scores.layout.equations)]
+    rows = [*scores.channel_names, *map(balance_words, scores.layout.equations)]
     values = np.column_stack([scores.channels, np.abs(scores.equations) / (VIOLATED / PREDICTED_BADLY)]).T
     made = _stacked((1.0, 0.22, 0.27 * len(rows)), 2.2 + 0.27 * len(rows))
     with plots.style():
@@ -96,11 +94,6 @@ def _strip(axes: Axes, phases: Sequence[Phase]) -> None:
         [Patch(**_look(k, layout)) for k in present], present, loc="lower left", bbox_to_anchor=(0.0, 1.0),
         ncols=3, fontsize=7.5, handlelength=2.0, columnspacing=0.9, borderpad=0.1,
     )  # fmt: skip
-
-
-def _label(equation: str) -> str:
-    """Return a balance in words, such as "flow into p1"."""
-    return equation.replace("torque.", "moment at ").replace("flow.", "flow into ")
 
 
 def _look(kind: str, layout: Layout) -> dict[str, Any]:
@@ -156,7 +149,9 @@ def balances_figure(comparison: Comparison) -> Figure:
             axes.fill_between(t, y - 1.96 * s, y + 1.96 * s, color="#0072B2", alpha=0.25, lw=0)
             axes.plot(t, y, color="#0072B2", lw=1.1)
             axes.axhline(0.0, color="#111111", lw=0.8)
-            axes.set_title(f"{_label(equation)} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0)
+            axes.set_title(
+                f"{balance_words(equation)} that the model lacks", loc="left", fontsize=9, color="#444444", pad=3.0
+            )
             axes.set_ylabel(unit)
         made.axes[-1].set_xlim(balances.time[0], balances.time[-1])
         made.axes[-1].set_xlabel("time / s")
@@ -197,14 +192,14 @@ def _work(axes: Axes, found: Sequence[tuple[str, np.ndarray, np.ndarray]], j: in
     axes.axvline(0.0, color="#111111", lw=0.8)
     axes.invert_yaxis()
     axes.set_xlabel(unit)
-    axes.set_title(_label(layout.equations[j]), loc="left", fontsize=9)
+    axes.set_title(balance_words(layout.equations[j]), loc="left", fontsize=9)
 
 
 #: panels of a figure of traces, and s that its last one shows
 _TRACES, _CLOSER = 3, 1.5
 
 
-def traces_figure(lines: Mapping[str, Series], layout: Layout) -> Figure:
+def traces_figure(lines: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], layout: Layout) -> Figure:
     """Return the channels in which the first model errs most, over time, and below the worst one where it is worst.
 
     Args:

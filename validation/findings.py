@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from crane_exudyn import channels
+from crane_exudyn.display import engineering, rounded
 from crane_exudyn.layout import Layout
 from ukf.estimate import Estimate
 
@@ -20,11 +21,6 @@ from .phases import Phase, kinds
 PREDICTED_BADLY = 1.5
 #: a balance counts as violated when its mean residual is so many standard deviations from zero
 VIOLATED = 4.0
-#: unit for people by the SI unit of a channel or a balance, and what one of it is in SI
-_UNITS = {
-    "rad/s": ("deg/s", math.pi / 180), "rad": ("deg", math.pi / 180), "Pa": ("bar", 1e5), "m": ("mm", 1e-3), "m/s": ("mm/s", 1e-3),
-    "m^3/s": ("l/min", 1e-3 / 60.0), "N*m": ("N m", 1.0), "N": ("N", 1.0),
-}  # fmt: skip
 #: a joint counts as moving from this mean rate on, rad/s or m/s
 _TURNING = 5e-3
 
@@ -150,7 +146,12 @@ def scores_of(estimate: Estimate, balances: Balances, phases: Sequence[Phase]) -
 def people_unit(name: str, layout: Layout) -> tuple[str, float]:
     """Return the unit in which people read a channel or a balance of a machine, and what one of it is in SI."""
     units = channels.of(layout)
-    return _UNITS[units[name] if name in units else layout.unit_of(name)]
+    return engineering(units[name] if name in units else layout.unit_of(name))
+
+
+def balance_words(equation: str) -> str:
+    """Return a balance in words, such as "flow into p1"."""
+    return equation.replace("torque.", "moment at ").replace("flow.", "flow into ")
 
 
 def told(name: str, value: float, layout: Layout) -> str:
@@ -175,14 +176,3 @@ def violation(equation: str, mean: float, std: float, layout: Layout, rate: floa
         return f"joint {place} pushes the {body} {way} with {amount} more than the model says{motion}"
     way = "upwards" if mean > 0 else "downwards"
     return f"joint {place} turns the {body} {way} with {amount} more than the model says{motion}"
-
-
-def rounded(value: float, uncertainty: float) -> str:
-    """Return such as "2.1 ± 0.3": the uncertainty with one leading digit (two below 3), the value to the same place."""
-    if not (math.isfinite(uncertainty) and uncertainty > 0.0):
-        return f"{value:.3g} ± {uncertainty:g}"
-    power = math.floor(math.log10(uncertainty))
-    places = -power + (1 if round(uncertainty / 10.0**power, 1) < 3.0 else 0)
-    if places >= 0:
-        return f"{value:.{places}f} ± {uncertainty:.{places}f}"
-    return f"{round(value, places):.0f} ± {round(uncertainty, places):.0f}"

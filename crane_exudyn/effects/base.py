@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -88,6 +89,16 @@ class Effect:
         return {hook: getattr(cls, hook) for hook in HOOKS if hook in cls.__dict__}
 
     @classmethod
+    def law(cls) -> str:
+        """Return the law in words and symbols: the first paragraph of the docstring."""
+        return _paragraphs(cls)[0]
+
+    @classmethod
+    def signature(cls) -> str:
+        """Return what a recording shows of the effect: the paragraph of the docstring that begins with "Signature:"; "" without."""
+        return next((p.removeprefix("Signature: ") for p in _paragraphs(cls) if p.startswith("Signature: ")), "")
+
+    @classmethod
     def keys(cls, layout: Layout) -> list[str]:
         """Return "name@place" for every place of a machine, or "name" for an effect of the whole machine."""
         return [f"{cls.name}@{place}" if place else cls.name for place in cls.on(layout)]
@@ -96,6 +107,11 @@ class Effect:
     def on(cls, layout: Layout) -> tuple[str, ...]:
         """Return the places of a machine at which it may act."""
         return tuple(place for place in layout.places(cls.places) if not cls.only or place in cls.only)
+
+
+def _paragraphs(effect: type[Effect]) -> list[str]:
+    text = inspect.cleandoc(effect.__doc__ or effect.name)
+    return [" ".join(p.split()) for p in text.split("\n\n")]
 
 
 @dataclass(frozen=True)

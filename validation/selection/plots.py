@@ -68,7 +68,8 @@ def _errors(axes: Axes, d: Diagnosis) -> None:
         ("only predicted", d.check_error_before, d.check_error_after),
     ]
     pairs = [p for p in pairs if not math.isnan(p[1])]
-    for k, (label, look) in enumerate((("error before", (_PLAIN, _HATCH)), ("error after", (_CHOSEN, "")))):
+    shown = [("as given", (_PLAIN, _HATCH)), ("with what was found", (_CHOSEN, ""))]
+    for k, (label, look) in enumerate(shown[: 1 + (d.crane is not d.given)]):
         at = [i + 0.4 * k - 0.2 for i in range(len(pairs))]
         bars = axes.barh(
             at, [p[1 + k] for p in pairs], 0.36, color=look[0], hatch=look[1], edgecolor="white", label=label

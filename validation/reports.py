@@ -1,0 +1,440 @@
+"""The report of a comparison, a diagnosis and an improvement, all in one order.
+
+First the verdict and what to do next; then measured and modelled over time, the place on the machine, the law with its numbers,
+how sure that is; the details last. Errors are open-loop RMS in units of the sensors' noise everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.display import engineering, rounded
+from crane_exudyn.effects import registry
+from crane_exudyn.recording import Recording
+
+from .compare import Comparison, from_one_start
+from .compare_figures import traces_figure
+from .diagnosis import Candidate, Diagnosis, sentence
+from .findings import VIOLATED, balance_words, people_unit
+from .improvement import Improvement
+from .report import Mood, Part, Picture, Section, Table, write_report
+from .selection.plots import in_words
+
+Parameters = Mapping[str, Mapping[str, Any]]
+
+_MOODS: Mapping[str, Mood] = {"adequate": "good", "unknown": "bad"}
+_ERRORS = (
+    "Errors are open-loop RMS over all channels in units of the sensors' noise; 1 means that nothing is left but noise."
+)
+#: rows of the tables of what was weighed, and of where a model fails
+_WEIGHED, _WORST = 12, 20
+
+
+@dataclass(frozen=True)
+class Examined:
+    """The recordings of a result: those that were looked at, and the one that was only predicted."""
+
+    recordings: Sequence[Recording]
+    check: Recording | None = None
+
+    @property
+    def typed(self) -> str:
+        """The recordings as one types them behind a command."""
+        check = f" --check {_file(self.check)}" if self.check is not None else ""
+        return f"{' '.join(map(_file, self.recordings))}{check}"
+
+
+def _file(recording: Recording) -> str:
+    return str(recording.source or recording.name)
+
+
+# -- compare ---------------------------------------------------------------------------------------------------------
+
+
+def report_comparison(
+    comparisons: Sequence[Comparison], crane: Crane, recordings: Sequence[Recording], directory: Path
+) -> Path:
+    """Write the report of comparisons with recordings, one after the other, and return its path."""
+    mood: Mood = "good" if all(not c.where and c.error < 1.2 for c in comparisons) else "bad"
+    first, names = comparisons[0], ", ".join(c.recording for c in comparisons)
+    noise = ", ".join(f"{n} {e.noise_std:.3g} {e.unit}" for n, e in first.channels.items())
+    parameters = {"crane": first.crane, "recording": names, "engine": first.engine, "noise of the sensors": noise}
+    of = [f"{c.recording}: " if len(comparisons) > 1 else "" for c in comparisons]
+    verdict = " ".join(f"{begin}{c.verdict}" for begin, c in zip(of, comparisons, strict=True))
+    sections = [
+        (f"{begin}{title}", parts)
+        for begin, c, recording in zip(of, comparisons, recordings, strict=True)
+        for title, parts in comparison_sections(c, crane, Examined((recording,)))
+    ]
+    return write_report(
+        directory, f"{names} against {first.crane}", verdict, sections, parameters=parameters, mood=mood
+    )
+
+
+def comparison_sections(c: Comparison, crane: Crane, examined: Examined) -> list[Section]:
+    """Return the sections of a comparison."""
+    lines = {"measured": c.measured, "simulated": c.simulated}
+    found = c.figures()
+    worst = [(f"{f.score:.1f}", f.text) for f in c.where[:_WORST]]
+    headings, by_work = balance_table(c)
+    sections: list[Section] = [
+        ("What to do next", _after_comparison(c, examined)),
+        ("Measured and simulated", [Picture(traces_figure(lines, c.layout), f"The channels with the largest errors. {c.started}")]),
+    ]  # fmt: skip
+    if c.violated and not c.everywhere:
+        sections.append(("Where", where_parts(crane, [c.violated[0].rpartition(".")[2]])))
+    if worst:
+        table = Table(("score", "where"), worst, note="Scores are standard deviations.")
+        sections.append(("Where the model fails", [Picture(found["where"], _CAPTIONS["where"]), table]))
+    sections += [
+        ("Details: open loop", [Table(ERROR_COLUMNS, error_rows(c), note=_ERRORS), Picture(found["open_loop"], c.started)]),
+        ("Details: what the balances lack", [
+            Table([balance_words(h) for h in headings], by_work, note="± 95 %; a star marks what is clearly not zero."),
+            *(Picture(found[n], _CAPTIONS[n]) for n in ("balances_by_work", "balances")),
+        ]),
+        ("Details: the filter", [filter_words(c), *(f"Note: {note}." for note in c.notes)]),
+    ]  # fmt: skip
+    return sections
+
+
+ERROR_COLUMNS = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²", "whiteness p")
+
+
+def error_rows(c: Comparison) -> list[tuple[object, ...]]:
+    """Return the table of channels."""
+    white = c.estimate.whiteness
+    return [
+        (n, e.unit, e.rmse, e.pn_rmse, e.bias, e.noise_std, e.error_over_noise, e.r2, white.get(n))
+        for n, e in c.channels.items()
+    ]
+
+
+def filter_words(c: Comparison) -> str:
+    """Return what the innovations say of a filter that trusts the model."""
+    low, high = c.nis_bounds
+    word = "consistent with the model" if c.consistent else "NOT consistent with the model"
+    return f"Filter that trusts the model: mean NIS {c.estimate.nis_mean:.3g}, expected {low:.3g} … {high:.3g}; {word}."
+
+
+def balance_table(c: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not zero."""
+    equations = c.layout.equations
+    units = [people_unit(e, c.layout) for e in equations]
+    columns = ("work", *(f"{e} {unit}" for e, (unit, _) in zip(equations, units, strict=True)))
+    rows = []
+    for kind, mean, std in c.scores.by_kind():
+        cells = [
+            (rounded(m / factor, 1.96 * s / factor) + ("*" if abs(m) > VIOLATED * s else " "))
+            if math.isfinite(s)
+            else "unknown "
+            for m, s, (_, factor) in zip(mean, std, units, strict=True)
+        ]
+        rows.append((kind, *cells))
+    return columns, rows
+
+
+_CAPTIONS = {
+    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, dark is bad.",
+    "balances": "Flow and moment that each balance lacks, with 95 % interval from the sensors' noise.",
+    "balances_by_work": "The same, averaged over each kind of work.",
+}
+
+
+def _after_comparison(c: Comparison, examined: Examined) -> list[Part]:
+    typed = examined.typed
+    if not c.where:
+        return [
+            "Nothing has to be done for this recording. Another one, with other loads and speeds, tells whether the model holds there."
+        ]
+    check = f"`patu check {typed}` tells whether the recording is what it says it is: signs, exchanged channels, units."
+    find = f"`patu diagnose {typed}` finds which physical effect is missing; give a second recording with `--check`."
+    return [check, find] if c.everywhere else [find]
+
+
+# -- diagnose --------------------------------------------------------------------------------------------------------
+
+
+def report_diagnosis(
+    d: Diagnosis, directory: str | Path, given: Mapping[str, object] | None = None, examined: Examined | None = None
+) -> Path:
+    """Write the report of a diagnosis and return its path.
+
+    Args:
+        d: the diagnosis.
+        directory: for report.html; is made if it does not exist.
+        given: more parameters of the run, by name.
+        examined: the recordings, for their traces.
+    """
+    parameters = {"crane": d.given.name, "recording": d.recording} | dict(given or {})
+    mood = _MOODS.get(d.verdict, "neutral")
+    sections = diagnosis_sections(d, examined)
+    return write_report(
+        directory, f"Diagnosis of {d.recording}", verdict(d), sections, parameters=parameters, mood=mood
+    )
+
+
+def verdict(d: Diagnosis) -> str:
+    """Return the verdict in one or two sentences, effects named in words and by their keys."""
+    if not d.effects:
+        text = sentence(d).replace("->", "→")
+        return f"{text[0].upper()}{text[1:]}."
+    chosen = next((c for c in d.candidates if c.effects == d.effects), None)
+    named = " and ".join(_with_size(e, chosen.parameters if chosen else {}) for e in d.effects)
+    keys = ", ".join(f"`{e}`" for e in d.effects)
+    text = f"{named} is missing ({keys})"
+    if d.verdict == "tied":
+        text += f", or {' or '.join(in_words(e) for e in d.tied_with)}: this recording cannot tell"
+    check = f", of the check recording from {d.check_error_before:.3g} to {d.check_error_after:.3g}"
+    return (
+        f"{text[0].upper()}{text[1:]}. The open-loop error falls from {d.error_before:.3g} to {d.error_after:.3g} times the "
+        f"sensors' noise{'' if math.isnan(d.check_error_before) else check}."
+    )
+
+
+def _with_size(key: str, parameters: Parameters) -> str:
+    """Return an effect in words with its one number, or without where it has several."""
+    own = _of_effect(key, parameters)
+    return in_words(key) + (f", {told(*own.values())}," if len(own) == 1 else "")
+
+
+def told(p: Mapping[str, Any]) -> str:
+    """Return a parameter with its 95 % interval in engineers' units, such as "2.40 ± 0.01 l/min at 100 bar"."""
+    value, half, unit = interval(p)
+    return f"{rounded(value, half) if math.isfinite(half) else f'about {value:.2g}'} {unit}".strip()
+
+
+def interval(p: Mapping[str, Any]) -> tuple[float, float, str]:
+    """Return a parameter's value, half its 95 % interval, and their unit as engineers read it."""
+    unit, factor = engineering(p["unit"])
+    return p["value"] / factor, 1.96 * p["std"] / factor, unit
+
+
+def _of_effect(key: str, parameters: Parameters) -> dict[str, Mapping[str, Any]]:
+    """Return the parameters of one of the effects of a candidate; several effects' names begin with their keys."""
+    return {n.rpartition(":")[2]: p for n, p in parameters.items() if n.rpartition(":")[0] in ("", key)}
+
+
+def diagnosis_sections(d: Diagnosis, examined: Examined | None = None) -> list[Section]:
+    """Return the sections of a diagnosis."""
+    chosen = next((c for c in d.candidates if c.effects == d.effects), None)
+    sections: list[Section] = [("What to do next", after_diagnosis(d, examined))]
+    if examined is not None and d.crane is not d.given:
+        sections.append(("Before and after", before_and_after(examined.recordings, d.given, d.crane)))
+    if d.effects:
+        sections.append(("Where", where_parts(d.given, _places(d.effects))))
+        sections.append(("What is missing", law_parts(d.effects, chosen.parameters if chosen else {})))
+    return [*sections, ("How sure", sureness(d)), *_details(d)]
+
+
+def after_diagnosis(d: Diagnosis, examined: Examined | None) -> list[Part]:
+    """Return what to do next, in sentences."""
+    typed = examined.typed if examined is not None else d.recording
+    unchecked = "" if not math.isnan(d.check_error_before) else (
+        "A second recording, given with `--check`, is only predicted: an effect that predicts it too is to be believed."
+    )  # fmt: skip
+    todo = {
+        "adequate": "Nothing has to be added for this recording. Another one, with other loads and speeds, tells whether the model holds there.",
+        "parameters": f"`patu improve {typed} -o new.toml` writes the moved parameters into a crane file. Those that moved most are worth measuring.",
+        "effect": f"`patu improve {typed} -o new.toml` adds what was found to the crane file, and looks whether anything is left.",
+        "tied": f"The explanations differ in another manoeuvre: {d.next_manoeuvre or 'one with other loads and speeds'}",
+        "unknown": f"`patu improve {typed} -o new.toml` takes effects in one after the other where none alone explains the recording.",
+    }[d.verdict]  # fmt: skip
+    if d.misses_check and examined is not None and examined.check is not None:
+        todo = f"`patu check {' '.join(map(_file, (*examined.recordings, examined.check)))}` tells whether all are what they say they are."
+    return list(filter(None, (todo, unchecked)))
+
+
+def sureness(d: Diagnosis) -> list[Part]:
+    """Return how the explanations were weighed against each other."""
+    best = d.candidates[0].evidence if d.candidates else 0.0
+    rows = [
+        (in_words(c.name), round(c.evidence - best, 1), _share(c.probability), c.error_after, c.check_error_after)
+        for c in d.candidates[:_WEIGHED]
+    ]
+    columns = ("explanation", "log evidence", "probability", "error / noise", "on check")
+    note = f"Log evidence is relative to the best: 5 less is a hundred times less likely. {_ERRORS}"
+    caption = (
+        "How much likelier than moved parameters alone each explanation makes the recording (in full colour what was chosen), "
+        "and the error."
+    )
+    return [*_rivals(d), Picture(d.plot(), caption), Table(columns, rows, note=note)]
+
+
+def _rivals(d: Diagnosis) -> list[str]:
+    """Return what comes next after the chosen explanation, and by how much it is less likely."""
+    if d.verdict == "tied":
+        return [f"As likely as that: {', '.join(in_words(e) for e in d.tied_with)}."]
+    chosen = next((c for c in d.candidates if c.effects == d.effects), None)
+    others = [c for c in d.candidates if c is not chosen]
+    if d.verdict == "unknown" or chosen is None or not others:
+        return []
+    behind = chosen.evidence - others[0].evidence
+    return [f"The next best explanation, {in_words(others[0].name)}, is behind by {behind:.0f} in log evidence."]
+
+
+def _share(probability: float) -> str:
+    return "< 0.001" if probability < 1e-3 else f"{probability:.3f}"
+
+
+def _details(d: Diagnosis) -> list[Section]:
+    sections: list[Section] = []
+    rivals = [row for c in d.candidates[:3] if c.effects != d.effects for row in _parameter_rows(c)]
+    if rivals:
+        sections.append(
+            ("Details: the rivals' parameters", [Table(("parameter", "value", "unit"), rivals, note="± 95 %.")])
+        )
+    if d.parameters:
+        rows = [(n, *_beside(p), engineering(p["unit"])[0]) for n, p in d.parameters.items()]
+        wide = ("parameter", "value", "nominal", "unit")
+        sections.append(("Details: nominal parameters that moved", [Table(wide, rows, note="± 95 %.")]))
+    remarks = [*d.notes, *(w["text"] for w in d.where)]
+    if remarks:
+        sections.append(("Details: remarks", [f"{r[0].upper()}{r[1:].rstrip('.')}." for r in remarks]))
+    return sections
+
+
+def _beside(p: Mapping[str, Any]) -> tuple[str, float]:
+    value, half, _ = interval(p)
+    return rounded(value, half), p["nominal"] / engineering(p["unit"])[1]
+
+
+def _parameter_rows(c: Candidate) -> list[tuple[object, ...]]:
+    rows: list[tuple[object, ...]] = []
+    for name, p in c.parameters.items():
+        value, half, unit = interval(p)
+        rows.append((f"{in_words(c.name)}: {name}", rounded(value, half), unit or "–"))
+    return rows
+
+
+# -- what the reports share ------------------------------------------------------------------------------------------
+
+
+def before_and_after(recordings: Sequence[Recording], given: Crane, improved: Crane) -> list[Part]:
+    """Return pictures of what was measured, and of the given and the improved model from the same start."""
+    caption = "What was measured, and what the crane file as given and the improved one do from the same start, seeing only the commands."
+    return [
+        Picture(
+            traces_figure(from_one_start(r, {"as given": given, "improved": improved}), given.layout),
+            f"{r.name}: {caption}",
+        )
+        for r in recordings
+    ]
+
+
+def _places(keys: Iterable[str]) -> list[str]:
+    return list(dict.fromkeys(filter(None, (registry.split_key(k)[1] for k in keys))))
+
+
+def where_parts(crane: Crane, places: Sequence[str]) -> list[Part]:
+    """Return a sketch of the machine with places marked; a sentence where what was found acts on the whole machine."""
+    if not places:
+        return ["It acts on the whole machine."]
+    from crane_exudyn.render_frames import overview
+
+    return [Picture(overview(crane, places), f"The machine at its start; marked: {', '.join(places)}.")]
+
+
+def law_parts(keys: Sequence[str], parameters: Parameters) -> list[Part]:
+    """Return law, signature and parameters of effects in words and engineers' units."""
+    parts: list[Part] = []
+    for key in keys:
+        effect, _ = registry.split_key(key)
+        texts = {p.name: p.text for p in effect.parameters}
+        rows = []
+        for name, p in _of_effect(key, parameters).items():
+            value, half, unit = interval(p)
+            rows.append((name, texts.get(name, ""), rounded(value, half), unit or "–", p["value"], p["unit"] or "–"))
+        signature = effect.signature()
+        parts += [f"{in_words(key)[0].upper()}{in_words(key)[1:]}, `{key}`. Law: {effect.law()}"]
+        parts += [f"How it shows: {signature}"] if signature else []
+        if rows:
+            parts.append(Table(("parameter", "meaning", "value", "unit", "in SI", "SI unit"), rows, note="± 95 %."))
+    return parts
+
+
+# -- improve ---------------------------------------------------------------------------------------------------------
+
+
+def report_improvement(
+    result: Improvement,
+    directory: str | Path,
+    given: Mapping[str, object] | None = None,
+    examined: Examined | None = None,
+) -> Path:
+    """Write the report of an improvement and return its path; arguments as of `report_diagnosis`."""
+    first = result.diagnoses[0]
+    added = [e.key for e in result.crane.effects if first.given.effect(e.key) is None]
+    parameters = {
+        n: p for d in result.diagnoses for c in d.candidates if c.effects == d.effects for n, p in _keyed(c).items()
+    }
+    rows = [(in_words(s.added or "as given"), s.error, s.check_error, s.nis_mean, s.text) for s in result.steps]
+    expected = f"NIS is that of the filter with its usual process noise, and is no error; expected is the number of sensors. {_ERRORS}"
+    table = Table(("step", "error / noise", "on check", "filter's NIS", "what was found"), rows, note=expected)
+    sections: list[Section] = [("What to do next", _after_improvement(result))]
+    traces = before_and_after(examined.recordings, first.given, result.crane) if examined is not None and added else []
+    falling = Picture(
+        result.plot(), "Open-loop error on the Exudyn engine after each step, in units of the sensors' noise."
+    )
+    sections.append(("Before and after", [falling, *traces, table]))
+    if added:
+        sections.append(("Where", where_parts(first.given, _places(added))))
+        sections.append(("What was missing", law_parts(added, _complete(result.crane, added, parameters))))
+    for i, d in enumerate(result.diagnoses):
+        sections.append((f"How sure: diagnosis {i + 1}", [verdict(d), *sureness(d)]))
+        sections += _details(d)
+    about = {"crane": first.given.name, "recording": result.recording} | dict(given or {})
+    mood = _MOODS.get(result.verdict, "neutral")
+    title = f"Improvement on {result.recording}"
+    return write_report(directory, title, outcome(result), sections, parameters=about, mood=mood)
+
+
+def _keyed(c: Candidate) -> dict[str, Mapping[str, Any]]:
+    """Return a candidate's parameters, each with its effect's key before its name."""
+    return {f"{key}:{n}": p for key in c.effects for n, p in _of_effect(key, c.parameters).items()}
+
+
+def _complete(crane: Crane, keys: Iterable[str], known: Parameters) -> dict[str, Mapping[str, Any]]:
+    """Return the parameters of a crane's effects: as they were found, and without uncertainty where only the crane knows them."""
+    from crane_exudyn.crane_toml import unit_at
+
+    found: dict[str, Mapping[str, Any]] = {}
+    for key in keys:
+        (effect, place), acting = registry.split_key(key), crane.effect(key)
+        assert acting is not None
+        for p in effect.parameters:
+            name, unit = f"{key}:{p.name}", unit_at(p.unit, place, crane.layout)
+            found[name] = known.get(name, {"value": acting.parameters[p.name], "std": math.nan, "unit": unit})
+    return found
+
+
+def _after_improvement(result: Improvement) -> list[Part]:
+    file = "Use the new crane file with `--crane` from now on; `patu remove` undoes what was added."
+    if result.verdict == "adequate":
+        return [file] if len(result.steps) > 1 else ["Nothing has to be added for this recording."]
+    last = result.diagnoses[-1]
+    left = (
+        last.next_manoeuvre
+        or "Record another manoeuvre, with other loads and speeds, and improve the new crane file on it."
+    )
+    return [*([file] if len(result.steps) > 1 else []), left]
+
+
+def outcome(result: Improvement) -> str:
+    """Return in one or two sentences what was added, what that did, and what is left."""
+    first, last = result.steps[0], result.steps[-1]
+    added = [in_words(s.added) for s in result.steps if s.added]
+    left = (
+        "Nothing is left that noise does not explain." if result.verdict == "adequate" else f"Left: {result.verdict}."
+    )
+    if not added:
+        return f"Nothing was added; the open-loop error is {first.error:.3g} times the sensors' noise. {left}"
+    check = "" if math.isnan(last.check_error) else f", on the check recording to {last.check_error:.3g}"
+    return (
+        f"With {' and '.join(added)} the open-loop error falls from {first.error:.3g} to {last.error:.3g} times the "
+        f"sensors' noise{check}. {left}"
+    )
