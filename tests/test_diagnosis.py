@@ -98,7 +98,7 @@ def model(keys: str = "", evidence: float = 0.0, good: bool = True, **more: obje
         "bad": np.zeros(100, dtype=bool),
         "idle": set(),
         "far": (),
-        "at_bound": lambda key: [],
+        "fit": SimpleNamespace(variables=(), u=()),
     }
     return SimpleNamespace(keys=tuple(keys.split()), evidence=evidence, good=good, **asked | more)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
@@ -22,7 +22,7 @@ from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.manoeuvre import best_manoeuvre
 from .selection.model import Fitted, excess, run_error, together
-from .selection.search import Path, Problem, in_parallel, search
+from .selection.search import Path, Problem, Progress, in_parallel, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 
 #: effects that a diagnosis names at most
@@ -158,13 +158,6 @@ def own_values(entry: Mapping[str, Any]) -> str:
     return ", ".join(f"{n} = {p['value']:.4g} {p['unit']}" for n, p in entry.get("parameters", {}).items()) or "–"
 
 
-Progress = Callable[[str, float], None]
-
-
-def _silent(_: str, __: float) -> None:
-    return None
-
-
 def diagnose(
     crane: Crane,
     recording: Recording | Sequence[Recording],
@@ -172,7 +165,7 @@ def diagnose(
     *,
     per_recording: Sequence[str] = (),
     jobs: int = 2,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Return what the recording, or several of one machine, say that the crane file lacks.
 
@@ -343,18 +336,14 @@ def left_over(w: Fitted) -> tuple[Mapping[str, Any], ...]:
 def _with_errors(d: Diagnosis, path: Path, check: Recording | None) -> Diagnosis:
     """Add open-loop errors on all recordings: of the crane as given, of the candidates that came near, of the choice."""
     problem = path.problem
-    recordings, own, n = problem.recordings, problem.data.own, len(problem.recordings)
+    recordings = problem.recordings
     best = max((c.evidence for c in d.candidates), default=0.0)
     near = [c for c in d.candidates if c.evidence > best - 3 * CRITERIA.tie or c.effects == d.effects]
     fits = [path.given.fit, *(c.fit for c in near if c.fit is not None)]
-    tasks: list[tuple[Any, ...]] = [
-        (run_error, (f := fit.of(i)).crane, r, f) for fit in fits for i, r in enumerate(recordings)
-    ]
-    tasks += [(run_error, fit.crane, check, None, own) for fit in fits] if check is not None else []
-    errors = in_parallel(problem.jobs, tasks)
-    each = [errors[n * k : n * (k + 1)] for k in range(len(fits))]
+    each = problem.errors(fits)
     learned = [together(recordings, e) for e in each]
-    checked = errors[n * len(fits) :] or [math.nan] * len(fits)
+    predicted = [(run_error, fit.crane, check, None, problem.data.own) for fit in fits] if check is not None else []
+    checked = in_parallel(problem.jobs, predicted) or [math.nan] * len(fits)
     before = {"error_before": learned[0], "check_error_before": checked[0]}
     after = {
         c.effects: {"error_after": e, "check_error_after": k}
@@ -367,7 +356,7 @@ def _with_errors(d: Diagnosis, path: Path, check: Recording | None) -> Diagnosis
         for i, r in enumerate(recordings)
     ]
     return replace(
-        d, recordings=tuple(by_recording) if n > 1 else (), error_after=learned[k], check_error_after=checked[k], **before,
+        d, recordings=tuple(by_recording) if len(recordings) > 1 else (), error_after=learned[k], check_error_after=checked[k], **before,
         candidates=tuple(replace(c, **before, **after.get(c.effects, {})) for c in d.candidates),
     )  # fmt: skip
 

@@ -22,6 +22,7 @@ from .selection.criteria import CRITERIA
 from .selection.levels import Errors
 from .selection.many import Many, search_many
 from .selection.model import open_loop_error, parameters_of, together
+from .selection.search import Progress, silent
 
 #: the two engines' errors may differ by this share before it is said
 AGREEMENT = 0.05
@@ -104,9 +105,6 @@ class Improvement:
         return table_html(columns, rows, title=repr(self).strip("<>"))
 
 
-Progress = Callable[[str, float], None]
-
-
 def improve(
     crane: Crane,
     recording: Recording | Sequence[Recording],
@@ -116,7 +114,7 @@ def improve(
     jobs: int = 2,
     most: int = 4,
     told: Callable[[Step], None] = lambda step: None,
-    progress: Progress = lambda text, share: None,
+    progress: Progress = silent,
 ) -> Improvement:
     """Return the crane with what the recordings justify; each step's errors are confirmed on the Exudyn engine.
 
@@ -178,18 +176,13 @@ class _Judge:
     own: tuple[str, ...]
 
     def step(self, name: str | None, crane: Crane, verdict: str, text: str) -> Step:
-        """Return a step to a crane."""
-        error, searched, check_error, nis = self.errors(crane)
-        return Step(name, error, check_error, nis, verdict, searched, text + _disagreement(error, searched))
-
-    def errors(self, crane: Crane) -> tuple[float, float, float, float]:
-        """Return the error on the Exudyn engine, on that of the search, on the check recording, and the filter's mean NIS."""
-        own = self.own
-        found = [exudyn_error(crane, r, own) for r in self.recordings]
+        """Return a step to a crane: errors on the Exudyn engine and on that of the search, on the check recording, and the filter's mean NIS."""
+        found = [exudyn_error(crane, r, self.own) for r in self.recordings]
         exudyn, searched = (together(self.recordings, e) for e in ([f[0] for f in found], [f[1] for f in found]))
-        check_error = exudyn_error(crane, self.check, own)[0] if self.check is not None else math.nan
+        check_error = exudyn_error(crane, self.check, self.own)[0] if self.check is not None else math.nan
         nis = [nis_mean(f[2], r) for f, r in zip(found, self.recordings, strict=True)]
-        return exudyn, searched, check_error, float(np.mean(nis))
+        text += _disagreement(exudyn, searched)
+        return Step(name, exudyn, check_error, float(np.mean(nis)), verdict, searched, text)
 
 
 def _disagreement(error: float, searched: float) -> str:

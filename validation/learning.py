@@ -15,7 +15,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
-from .diagnosis import Progress, _silent, several
+from .diagnosis import several
 from .fit.data import Data, data_of
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
@@ -33,7 +33,7 @@ from .selection.manoeuvre import best_manoeuvre
 from .selection.model import open_loop_error, plausible, together, unmoving
 from .selection.moves import scaled
 from .selection.screen import likely, screened
-from .selection.search import in_parallel
+from .selection.search import Progress, in_parallel, silent
 
 #: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to the end
 LOOSELY, FITTED, CARRIED = 4, 3, 2
@@ -159,7 +159,7 @@ def learn(
     check: Recording | None = None,
     *,
     jobs: int = 2,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Learned:
     """Return the laws that recordings show and that neither the crane nor the library has; none where the library's do as well.
 

@@ -17,7 +17,7 @@ from ..fit.data import FitData
 from ..fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions
 from ..fit.variables import stated_effects
 from ..history import added
-from .model import Model, fitted, open_loop_error
+from .model import Model, at_bound, fitted, open_loop_error
 from .moves import scaled, starts
 from .screen import screen
 
@@ -59,7 +59,7 @@ def fitted_effect(
     found, spread = done.values(key), done.deviations(key)
     document = {
         "parameters": {n: {"value": v, "std": spread.get(n)} for n, v in found.items()},
-        "evidence": done.evidence, "error_before": before, "error_after": after, "at_bound": done.at_bound(key),
+        "evidence": done.evidence, "error_before": before, "error_after": after, "at_bound": at_bound(done.fit, key),
     }  # fmt: skip
     evidence = {"recording": recording.name, "evidence": done.evidence, "error_before": before, "error_after": after}
     return added(crane, done.fit.crane, **evidence), document

@@ -9,7 +9,7 @@ and each effect is left out once to see what the others make of the recordings w
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
@@ -50,7 +50,7 @@ from .levels import DRIFT, Errors, Levels, falls, levels_of, likelihood
 from .model import Fitted, Model, at_bound, begin, parameters_of, values_of, with_effects
 from .moves import scaled, starts
 from .screen import screen
-from .search import Problem, in_parallel
+from .search import Problem, Progress, in_parallel, silent
 
 #: windows in s, how many times smaller than usual their jumps are, and the longest simulation step
 WINDOW, JOINED, STEP = 2.0, 100.0, 5e-3
@@ -58,7 +58,6 @@ WINDOW, JOINED, STEP = 2.0, 100.0, 5e-3
 SETTLED = 3
 #: of two numbers that a fit finds for variables the correlation from which on they are said not to be separated
 ALIKE = 0.9
-Progress = Callable[[str, float], None]
 Judged = tuple[Errors, Errors]
 
 
@@ -127,7 +126,7 @@ class Standing:
     tried: Mapping[str, Mapping[str, float]]
 
 
-def search_many(problem: Problem, most: int, progress: Progress = lambda text, share: None) -> Many | None:
+def search_many(problem: Problem, most: int, progress: Progress = silent) -> Many | None:
     """Return the crane with at most so many effects taken in one by one, or None where none is worth it."""
     problem, standing = _begun(problem)
     nominal = last = judged(problem, standing.fit)

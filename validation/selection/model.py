@@ -149,10 +149,6 @@ class Fitted:
         }
         return found | _curve_deviations(self.fit, key)
 
-    def at_bound(self, key: str) -> list[str]:
-        """Return the parameters of an effect that the fit has driven to an end of their range."""
-        return at_bound(self.fit, key)
-
 
 def _moves(fit: Fit) -> np.ndarray:
     pairs = zip(fit.variables, fit.u, strict=True)

@@ -45,6 +45,12 @@ from .moves import scaled, starts
 from .screen import likely, screened
 
 Progress = Callable[[str, float], None]
+
+
+def silent(text: str, share: float) -> None:
+    """Tell nobody of the progress."""
+
+
 Stages = Sequence[Stage]
 
 
@@ -146,12 +152,12 @@ class Problem:
         found = in_parallel(self.jobs, [(fitted, self.crane, self.data, m.model, m.before, stages) for m in moves])
         return sorted((w for w in found if math.isfinite(w.evidence)), key=lambda w: -w.evidence)
 
-    def errors(self, models: Sequence[Fitted]) -> list[list[float]]:
-        """Return by model and recording the open-loop errors of fitted models."""
+    def errors(self, fits: Sequence[Fit]) -> list[list[float]]:
+        """Return by fit and recording the open-loop errors of cranes as they were fitted."""
         n = len(self.recordings)
-        fits = [w.fit.of(i) for w in models for i in range(n)]
-        found = in_parallel(self.jobs, [(run_error, f.crane, self.recordings[k % n], f) for k, f in enumerate(fits)])
-        return [found[n * k : n * (k + 1)] for k in range(len(models))]
+        own = [fit.of(i) for fit in fits for i in range(n)]
+        found = in_parallel(self.jobs, [(run_error, f.crane, self.recordings[k % n], f) for k, f in enumerate(own)])
+        return [found[n * k : n * (k + 1)] for k in range(len(fits))]
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Fit:
         """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined windows."""
@@ -173,7 +179,7 @@ def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
     return list(results_of(tasks, min(jobs, len(tasks))))
 
 
-def search(problem: Problem, most: int, progress: Progress = lambda text, share: None) -> Path:
+def search(problem: Problem, most: int, progress: Progress = silent) -> Path:
     """Return the path to the best model with at most so many effects."""
     path = _begun(problem)
     while True:
@@ -217,15 +223,14 @@ def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]
 
     Moved parameters can make up for a further effect, but not for nothing: their prior charges for it, and the screen knows that.
     """
-    every = best_of_each([w for r in path.rounds for w in r.done] + list(done))
-    fewest = min((len(w.keys) for w in every), default=0)
-    first = next((w for w in every if len(w.keys) == fewest), None)
+    singles = [w for w in best_of_each([*(w for r in path.rounds for w in r.done), *done]) if len(w.keys) == 1]
+    first = singles[0] if singles else None
     if first is None or not first.good:
         return {}
-    more = [w for w in done if len(w.keys) > fewest and w.evidence > first.evidence + CRITERIA.proof and not w.idle]
+    more = [w for w in done if len(w.keys) > 1 and w.evidence > first.evidence + CRITERIA.proof and not w.idle]
     if not more:
         return {}
-    errors = path.problem.errors([first, *more])
+    errors = path.problem.errors([w.fit for w in (first, *more)])
     return {
         frozenset(w.keys): together(path.problem.recordings, e) for w, e in zip((first, *more), errors, strict=True)
     }

@@ -12,7 +12,7 @@ from crane_exudyn.effects import registry
 from ..fit.data import FitData
 from ..fit.model import spool_path
 from .criteria import CRITERIA
-from .model import Fitted, excess
+from .model import Fitted, at_bound, excess
 from .search import Path, Problem
 
 Kind = Literal["adequate", "parameters", "effect", "tied", "unknown"]
@@ -49,8 +49,9 @@ def verdict_of(path: Path) -> Verdict:
         w for w in path.weighed[1:]
         if w.evidence > best.evidence - CRITERIA.tie and len(w.keys) <= len(best.keys)
     )  # fmt: skip
-    least = _left_over(path, best)
-    return Verdict("tied" if ties else "effect", best, ties, (*least, *_bounds(best)))
+    nearly = "what comes first predicts what it was not fitted to, but its law is not quite the machine's"
+    notes = () if best.good or _repairs(path, best) else (nearly,)
+    return Verdict("tied" if ties else "effect", best, ties, (*notes, *_bounds(best)))
 
 
 def explains(path: Path, w: Fitted) -> bool:
@@ -70,12 +71,6 @@ def _predicts(path: Path, w: Fitted) -> bool:
     return after < CRITERIA.left_level and excess(after) < CRITERIA.left_of_rest * excess(before)
 
 
-def _left_over(path: Path, w: Fitted) -> tuple[str, ...]:
-    if w.good or not _predicts(path, w):
-        return ()
-    return ("what comes first predicts what it was not fitted to, but its law is not quite the machine's",)
-
-
 def _at_once(path: Path) -> Fitted | None:
     """Return the best effect that explains at once what parameters explain only by several far moves."""
     single = (w for w in path.weighed if len(w.keys) == 1 and w.good and len(w.far) < CRITERIA.several)
@@ -83,7 +78,7 @@ def _at_once(path: Path) -> Fitted | None:
 
 
 def _bounds(w: Fitted) -> tuple[str, ...]:
-    return tuple(f"{k}: {p} is at an end of its range" for k in w.keys for p in w.at_bound(k))
+    return tuple(f"{k}: {p} is at an end of its range" for k in w.keys for p in at_bound(w.fit, k))
 
 
 def within_clocks(problem: Problem, w: Fitted) -> bool:
