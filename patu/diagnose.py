@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -88,7 +87,7 @@ def command(
 
 def tell(printer: Printer, d: Diagnosis) -> None:
     """Print verdict, candidates, parameters that moved, and what to do next."""
-    from validation.diagnosis import sentence
+    from validation.diagnosis import own_values, sentence
     from validation.reports import told
 
     printer.line(f"Verdict: {d.verdict} — {sentence(d)}.")
@@ -108,10 +107,7 @@ def tell(printer: Printer, d: Diagnosis) -> None:
             [(n, p["value"], p["std"], p["nominal"], p["unit"]) for n, p in moved],
         )
     if d.recordings:
-        rows = [
-            (r["recording"], r["error_before"], r["error_after"], _values(r.get("parameters", {})))
-            for r in d.recordings
-        ]
+        rows = [(r["recording"], r["error_before"], r["error_after"], own_values(r)) for r in d.recordings]
         printer.table("By recording", ("recording", "error before", "after", "its own"), rows)
     for entry in d.where[:5]:
         printer.line(f"  left over: {entry['text']}")
@@ -120,10 +116,6 @@ def tell(printer: Printer, d: Diagnosis) -> None:
     if d.next_manoeuvre:
         printer.line(f"Next: {d.next_manoeuvre}")
     printer.line(f"({d.seconds:.0f} s)")
-
-
-def _values(parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    return ", ".join(f"{n} = {p['value']:.4g} {p['unit']}" for n, p in parameters.items())
 
 
 def _rows(d: Diagnosis) -> list[tuple[object, ...]]:

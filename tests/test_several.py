@@ -10,7 +10,7 @@ from crane_exudyn.inputs import SpoolPath
 from validation.diagnosis import diagnose
 from validation.fit.data import FitData, Joint, data_of
 from validation.fit.linear import cut, linearised
-from validation.fit.staged import first_knots, timings
+from validation.fit.staged import all_parameters, first_knots, timings
 from validation.fit.variables import uncertain_parameters
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -97,3 +97,8 @@ def test_what_differs_must_be_uncertain(crane, recordings):
         data_of(recordings, crane, ["payload.mas"])
     with pytest.raises(CraneError, match="at least one"):
         diagnose(crane, [])
+
+
+def test_a_load_far_from_the_crane_files_is_looked_for_over_its_whole_range(crane):
+    heavy = recorded(crane.with_parameters({"payload.mass": 320.0}), "heavy", tuple(NOISE), 0.01, 0.25, 2.0)
+    assert all_parameters(crane, FitData.of(heavy, crane)).crane["payload.mass"] == pytest.approx(320.0, abs=15.0)

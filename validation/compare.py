@@ -39,7 +39,7 @@ from .fit.staged import FINE, LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals
 from .fitness import check_recording, usable
 from .metrics import pn_rmse, r2, rmse
 from .phases import Phase, phases_of
-from .search.weigh import open_loop_error
+from .selection.model import open_loop_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,35 +15,25 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
-from .diagnosis import (
-    HOPELESS,
-    NEAR,
-    PROOF,
-    TIE,
-    Progress,
-    _good,
-    _likely,
-    _plausible,
-    _silent,
-    in_parallel,
-    screened,
-    together,
-)
+from .diagnosis import several
 from .fit.data import Data, data_of
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
 from .fit.staged import LOOSE, STIFF, TIGHT, Stage, all_parameters, informed_directions
-from .fit.variables import NominalDirection, Variable, effect_variables
+from .fit.variables import NominalDirection, Variable, effect_variables, stated_effects
 from .history import added
 from .learned.fits import Explained, Part, explain, left_out_gain
 from .learned.laws import Law, laws_of, unit_over
 from .learned.resembles import Resemblance, resembles
 from .learned.screen import allowed
 from .learned.screen import screened as screened_laws
-from .search.candidates import scaled
-from .search.lean import needed
-from .search.manoeuvre import best_manoeuvre
-from .search.weigh import open_loop_error
+from .selection.criteria import CRITERIA
+from .selection.lean import needed
+from .selection.manoeuvre import best_manoeuvre
+from .selection.model import open_loop_error, plausible, together, unmoving
+from .selection.moves import scaled
+from .selection.screen import likely, screened
+from .selection.search import Progress, in_parallel, silent
 
 #: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to the end
 LOOSELY, FITTED, CARRIED = 4, 3, 2
@@ -169,7 +159,7 @@ def learn(
     check: Recording | None = None,
     *,
     jobs: int = 2,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Learned:
     """Return the laws that recordings show and that neither the crane nor the library has; none where the library's do as well.
 
@@ -186,13 +176,12 @@ def learn(
     from .fitness import check_all
 
     began = time.perf_counter()
-    learned = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    learned = several(recordings)
     notes = check_all(learned, check, crane)
     progress("fitting the nominal parameters", 0.05)
     data = data_of(learned, crane)
     base = all_parameters(crane, data)
-    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
-    search = _Search(crane, data, jobs, base, [*informed_directions(base), *own])
+    search = _Search(crane, data, jobs, base, [*informed_directions(base), *stated_effects(crane)])
     nothing = search.explain([((), base)], (TIGHT, STIFF))
     best, rivals = _searched(search, nothing[0], progress, notes)
     progress("weighing", 0.85)
@@ -206,16 +195,16 @@ def _searched(
     """Return the best explanation of effects and laws, and all others of as many parts, best first."""
     best, rivals, before = nothing, [], search.base
     for step in range(MOST):
-        if _good(best.weighed):
+        if best.weighed.good:
             break
         progress("screening all laws" if not step else "looking for a second law", 0.2 + 0.35 * step)
         found = _grown(search, best, before, progress)
         # the library comes first: a law must be better by the proof that an effect must bring
         named = [e for e in found if len(e.laws) == len(best.laws)]
-        least = best.evidence + PROOF
+        least = best.evidence + CRITERIA.proof
         chosen = next((e for e in found if e.evidence > least and _sound(e)), None)
         if chosen is not None and len(chosen.laws) > len(best.laws) and named:
-            chosen = named[0] if named[0].evidence > max(chosen.evidence - PROOF, least) else chosen
+            chosen = named[0] if named[0].evidence > max(chosen.evidence - CRITERIA.proof, least) else chosen
         if chosen is None:
             break
         if len(chosen.laws) > len(best.laws) and not _predicts(search, best, chosen, notes):
@@ -232,7 +221,9 @@ def _grown(search: _Search, best: Explained, before: Fit, progress: Progress) ->
     progress("fitting the likely ones", 0.35)
     found = search.explain(tried, (SIFT,))
     plain, curved = ([e for e in found if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
-    near = [e for e in curved if e.evidence > found[0].evidence - NEAR * (found[0].evidence - log_evidence(before))]
+    near = [
+        e for e in curved if e.evidence > found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
+    ]
     progress("carrying the leading ones to the end", 0.5)
     return search.explain([(e.parts, e.fit) for e in (*near[:CARRIED], *plain[:1])], (TIGHT, STIFF))
 
@@ -243,11 +234,11 @@ def _promising(search: _Search, fit: Fit) -> list[Part]:
     Parameters that have moved further than they may do a law's work and hide it: then the crane as given is screened too.
     """
     laws, effects = _screened(search, fit)
-    if fit is search.base and not _plausible(fit):
-        nominal = all_parameters(replace(search.crane, uncertainty={}), search.data)
+    if fit is search.base and not plausible(fit):
+        nominal = all_parameters(unmoving(search.crane), search.data)
         known = {v.name: u for v, u in zip(nominal.variables, nominal.u, strict=True)}
         u = np.array([known.get(v.name, 0.0) for v in fit.variables])
-        unmoved = replace(nominal, origin=search.crane, variables=fit.variables, u=u)
+        unmoved = nominal.begun(search.crane, fit.variables, u)
         more, others = _screened(search, unmoved)
         laws, effects = _merged(laws, more), _merged(effects, others)
     return [*laws[:LOOSELY], *effects[:FITTED]]
@@ -265,10 +256,10 @@ def _merged(first: Sequence[Part], second: Sequence[Part]) -> list[Part]:
 def _screened(search: _Search, fit: Fit) -> tuple[list[Part], list[Part]]:
     """Return laws and effects of the library that could act beside a fit, the most promising first."""
     found = screened_laws(fit, laws_of(fit), LOOSE.stiffness)
-    least = max(PROOF, HOPELESS * found[0].gain) if found else PROOF
+    least = max(CRITERIA.proof, CRITERIA.hopeless * found[0].gain) if found else CRITERIA.proof
     laws = [Part.of(f) for f in found if allowed(f) and f.gain > least]
     effects = []
-    for score in _likely(screened(fit, search.data, LOOSE.stiffness), FITTED):
+    for score in likely(screened(fit, LOOSE.stiffness), FITTED, CRITERIA.promise):
         key = score.start.key
         variables = tuple(effect_variables(key, scaled(score.start, score.amplitude), search.crane.layout))
         effects.append(Part(key, variables, np.array([v.begin for v in variables])))
@@ -327,7 +318,7 @@ def _concluded(
         )
     ties = [
         e for e in rivals
-        if e is not best and e.evidence > best.evidence - TIE and len(e.parts) == len(best.parts) and _sound(e)
+        if e is not best and e.evidence > best.evidence - CRITERIA.tie and len(e.parts) == len(best.parts) and _sound(e)
     ]  # fmt: skip
     lean = _lean(search, best)
     laws, effects = [], [p.key for p in lean.parts if p.law is None]

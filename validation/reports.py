@@ -23,7 +23,7 @@ from .diagnosis import Candidate, Diagnosis, sentence
 from .findings import VIOLATED, balance_words, people_unit
 from .improvement import Improvement
 from .report import Mood, Part, Picture, Section, Table, write_report
-from .search.plots import in_words
+from .selection.plots import in_words
 
 Parameters = Mapping[str, Mapping[str, Any]]
 

@@ -71,6 +71,11 @@ class Fit:
             windows=tuple(replace(self.windows[k], recording=0) for k in mine), data=self.data.parts[recording],
         )  # fmt: skip
 
+    def begun(self, origin: Crane, variables: Sequence[Variable], u: np.ndarray) -> Fit:
+        """Return where a fit of a crane by other variables begins: at these knots, with values u, nothing known of their spread yet."""
+        cov = np.full((len(u), len(u)), math.nan)
+        return replace(self, origin=origin, variables=tuple(variables), u=u, cov=cov)
+
     @property
     def late(self) -> float:
         """Seconds by which the commands were found to come after their stamps."""

@@ -28,6 +28,8 @@ Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 SHORT, LONG = 0.25, 60.0
 #: share of a direction's prior variance that the data must remove for the direction to be kept in a fit
 INFORMED = 0.2
+#: median error of short windows, in noise units, from which on an unknown load is also begun at these shares of its range
+OFF, STARTS = 2.0, (0.15, 0.5, 0.85)
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,21 @@ def timing_of(data: FitData) -> Timing:
     return Timing(min(max(0.25 * data.interval, 0.5e-3), 2e-3))
 
 
+def _over_the_range(
+    crane: Crane, data: Data, unknown: Sequence[Variable], knots: np.ndarray, stages: Sequence[Stage]
+) -> Fit:
+    """Return the fit of what is openly unknown, from the file's values, and where these are far off from some over the whole range.
+
+    A window that a load leaves unexplained says little about which way to go; so the load is also begun elsewhere.
+    """
+    found = [staged(crane, data, unknown, np.zeros(len(unknown)), knots, stages)]
+    if float(np.median(found[0].linear.window_error)) > OFF:
+        for share in STARTS:
+            u = [0.0 if isinstance(v, Timing) else v.lower + share * (v.upper - v.lower) for v in unknown]
+            found.append(staged(crane, data, unknown, np.array(u), knots, stages))
+    return min(found, key=lambda f: math.inf if f.linear.failed else f.linear.cost)
+
+
 def all_parameters(crane: Crane, data: Data, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
     """Return the fit of all uncertain nominal parameters in windows: first what is unknown, then what is uncertain as well.
 
@@ -173,8 +190,8 @@ def all_parameters(crane: Crane, data: Data, stages: Sequence[Stage] = (LOOSE,))
     variables: list[Variable] = [*uncertain_parameters(crane, data.own, len(data.parts)), *clocks]
     unknown = [v for v in variables if isinstance(v, Timing) or not math.isfinite(v.prior)]
     knots = first_knots(crane, data)
-    if len(unknown) in (len(clocks), len(variables)):
+    if len(unknown) == len(clocks):
         return staged(crane, data, variables, np.zeros(len(variables)), knots, stages)
-    first = staged(crane, data, unknown, np.zeros(len(unknown)), knots, stages)
+    first = _over_the_range(crane, data, unknown, knots, stages)
     known = {v.name: float(x) for v, x in zip(unknown, first.u, strict=True)}
     return staged(crane, data, variables, np.array([known.get(v.name, 0.0) for v in variables]), first, stages)

@@ -22,6 +22,8 @@ from crane_exudyn.layout import Layout
 
 #: scale of a parameter of which only a range is known: this share of the range
 _RANGE_SHARE = 0.15
+#: standard deviation of an effect's parameter before the data, in typical sizes
+PLAUSIBLE = 3.0
 SUPPLY = ("supply.pump_pressure", "supply.tank_pressure")
 #: share of the pump's pressure that the tank's is kept below
 _TANK_SHARE = 0.9
@@ -52,12 +54,17 @@ class NominalDirection:
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """One parameter of an effect at a place. Where the neutral value is infinite, u is typical / value."""
+    """One parameter of an effect at a place. Where the neutral value is infinite, u is typical / value.
+
+    Attributes:
+        stated: the crane file has the effect: u = 0 is the file's value, known to a third like a rough nominal parameter.
+    """
 
     key: str
     parameter: Parameter
     start: float
     difference: float = 1e-4
+    stated: bool = False
     recording: ClassVar[None] = None
 
     @property
@@ -67,8 +74,10 @@ class EffectParameter:
 
     @property
     def prior(self) -> float:
-        """No Gaussian prior; the range is in the bounds."""
-        return math.inf
+        """Standard deviation of u: what needs many times the size that is met in practice explains nothing; none for what only shapes a law."""
+        if self._about_start:
+            return 1.0
+        return math.inf if self.parameter.shape or self.stated else PLAUSIBLE
 
     @property
     def inverse(self) -> bool:
@@ -78,10 +87,16 @@ class EffectParameter:
     @property
     def scale(self) -> float:
         """Size of the value at which u has moved by one."""
-        return abs(self.parameter.typical - self._origin)
+        return abs(self.start) / 3.0 if self._about_start else abs(self.parameter.typical - self._origin)
+
+    @property
+    def _about_start(self) -> bool:
+        return self.stated and not self.inverse and self.start != 0.0
 
     @property
     def _origin(self) -> float:
+        if self._about_start:
+            return self.start
         return 0.0 if self.inverse or self.parameter.shape else self.parameter.neutral
 
     def to_u(self, value: float) -> float:
@@ -109,7 +124,7 @@ class EffectParameter:
     @property
     def neutral(self) -> float:
         """u at which the effect is off."""
-        return 0.0
+        return self.to_u(self.parameter.neutral) if self._about_start else 0.0
 
     @property
     def begin(self) -> float:
@@ -189,6 +204,12 @@ def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
         return parameter
     telling = layout.sensors[place].sizes.telling
     return replace(parameter, unit=unit_at(parameter.unit, place, layout), typical=parameter.neutral + telling)
+
+
+def stated_effects(crane: Crane) -> list[EffectVariable]:
+    """Return the variables of the effects that a crane file has, held near its values (those of curves have a prior of their own)."""
+    found = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
+    return [replace(v, stated=True) if isinstance(v, EffectParameter) else v for v in found]
 
 
 def effect_variables(key: str, start: Mapping[str, float], layout: Layout) -> list[EffectVariable]:

@@ -10,11 +10,12 @@ import numpy as np
 from crane_exudyn.crane import Crane
 
 from ..fit.data import Data
+from ..fit.evidence import log_evidence
 from ..fit.linear import Window, cut
 from ..fit.solve import Fit, fit, reknot
 from ..fit.staged import LOOSE, Stage, staged
 from ..fit.variables import CurveDirection, EffectVariable, Variable, curve_variables
-from ..search.weigh import Hypothesis, Weighed, judged, projected
+from ..selection.model import Fitted, Model, begin, values_of
 from .laws import Law
 from .screen import Found
 
@@ -41,7 +42,7 @@ class Explained:
     """Parts fitted together."""
 
     parts: tuple[Part, ...]
-    weighed: Weighed
+    weighed: Fitted
 
     @property
     def fit(self) -> Fit:
@@ -76,13 +77,16 @@ def explain(
     crane: Crane, data: Data, shared: Sequence[Variable], before: Fit, parts: Sequence[Part], stages: Sequence[Stage]
 ) -> Explained:
     """Return parts fitted through the stages with the shared variables, from the knots (and where it has them the values) of an earlier fit."""
-    known = {v.name: float(x) for v, x in zip(before.variables, before.u, strict=True)}
-    begin = [known.get(v.name, 0.0 if parts else projected(v, before, known)) for v in shared]
+    known = values_of(before)
+    u = [known.get(v.name, begin(v, before, {} if parts else known)) for v in shared]
     for part in parts:
-        begin += [known.get(v.name, float(x)) for v, x in zip(part.variables, part.u, strict=True)]
+        u += [known.get(v.name, float(x)) for v, x in zip(part.variables, part.u, strict=True)]
     variables = [*shared, *(v for part in parts for v in part.variables)]
-    hypothesis = Hypothesis({part.key: {} for part in parts})
-    return Explained(tuple(parts), judged(hypothesis, staged(crane, data, variables, np.array(begin), before, stages)))
+    model, found = (
+        Model(tuple(shared), {part.key: {} for part in parts}),
+        staged(crane, data, variables, np.array(u), before, stages),
+    )
+    return Explained(tuple(parts), Fitted(model, found, log_evidence(found), found))
 
 
 def kept(windows: Sequence[Window], block: float, out: int, number: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from crane_exudyn.effects.curve import KNOTS, NUMBER, X, Y, value
 
 from ..plots import OTHERS, style
 from ..plots import figure as new_figure
-from ..search.plots import in_words
+from ..selection.plots import in_words
 
 if TYPE_CHECKING:
     from ..learning import Learned, LearnedLaw

@@ -16,7 +16,7 @@ from ..fit.linear import Columns, linearised, pack
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, reduce
 from ..fit.variables import prior_root
-from ..search.screen import with_prior_block
+from ..selection.screen import with_prior_block
 from .laws import Law
 
 #: what sizes and bends of a prior are tried: in units of the argument's own size, and of the size

@@ -35,11 +35,23 @@ def starts(crane: Crane, data: Data, *, moments: float = _MOMENTS) -> list[Start
     """Return the starts of every effect at every place that the recording could show and the crane does not have yet."""
     found, lay = [], crane.layout
     for effect in registry.known():
+        if _is_measured(effect, data):
+            continue
         for key, place in zip(effect.keys(lay), effect.on(lay), strict=True):
             if effect.curve is None and crane.effect(key) is None and _can_show(effect, place, data, lay):
                 first = at_place(effect.parameters[0], place, lay)
                 found += [Start(key, values, _two_sided(effect)) for values in _values(effect, first, data, moments)]
     return found
+
+
+def _is_measured(effect: type[Effect], data: Data) -> bool:
+    """Whether an effect acts on nothing but a supply pressure that every recording tells: what the pump or the tank line does is in it already."""
+    known = {
+        hook
+        for k, hook in enumerate(("supply_pressure", "tank_pressure"))
+        if all(not np.isnan(p.supply[:, k]).any() for p in data.parts)
+    }
+    return bool(effect.hooks()) and set(effect.hooks()) <= known
 
 
 def _can_show(effect: type[Effect], place: str, data: Data, layout: Layout) -> bool:

@@ -16,7 +16,8 @@ from ..fit.data import FitData
 from ..fit.linear import Columns, linearised, pack
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
-from .candidates import Start
+from .criteria import CRITERIA
+from .moves import Start, around, starts
 
 #: amplitudes are sought between these, in units of the start's own values
 _SMALLEST, _LARGEST = 0.02, 20.0
@@ -48,6 +49,32 @@ def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     H, g = reduced.H, reduced.g
     H[:m, :m], g[:m] = with_prior_block(fit, H[:m, :m], g[:m])
     return sorted(_scores(starts, H, g, m), key=lambda s: -s.gain)
+
+
+def screened(fit: Fit, stiffness: float) -> list[Score]:
+    """Return the screen of all starts at a fit, best first; what happens at a moment is looked at more closely around the best one.
+
+    A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins.
+    """
+    found = screen(fit, starts(fit.crane, fit.data), stiffness)
+    best: dict[str, Score] = {}
+    for score in found:
+        if score.gain >= CRITERIA.promise:
+            best.setdefault(score.start.key, score)
+    closer = [start for score in best.values() for start in around(score.start)]
+    return sorted([*found, *screen(fit, closer, stiffness)], key=lambda s: -s.gain) if closer else found
+
+
+def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
+    """Return the best scores: at most two starts of one effect at one place, and none that promises less than `least`, or next to nothing."""
+    chosen: list[Score] = []
+    for score in scores:
+        hopeless = len(chosen) >= 3 and score.gain < CRITERIA.hopeless * scores[0].gain
+        if score.gain < least or len(chosen) == most or hopeless:
+            break
+        if sum(c.start.key == score.start.key for c in chosen) < (2 if score.gain > 0.5 * scores[0].gain else 1):
+            chosen.append(score)
+    return chosen
 
 
 def with_prior_block(fit: Fit, H: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
