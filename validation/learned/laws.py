@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.curve import Argument, Table
+from crane_exudyn.effects.curve import KNOTS, NUMBER, Argument, Table, X, Y, value
 from crane_exudyn.layout import Layout
 
 from ..fit.data import ACCURACY
@@ -57,6 +57,19 @@ class Law:
         """Whether physics lets the curve only rise."""
         return self.over.from_zero or self.over.name in ("pressure", "spool")
 
+    def curve(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the curve through y at other knots x, at this law's knots."""
+        return curve_at(x, y, self.x, self.over.slope)
+
+    def refined(self, y: np.ndarray) -> Law:
+        """Return the law with as many knots as there may be over the same range, closer where the curve through y (K,) bends."""
+        fine = np.linspace(self.x[0], self.x[-1], 401)
+        bend = np.abs(np.gradient(np.gradient(curve_at(self.x, y, fine, self.over.slope))))
+        spread = np.ones(len(fine)) / len(fine) + 2.0 * np.sqrt(bend) / max(float(np.sqrt(bend).sum()), 1e-300)
+        spread = np.convolve(np.pad(spread, 20, mode="edge"), np.ones(41) / 41.0, mode="valid")
+        passed = np.concatenate([[0.0], np.cumsum(0.5 * (spread[1:] + spread[:-1]))])
+        return replace(self, x=np.interp(np.linspace(0.0, 1.0, KNOTS), passed / passed[-1], fine))
+
     def values(self, y: np.ndarray) -> dict[str, float]:
         """Return the effect's parameters of the curve through y (K,) at the knots."""
         curve = registry.split_key(self.key)[0].curve
@@ -66,6 +79,13 @@ class Law:
     def table(self, y: np.ndarray) -> Table:
         """Return the table of the curve through y (K,) at the knots."""
         return Table(self.over, tuple(self.x.tolist()), tuple(y.tolist()), self.against)
+
+
+def curve_at(x: np.ndarray, y: np.ndarray, at: np.ndarray, slope: float) -> np.ndarray:
+    """Return the curve through knots x, y (K,) at `at` (n,), as the engines have it."""
+    E = np.zeros(Y + KNOTS)
+    E[NUMBER], E[X : X + len(x)], E[Y : Y + len(x)] = len(x), x, y
+    return np.array([value(E, 0, float(v), slope) for v in at])
 
 
 def laws_of(fit: Fit) -> list[Law]:
