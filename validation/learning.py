@@ -235,11 +235,28 @@ def _grown(search: _Search, best: Explained, before: Fit, progress: Progress) ->
     progress("fitting the likely ones", 0.35)
     found = search.explain(tried, (SIFT,))
     plain, curved = ([e for e in found if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
-    near = [
-        e for e in curved if e.evidence > found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
-    ]
+    least = found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
+    near = [e for e in curved if e.evidence > least][:CARRIED]
+    near = [e if plausible(e.fit) else _anew(search, e) for e in near]
     progress("carrying the leading ones to the end", 0.5)
-    return search.explain([(e.parts, e.fit) for e in (*near[:CARRIED], *plain[:1])], (TIGHT, STIFF))
+    return search.explain([(e.parts, e.fit) for e in (*near, *plain[:1])], (TIGHT, STIFF))
+
+
+def _anew(search: _Search, e: Explained) -> Explained:
+    """Return an explanation fitted anew from the crane as given with its parts as they were found, where that does no worse.
+
+    Parameters that did a law's work before it was there come back slowly.
+    """
+    keys = {p.key for p in e.parts}
+    held = unmoving(search.crane)
+    for acting in (a for a in e.fit.crane.effects if a.key in keys):
+        held = held.with_effect(acting.key, acting.parameters)
+    fit = all_parameters(held, search.data)
+    own = [i for i, v in enumerate(e.fit.variables) if getattr(v, "key", "") in keys]
+    variables = (*fit.variables, *(e.fit.variables[i] for i in own))
+    before = replace(fit, variables=variables, u=np.concatenate([fit.u, e.fit.u[own]]))
+    found = explain(search.crane, search.data, search.shared, before, e.parts, (LOOSE,))
+    return found if found.evidence > e.evidence else e
 
 
 def _promising(search: _Search, fit: Fit) -> list[Part]:

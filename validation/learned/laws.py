@@ -104,13 +104,17 @@ def laws_of(fit: Fit) -> list[Law]:
 
 
 def knots(visited: np.ndarray, over: Argument) -> np.ndarray:
-    """Return knots (K,) over the visited values: half by their range, half by how often they were met."""
+    """Return knots over the visited values: half by their range, half by how often they were met; closer at 0 where a curve begins there."""
     low, high = np.quantile(visited, [BEYOND, 1.0 - BEYOND])
     low = 0.0 if over.from_zero else max(low, 0.0) if over.magnitude else low
     shares = np.linspace(0.0, 1.0, COUNT)
+    if over.from_zero:
+        return high * shares**1.5  # where nothing flows a curve may be steep
+    if over.slope and low < 0.0 < high:
+        each = np.linspace(0.0, 1.0, COUNT // 2 + 2)[1:] ** 1.5
+        return np.concatenate([low * each[::-1], [0.0], high * each])
     inside = visited[(visited >= low) & (visited <= high)]
     by_range, by_number = low + (high - low) * shares, np.quantile(inside, shares)
-    by_number[0] = low
     return 0.6 * by_range + 0.4 * by_number
 
 
@@ -137,7 +141,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
         found["learned_opening", place, "spool"] = U[opened]
         found["learned_opening", place, "pressure_drop"] = drops[drops > 0.0]
         found["learned_force", place, "speed"] = np.abs(v)[moves]
-        found["learned_force", place, "stroke"] = t[f"l{a + 1}"]
+        found["learned_force", place, "stroke"] = t[f"s{c + 1}"]
         found["learned_force", place, "pressure_drop"] = np.abs(p[:, 0] - p[:, 1])[moves]
         found["learned_leakage", place, "pressure_drop"] = np.abs(p[:, 0] - p[:, 1])
         for side, chamber in enumerate(lay.sides[c]):
