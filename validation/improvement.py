@@ -14,7 +14,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
-from .diagnosis import Candidate, Diagnosis, diagnosis_of, searched, sentence
+from .diagnosis import MOST, Candidate, Diagnosis, diagnosis_of, searched, sentence
 from .fit.data import FitData
 from .fit.staged import FINE, residuals, rms
 from .history import added
@@ -127,7 +127,7 @@ def improve(
         told: called with each step as soon as it is known.
         progress: called with a text and the share that is done.
     """
-    path, notes = searched(crane, recording, check, per_recording, most, jobs, progress)
+    path, notes = searched(crane, recording, check, per_recording, min(most, MOST), jobs, progress)
     d = diagnosis_of(path, check, notes)
     judge = _Judge(path.problem.recordings, check, path.problem.data.own)
     steps = [judge.step(None, crane, d.verdict, sentence(d))]
