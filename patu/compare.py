@@ -50,8 +50,8 @@ def command(
 ) -> None:
     """Lay the model beside a measurement: how large the errors are, when they arise, which balance is violated.
 
-    The crane starts as the recording starts (the start is fitted) and then sees only the commands; a filter predicts each next
-    sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
+    The crane starts as the recording starts (the start is fitted) and then sees only the commands; a filter predicts
+    each next sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
     """
     chosen = load_crane(crane, effects)
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)

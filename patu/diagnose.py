@@ -47,8 +47,8 @@ def command(
 ) -> None:
     """Find which physical effect the model lacks.
 
-    First the nominal parameters may move within their uncertainty; then every effect at every place is weighed, alone and in
-    pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
+    First the nominal parameters may move within their uncertainty; then every effect at every place is weighed, alone
+    and in pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
     """
     chosen = load_crane(crane, effects)
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)

@@ -108,7 +108,9 @@ def load_crane(crane: str, effects: Sequence[Path] | None = None) -> Crane:
 def load_recording(
     path: Path, crane: Crane, entries: Sequence[str] | None = None, map_file: Path | None = None
 ) -> Recording:
-    """Return the recording of a crane at `path`, its columns mapped as `--map-file` says, and `--map`, which goes before it."""
+    """Return the recording of a crane at `path`, its columns mapped as `--map-file` says, and `--map`, which goes
+    before it.
+    """
     from crane_exudyn.recording import Recording
 
     with doing(f"reading {path}"):
@@ -118,7 +120,8 @@ def load_recording(
 def load_checked(
     path: Path, crane: Crane, entries: Sequence[str] | None, map_file: Path | None, *, anyway: bool
 ) -> Recording:
-    """Return the recording at `path` after `patu check` has looked at it; what is hardly plausible about it is told on standard error.
+    """Return the recording at `path` after `patu check` has looked at it; what is hardly plausible about it is told on
+    standard error.
 
     Raises:
         CraneError: something in it is surely wrong, and it is not to be used anyway; every such finding with its mend.

@@ -34,8 +34,10 @@ DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
 
 
-#: the case that is learned from its whole recording and held against the other one; the suite has no time for more, so the others are
-#: learned from 10 s (pump_droop from 7 s: after that both cylinders draw more than the drooping pump gives, and the library's law is not the plant's)
+#: the case that is learned from its whole recording and held against the other one; the suite has no time for more, so
+#: the others are
+#: learned from 10 s (pump_droop from 7 s: after that both cylinders draw more than the drooping pump gives, and the
+#: library's law is not the plant's)
 WITH_CHECK = "open_leak_lift"
 SECONDS = {"open_droop": 7.0}
 
@@ -69,7 +71,8 @@ def test_a_recording_without_motion_is_refused():
 
 #: a machine of the next size: by how much each kind of number in the crane file grows
 LARGER = {
-    ("joints", "com", "base", "rod_end", "empty_length", "chamber_range"): 1.25, ("bore", "rod"): 1.2, ("mass",): 2.0, ("inertia",): 3.0,
+    ("joints", "com", "base", "rod_end", "empty_length", "chamber_range"): 1.25, ("bore", "rod"): 1.2, ("mass",): 2.0,
+    ("inertia",): 3.0,
 }  # fmt: skip
 
 
@@ -137,16 +140,25 @@ def concluded(verdict: str, before: float, after: float) -> Diagnosis:
     crane = Crane.load("patu655")
     effects = ("internal_leakage@lift",) if verdict == "effect" else ()
     return Diagnosis(
-        "r", verdict, crane.with_effect("internal_leakage@lift", {"k": 5e-12}), crane, {}, (), effects, notes=("a note",),
+        "r", verdict, crane.with_effect("internal_leakage@lift", {"k": 5e-12}), crane, {}, (), effects,
+        notes=("a note",),
         error_before=6.0, error_after=1.0, check_error_before=before, check_error_after=after,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("verdict", "before", "after", "plain"),
-    [("effect", 6.6e6, 6.6e6, False), ("effect", 30.0, 28.0, False), ("parameters", 4.0, 3.9, False), ("adequate", 9.0, 9.0, False),
-     ("effect", 30.0, 2.5, True), ("effect", 1.5, 1.4, True), ("adequate", 1.0, 1.0, True), ("effect", np.nan, np.nan, True)],
-)  # fmt: skip
+    [
+        ("effect", 6.6e6, 6.6e6, False),
+        ("effect", 30.0, 28.0, False),
+        ("parameters", 4.0, 3.9, False),
+        ("adequate", 9.0, 9.0, False),
+        ("effect", 30.0, 2.5, True),
+        ("effect", 1.5, 1.4, True),
+        ("adequate", 1.0, 1.0, True),
+        ("effect", np.nan, np.nan, True),
+    ],
+)
 def test_what_does_not_predict_the_check_recording_is_said_first_and_is_no_plain_verdict(verdict, before, after, plain):
     given = concluded(verdict, before, after)
     found = _held_to_check(given)
@@ -181,12 +193,20 @@ def test_the_same_recording_twice_is_told():
 
 def test_the_pair_that_parameters_help_least_is_fitted_to_the_end_too():
     pairs = [
-        Weighed(Hypothesis({first: {}, second: {}}), SimpleNamespace(variables=KNOWN, prior_cost=cost), evidence, 1.0, np.zeros(1))
-        for first, second, cost, evidence in (
-            ("dead_band@tilt", "payload_swing", 240.0, 30.0), ("dead_band@tilt", "base_tilt", 280.0, 20.0),
-            ("dead_band@tilt", "sensor_scale@z4", 50.0, 10.0), ("base_tilt", "command_delay@tilt", 40.0, 0.0),
+        Weighed(
+            Hypothesis({first: {}, second: {}}),
+            SimpleNamespace(variables=KNOWN, prior_cost=cost),
+            evidence,
+            1.0,
+            np.zeros(1),
         )
-    ]  # fmt: skip
+        for first, second, cost, evidence in (
+            ("dead_band@tilt", "payload_swing", 240.0, 30.0),
+            ("dead_band@tilt", "base_tilt", 280.0, 20.0),
+            ("dead_band@tilt", "sensor_scale@z4", 50.0, 10.0),
+            ("base_tilt", "command_delay@tilt", 40.0, 0.0),
+        )
+    ]
     assert _leading_pairs(pairs, "dead_band@tilt") == pairs[:3]
     calm = [replace(pairs[0], fit=SimpleNamespace(variables=KNOWN, prior_cost=0.5)), *pairs[1:]]
     assert _leading_pairs(calm, "dead_band@tilt") == calm[:2]

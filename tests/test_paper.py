@@ -45,7 +45,9 @@ def test_input_sets_move_both_booms_within_their_strokes(inputs):
 
 
 def test_published_goal_is_reached_by_the_estimators_own_means():
-    """Every state at or below the published error and inside its 95 % interval at least 90 % of the time; payload to 5 %."""
+    """Every state at or below the published error and inside its 95 % interval at least 90 % of the time; payload to 5
+    %.
+    """
     case = paper.run_case(0.15, 1, FAST, 0, tuning="own")
     assert case.published == paper.PUBLISHED
     for state, published in paper.PUBLISHED.items():

@@ -113,9 +113,11 @@ def grown(crane: Crane, predicted: float) -> Grown:
     with_effect = crane.with_effect("dead_band@lift", {"upper": 0.1})
     errors = {"p1": predicted}
     return Grown(
-        with_effect, (Found("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}, errors, errors),),
+        with_effect,
+        (Found("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}, errors, errors),),
         {"p1": 0.3}, errors, {"dead_band@lift": 40.0}, {"dead_band@lift": {"p1": 0.25}}, {"p1": 0.2}, errors,
-        {"dead_band@lift:upper": 0.01, "fluid.oil_bulk_modulus": 5e6}, {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},
+        {"dead_band@lift:upper": 0.01, "fluid.oil_bulk_modulus": 5e6},
+        {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},
         {"fluid.oil_bulk_modulus": 3.6, "payload.mass": 0.4},
     )  # fmt: skip
 

@@ -103,7 +103,9 @@ def place(mean: np.ndarray, root: np.ndarray, spread: float, count: int) -> np.n
 
 @njit()
 def drawn(mean, covariance, spread, count):  # type: ignore[no-untyped-def]
-    """Return the sigma points (count, n) of a mean (n,) and a covariance (n, n), and whether that has no Cholesky factor."""
+    """Return the sigma points (count, n) of a mean (n,) and a covariance (n, n), and whether that has no Cholesky
+    factor.
+    """
     root = np.empty_like(covariance)
     if cholesky(covariance, root) >= 0:
         return np.empty((0, mean.size)), True

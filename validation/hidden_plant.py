@@ -1,8 +1,9 @@
-"""A crane on the Exudyn engine whose laws are changed from outside: laws that are in no effect file, and laws in a dialect.
+"""A crane on the Exudyn engine whose laws are changed from outside: laws that are in no effect file, and laws in a
+dialect.
 
-The library's effects are compiled into the engine. The laws here are asked before each step of 1 ms and change parameters,
-flows or forces for that step. So they can hold what the library cannot say (`LAWS`), and the library's effects as another
-maker's machine would have them (`DIALECTS`): a soft edge, a lag, another order of the same elements.
+The library's effects are compiled into the engine. The laws here are asked before each step of 1 ms and change
+parameters, flows or forces for that step. So they can hold what the library cannot say (`LAWS`), and the library's
+effects as another maker's machine would have them (`DIALECTS`): a soft edge, a lag, another order of the same elements.
 """
 
 from __future__ import annotations
@@ -173,7 +174,8 @@ def dialect(key: str, values: Mapping[str, float], crane: Crane) -> Dialect | No
 def inputs(
     crane: Crane, time: np.ndarray, stamps: np.ndarray, commands: np.ndarray, dialects: Sequence[Dialect] = ()
 ) -> np.ndarray:
-    """Return [U1 U2 pp pt] (N, 4) of a machine at `time`: spools behind the lag (16) and what the dialects make of them.
+    """Return [U1 U2 pp pt] (N, 4) of a machine at `time`: spools behind the lag (16) and what the dialects make of
+    them.
 
     Args:
         time: (N,) s.

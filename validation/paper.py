@@ -1,11 +1,12 @@
-"""The paper's experiment: synthetic real system, simulation model, estimation model, with the paper's errors and tuning.
+"""The paper's experiment: synthetic real system, simulation model, estimation model, with the paper's errors and
+tuning.
 
-The real system is the crane as given. The simulation and the estimation model share its errors (Tables 3 and 4 as far as they
-are known): masses and inertias of both booms, brackets, payload, joint coordinates, pump pressure and start. The simulation
-model runs open loop; the estimation model is corrected by the filter from noisy z1, z4, p1, p4 at 1 kHz.
+The real system is the crane as given. The simulation and the estimation model share its errors (Tables 3 and 4 as far
+as they are known): masses and inertias of both booms, brackets, payload, joint coordinates, pump pressure and start.
+The simulation model runs open loop; the estimation model is corrected by the filter from noisy z1, z4, p1, p4 at 1 kHz.
 
-Two estimators: `paper`, the paper's tuning (32), (33) and P0 to the letter; `own`, the estimator's own means: what the model
-may be wrong about is estimated along with the state, so that the process noise can be small.
+Two estimators: `paper`, the paper's tuning (32), (33) and P0 to the letter; `own`, the estimator's own means: what the
+model may be wrong about is estimated along with the state, so that the process noise can be small.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ START_ERROR = np.array([np.radians(2.0), np.radians(-3.0), 0.0, 0.0, 3e5, 3e5, 3
 _PUMP_ERROR, _PAYLOAD, _JOINT_ERROR = 20e5, 10.0, 5e-3
 #: growth of the unknowns' standard deviation in parts of that at the start, per √s
 _DRIFT = 0.01
-#: what is known of a payload before it is lifted: something up to 400 kg, and that it does not grow on the way, kg, kg/√s
+#: what is known of a payload before it is lifted: something up to 400 kg, and that it does not grow on the way, kg,
+#: kg/√s
 _PAYLOAD_STD, _PAYLOAD_DRIFT = 200.0, 0.3
 
 
@@ -58,7 +60,9 @@ def _pulses(time: np.ndarray, pulses: Sequence[tuple[int, float, float, float]])
 
 
 def both_at_once(time: np.ndarray) -> np.ndarray:
-    """Return the second input set (n, 2): both booms move at the same time, at other speeds than in the paper's cycle."""
+    """Return the second input set (n, 2): both booms move at the same time, at other speeds than in the paper's
+    cycle.
+    """
     lift = ((0, 1.5, 5.5, 0.35), (0, 10.0, 12.0, -0.30), (0, 16.0, 18.5, -0.40))
     tilt = ((1, 3.0, 6.0, 0.30), (1, 11.0, 14.0, -0.25), (1, 17.0, 18.5, 0.30))
     return _pulses(time, (*lift, *tilt))
@@ -79,7 +83,9 @@ INPUT_SETS: dict[int, Callable[[np.ndarray], np.ndarray]] = {1: paper_cycle, 2: 
 
 
 def wrong_crane(crane: Crane, model_error: float) -> Crane:
-    """Return the estimation model: `crane` with the paper's errors; `model_error` is that of the booms' mass and inertia."""
+    """Return the estimation model: `crane` with the paper's errors; `model_error` is that of the booms' mass and
+    inertia.
+    """
     changes = {"payload.mass": _PAYLOAD, "supply.pump_pressure": crane["supply.pump_pressure"] + _PUMP_ERROR}
     for bodies, factor in (("lift_boom", "outer_boom"), 1 + model_error), (("bracket_1", "bracket_2"), 1.05):
         for name in (f"bodies.{b}.{q}" for b in bodies for q in ("mass", "inertia")):
@@ -93,12 +99,14 @@ def wrong_crane(crane: Crane, model_error: float) -> Crane:
 def unknowns(crane: Crane) -> tuple[Augment, ...]:
     """Return what the estimator's own means estimate along with the state, for an estimation model.
 
-    Everything that the experiment's setting says may be wrong: payload, pump, masses and inertias of the booms, coordinates of
-    the joints. The brackets are left out: 5 % of 20 kg are below what the sensors can tell; for such rests every quantity
-    drifts by a hundredth of its uncertainty per √s, so that the filter never becomes surer than its model is right.
+    Everything that the experiment's setting says may be wrong: payload, pump, masses and inertias of the booms,
+    coordinates of the joints. The brackets are left out: 5 % of 20 kg are below what the sensors can tell; for such
+    rests every quantity drifts by a hundredth of its uncertainty per √s, so that the filter never becomes surer than
+    its model is right.
 
-    The payload's standard deviation has to be wide. The first samples weigh the load before the angles are known; with 30 kg the
-    filter settles too early at 5 to 10 kg in smooth motion (input set 3), and p3 is then outside its interval most of the time.
+    The payload's standard deviation has to be wide. The first samples weigh the load before the angles are known; with
+    30 kg the filter settles too early at 5 to 10 kg in smooth motion (input set 3), and p3 is then outside its interval
+    most of the time.
     """
     masses = [f"bodies.{b}.{q}" for b in ("lift_boom", "outer_boom") for q in ("mass", "inertia")]
     joints = [f"joints.{j}.{axis}" for j in "ABCD" for axis in "xy"]
@@ -110,7 +118,9 @@ def unknowns(crane: Crane) -> tuple[Augment, ...]:
 
 @dataclass(frozen=True)
 class Experiment:
-    """The real system's run: time (N,), commands (N, 2), inputs (N, 4), states (N, 8), noisy measurements as signals."""
+    """The real system's run: time (N,), commands (N, 2), inputs (N, 4), states (N, 8), noisy measurements as
+    signals.
+    """
 
     crane: Crane
     time: np.ndarray
@@ -370,8 +380,8 @@ def pressure_floor(std: float = SENSOR_STD["p1"], variance: float | None = None)
     """Return the error (Pa) that a sensor's noise alone leaves in a pressure which the filter takes for a random walk.
 
     With a variance q a step (the paper's σ_p²) and a sensor variance r the stationary Riccati equation gives
-    P⁻ = (q + √(q² + 4 q r))/2 and the gain K = P⁻/(P⁻ + r). Even if the model predicted every step exactly, the error would
-    obey e' = (1 - K) e + K ν, whose variance is r K/(2 - K).
+    P⁻ = (q + √(q² + 4 q r))/2 and the gain K = P⁻/(P⁻ + r). Even if the model predicted every step exactly, the error
+    would obey e' = (1 - K) e + K ν, whose variance is r K/(2 - K).
     """
     from ukf.noise import PAPER_PRESSURE
 

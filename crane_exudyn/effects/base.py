@@ -15,7 +15,8 @@ CYLINDERS, CHAMBERS, JOINTS, SENSORS, EVERYWHERE = "cylinders", "chambers", "joi
 
 @dataclass(frozen=True)
 class Hook:
-    """What a hook is given after the effect's own parameters, and what it returns (docs/architecture.md says what they mean).
+    """What a hook is given after the effect's own parameters, and what it returns (docs/architecture.md says what they
+    mean).
 
     `neutral` are the first results of an effect that is switched off; without, it returns what it is given.
     """
@@ -54,12 +55,25 @@ HOOKS: Mapping[str, Hook] = {
 CHAMBER_LEAKAGE = Hook("p", "q", _NOTHING)
 #: kinds of places at which a hook may act; one that is not here acts on the whole machine
 ACTS_AT: Mapping[str, tuple[str, ...]] = {
-    "leakage": (CYLINDERS, CHAMBERS), "joint_torque": (JOINTS,), "measurement": (SENSORS,), "lag": (SENSORS,),
+    "leakage": (CYLINDERS, CHAMBERS),
+    "joint_torque": (JOINTS,),
+    "measurement": (SENSORS,),
+    "lag": (SENSORS,),
     **dict.fromkeys(
-        ("command", "delay", "backlash", "creep", "opening", "supply_drop", "return_gain", "cylinder_force", "series_compliance"),
+        (
+            "command",
+            "delay",
+            "backlash",
+            "creep",
+            "opening",
+            "supply_drop",
+            "return_gain",
+            "cylinder_force",
+            "series_compliance",
+        ),
         (CYLINDERS,),
     ),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -73,7 +87,8 @@ class Parameter:
         lower, upper: the range that is accepted and searched.
         typical: a value of the size that is met in practice; sets the scale of searches and pictures.
         text: what it is, in words.
-        shape: True for a parameter that only shapes the law (a time, a Stribeck speed): it has a value, but no neutral one.
+        shape: True for a parameter that only shapes the law (a time, a Stribeck speed): it has a value, but no neutral
+            one.
     """
 
     name: str
@@ -89,8 +104,8 @@ class Parameter:
 class Effect:
     """A physical effect. Subclasses fill in the class variables and define their hooks as static functions.
 
-    `places` is the kind of places at which it acts: CYLINDERS, CHAMBERS, JOINTS, SENSORS, or EVERYWHERE for the whole machine; or a
-    tuple of names of such places, which become `only` when the effect is registered.
+    `places` is the kind of places at which it acts: CYLINDERS, CHAMBERS, JOINTS, SENSORS, or EVERYWHERE for the whole
+    machine; or a tuple of names of such places, which become `only` when the effect is registered.
     """
 
     name: ClassVar[str] = ""
@@ -112,7 +127,9 @@ class Effect:
 
     @classmethod
     def signature(cls) -> str:
-        """Return what a recording shows of the effect: the paragraph of the docstring that begins with "Signature:"; "" without."""
+        """Return what a recording shows of the effect: the paragraph of the docstring that begins with "Signature:"; ""
+        without.
+        """
         return next((p.removeprefix("Signature: ") for p in _paragraphs(cls) if p.startswith("Signature: ")), "")
 
     @classmethod

@@ -1,4 +1,6 @@
-"""Gauss-Newton on the windows of a recording: knots eliminated, variables within bounds, unexplained stretches weighted down."""
+"""Gauss-Newton on the windows of a recording: knots eliminated, variables within bounds, unexplained stretches weighted
+down.
+"""
 
 from __future__ import annotations
 
@@ -197,7 +199,9 @@ def _evaluate(
 
 
 def _reduced(point: _Point, guess: np.ndarray) -> Reduced | None:
-    """Return the variables' normal equations; a model that runs away (a negative payload, say) has none: beyond all digits."""
+    """Return the variables' normal equations; a model that runs away (a negative payload, say) has none: beyond all
+    digits.
+    """
     try:
         return reduce(point.linear, guess, point.knots)
     except LinAlgError:
@@ -216,7 +220,9 @@ def fitting_knots(knots: np.ndarray, base: Model) -> np.ndarray:
 
 
 def _widened(guess: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Return guessed knots with as many states as `knots`: a fit may give the payload a pendulum on its way, or take it away."""
+    """Return guessed knots with as many states as `knots`: a fit may give the payload a pendulum on its way, or take it
+    away.
+    """
     if guess.shape == knots.shape:
         return guess
     wide = knots.copy()
@@ -277,14 +283,18 @@ def _finish(
 
 
 def covariance(H: np.ndarray) -> np.ndarray:
-    """Return the inverse of a Hessian (m, m); what the data do not determine gets a huge variance, where a pseudo-inverse gives none."""
+    """Return the inverse of a Hessian (m, m); what the data do not determine gets a huge variance, where a
+    pseudo-inverse gives none.
+    """
     size = np.sqrt(np.maximum(np.diag(H), 1e-12))
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
     return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(size, size)
 
 
 def reknot(fit: Fit, windows: Sequence[Window]) -> np.ndarray:
-    """Return first states (K, nx) of other windows: those of the fit's own, and where they begin within one of these its run's."""
+    """Return first states (K, nx) of other windows: those of the fit's own, and where they begin within one of these
+    its run's.
+    """
     begins = np.array([w.data.time[0] for w in fit.windows])
     wanted = np.array([w.data.time[0] for w in windows])
     knots = fit.knots[[int(np.argmin(np.abs(begins - t))) for t in wanted]]

@@ -1,7 +1,7 @@
 """What may move in a fit: nominal parameters within their uncertainty, and parameters of effects.
 
-Every variable is a number u of order one: 0 is the starting value, the step of 1 is one standard uncertainty (nominal parameters) or one
-typical size (effects). A vector of such numbers turns the crane as given into another crane.
+Every variable is a number u of order one: 0 is the starting value, the step of 1 is one standard uncertainty (nominal
+parameters) or one typical size (effects). A vector of such numbers turns the crane as given into another crane.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ _RANGE_SHARE = 0.15
 SUPPLY = ("supply.pump_pressure", "supply.tank_pressure")
 #: share of the pump's pressure that the tank's is kept below
 _TANK_SHARE = 0.9
-#: by how many seconds a moment is shifted to see what that does: something that happens within a simulation step has no derivative
+#: by how many seconds a moment is shifted to see what that does: something that happens within a simulation step has no
+#: derivative
 _MOMENT = 0.01
 
 
@@ -112,8 +113,8 @@ class EffectParameter:
 class Timing:
     """Lateness of the recorded commands against the sensors, common to all valves; one is `scale` seconds.
 
-    A recorder's clocks agree no better than its sampling, and a command is held for a part of a control step: this is no
-    property of the crane.
+    A recorder's clocks agree no better than its sampling, and a command is held for a part of a control step: this is
+    no property of the crane.
     """
 
     scale: float
@@ -133,7 +134,9 @@ def lateness(variables: Sequence[Variable], u: np.ndarray) -> float:
 
 
 def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
-    """Return a parameter of an effect at a place: what has the unit of the sensor there gets it, and that sensor's telling size."""
+    """Return a parameter of an effect at a place: what has the unit of the sensor there gets it, and that sensor's
+    telling size.
+    """
     if parameter.unit != "channel":
         return parameter
     telling = layout.sensors[place].sizes.telling
