@@ -16,6 +16,7 @@ import numpy as np
 from . import crane_toml, parameters
 from .effects import registry
 from .effects.base import Acting
+from .effects.curve import X, Y
 from .errors import CraneError, nearest
 from .files import write_text
 from .layout import Layout
@@ -152,9 +153,13 @@ class Crane:
         """Return E: parameters of every effect at every place, neutral where the crane has no such effect."""
         vector = registry.neutral_vector()
         for acting in self.effects:
-            start = registry.slot(acting.name, acting.place, self.layout)
-            for i, parameter in enumerate(registry.find(acting.name).parameters):
+            start, effect = registry.slot(acting.name, acting.place, self.layout), registry.find(acting.name)
+            for i, parameter in enumerate(effect.parameters):
                 vector[start + i] = acting.parameters.get(parameter.name, parameter.neutral)
+            origin = effect.curve.origin_of(acting.parameters, acting.place) if effect.curve else ""
+            if origin:
+                for i in range(start + X, start + Y):
+                    vector[i] -= self.values[origin]
         return np.array(vector)
 
     def commands_from_voltages(self, volts: np.ndarray) -> np.ndarray:

@@ -311,19 +311,21 @@ class Scene:
         c, s = math.cos(pitch), math.sin(pitch)
         return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ turn
 
-    def _frame(self) -> tuple[float, float, np.ndarray, float]:
+    def _frame(self, times: np.ndarray | None = None) -> tuple[float, float, np.ndarray, float]:
         """Return the floor's height and x of its middle, and the picture's middle (3,), as it sees it, and height, in m.
 
-        Every machine stays in the picture all the time; a machine that reaches below its own ground stands on a lower one.
+        Every machine stays in the picture at the times (n,) in s, by default all the time; a machine that reaches below its
+        own ground stands on a lower one.
         """
         machine, thick = self.crane.machine, 0.2 * shapes.size(self.crane)
         boxes = []
         for t in self.trajectories:
-            step = max(1, len(t.time) // 200)
-            closed = pose(self.crane, *t.positions[::step].T)
+            at = t.time[:: max(1, len(t.time) // 200)] if times is None else times
+            positions = np.array([t.at(x) for x in at])
+            closed = pose(self.crane, *positions.T)
             boxes.append(_boxes(np.vstack(list(closed.points.values())), thick, thick))
             if machine.payload[0]:
-                placed = coordinates(self.crane, t.positions[::step], 0.0 if t.theta is None else t.theta[::step])
+                placed = coordinates(self.crane, positions, np.array([t.swing_at(x) for x in at]))
                 payload = placed.reshape(len(placed), -1, 3)[:, shapes.part_names(self.crane).index("payload")]
                 boxes.append(_boxes(np.delete(payload, 2, axis=1), *shapes.payload_extent(self.crane)))
         machine_box = np.vstack(boxes)
@@ -509,6 +511,7 @@ class Scene:
         else:
             times = film.times(self.start if start is None else start, self.end if end is None else end, fps, speed)
         self._check_times(times)
+        self.center, self.height = self._frame(times)[2:]
         with replacing(path) as temporary:
             film.write(temporary, kind, self.frames(list(times), renderer), len(times), fps, progress)
 

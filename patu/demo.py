@@ -34,6 +34,7 @@ _FILES = ("filter.png", "before_after.png", "error.png", "crane.png", "improved.
 class Found:
     """What the demo found: the paper's case by both tunings, and the recordings with the hidden effect, examined."""
 
+    engine: str
     cases: dict[str, Case]
     recordings: tuple[Recording, Recording]
     comparison: Comparison
@@ -86,7 +87,7 @@ def command(
     with progress("The hidden effect") as done:
         recordings, comparison, diagnosis = search(crane, jobs, done)
     printer.line(f"Compared: {comparison.verdict}")
-    found = Found(cases, recordings, comparison, diagnosis, perf_counter() - begin)
+    found = Found(engine, cases, recordings, comparison, diagnosis, perf_counter() - begin)
     printer.line("3 of 3: a picture of that crane.")
     with saving(printer) as save:
         save(output, partial(write, found, seed, printer))
@@ -182,7 +183,11 @@ def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]
     drawn = draw(found, folder / "crane.png", printer)
     d.crane.save(folder / "improved.toml")
     written = [*(folder / name for name in figures), *drawn, folder / "improved.toml"]
-    parameters = {"crane": found.comparison.crane, "engine of the crane": found.cases["own"].engine}
+    parameters = {
+        "crane": found.comparison.crane,
+        "engine of the crane": found.engine,
+        "engine of the filter": "semi-recursive",
+    }
     report = write_report(
         folder, "What crane-exudyn does", verdict(d), sections(found, figures, drawn, written), seed=seed,
         parameters=parameters, mood="good" if d.effects else "bad",
@@ -216,7 +221,7 @@ def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: 
     return [
         ("1. A filter follows a crane", [
             followed(found.cases),
-            Picture(figures["filter.png"], "Above the whole cycle, below two pressures without a sensor around the stop at 5 s and the start at 12 s."),
+            Picture(figures["filter.png"], "The angles over the whole cycle; below, two pressures that no sensor sees, closer."),
             Table(COLUMNS, rows(found.cases), note="PN-RMSE: 100 RMSE / (max - min of the true state)."),
             "`patu paper` shows all cases of the paper, and why its tuning cannot do better on this crane.",
         ]),

@@ -33,7 +33,7 @@ def command(
     if name:
         tell(printer, chosen[0], layout)
     else:
-        rows = [(e.name, _places(e, layout), _parameters(e), title(e)) for e in chosen]
+        rows = [(e.name, _places(e, layout), _parameters(e), e.law()) for e in chosen]
         printer.table("", ("effect", "places", "parameters", "what it is"), rows)
         printer.line("`patu effects NAME` tells one of them whole.")
     with saving(printer) as save:
@@ -45,11 +45,6 @@ def _parameters(effect: type[Effect]) -> str:
     if effect.curve is not None:
         return "curve over " + ", ".join(a.name for a in effect.curve.over)
     return ", ".join(p.name for p in effect.parameters)
-
-
-def title(effect: type[Effect]) -> str:
-    """Return the first line of the effect's docstring."""
-    return inspect.cleandoc(effect.__doc__ or effect.name).splitlines()[0]
 
 
 def describe(effect: type[Effect], layout: Layout) -> dict[str, Any]:

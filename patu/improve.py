@@ -84,4 +84,4 @@ def tell(printer: Printer, step: Step) -> None:
     """Print one step as soon as it is known."""
     name = "as given" if step.added is None else f"+ {step.added}"
     check = f", on the check recording {step.check_error:.3g}" if step.check_error == step.check_error else ""
-    printer.line(f"{name}: error {step.error:.3g}{check}, NIS {step.nis_mean:.3g} — {step.text}.")
+    printer.line(f"{name}: error {step.error:.3g}{check}, the filter's mean NIS {step.nis_mean:.3g} — {step.text}.")

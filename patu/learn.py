@@ -88,7 +88,10 @@ def command(
     with saving(printer) as save:
         if result.laws:
             save(output, result.crane.save, result.crane.to_toml())
-            save(write, lambda path: write_text(path, own_effect(result.laws[0], result.recording, Path(path).stem)))
+            save(
+                write,
+                lambda path: write_text(path, own_effect(result.laws[0], chosen, result.recording, Path(path).stem)),
+            )
         elif output is not None or write is not None:
             print("No law was found: no crane file and no effect were written.", file=sys.stderr)
         save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())

@@ -1,12 +1,23 @@
 """Learning laws: the screen finds smoothness and place, curves are read as simple forms, and a law becomes a user's own effect."""
 
+import subprocess
+import sys
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from crane_exudyn import Crane, Recording
+from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import registry
-from validation.learned.laws import Law, knots
+from crane_exudyn.measurement import Measurement
+from validation.history import removed
+from validation.learned.laws import Law, curve_at, knots
+from validation.learned.own_effect import own_effect
 from validation.learned.resembles import resembles
 from validation.learned.screen import best_prior
+from validation.learning import learn
+from validation.semi_recursive.engine import SemiRecursiveEngine
 
 
 def _law(key, over, low, high, against=None):
@@ -87,3 +98,66 @@ def test_the_smoothness_of_a_curve_is_found_from_the_data():
         assert np.sqrt(np.mean((found[name].y - y) ** 2)) < 150.0
     assert found["nothing"].gain < 3.0 < 50.0 < found["line"].gain
     assert np.sqrt(np.mean((found["line"].y - line) ** 2)) < 70.0  # neighbours help
+
+
+def test_a_refined_law_follows_a_narrow_curve_more_closely():
+    bump = lambda x: 4e3 * np.exp(-(((x - 0.42) / 0.06) ** 2))  # noqa: E731
+    finer = FORCE.refined(bump(FORCE.x))
+    fine = np.linspace(0.2, 0.7, 200)
+    errors = [np.abs(curve_at(law.x, bump(law.x), fine, 0.0) - bump(fine)).max() for law in (FORCE, finer)]
+    assert errors[1] < 0.5 * errors[0]
+    assert (finer.x[0], finer.x[-1]) == pytest.approx((FORCE.x[0], FORCE.x[-1]))
+
+
+def _recorded(name, crane, seed):
+    """Return 8 s of both cylinders at 100 Hz, with noise."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 8.0, 2.5e-3)
+    turns = (
+        0.3 * np.clip(2.0 * np.sin(0.7 * seed + 1.6 * time), -1.0, 1.0),
+        0.25 * np.clip(2.0 * np.sin(2.1 * time), -1.0, 1.0),
+    )
+    commands = np.column_stack(turns) * np.minimum(time / 0.3, 1.0)[:, None]
+    engine = SemiRecursiveEngine(crane)
+    inputs = np.column_stack([spool_on(crane, time, time, commands), np.full((len(time), 2), np.nan)])
+    shown = Measurement.of(crane).shown(engine.simulate(engine.static_start(0.25, -0.9), time, inputs), time)
+    channels = {"u1": commands[::4, 0], "u2": commands[::4, 1]}
+    for sensor, y in zip(crane.layout.sensors, shown.T, strict=True):
+        if sensor in NOISE:
+            channels[sensor] = y[::4] + NOISE[sensor] * rng.standard_normal(len(time[::4]))
+    return Recording.from_arrays(name, time[::4], channels)
+
+
+NOISE = {"z1": 1e-3, "z4": 1e-3, **dict.fromkeys(("p1", "p2", "p3", "p4"), 0.3e5)}
+CRANE = replace(Crane.load("patu655"), sensors=NOISE)
+PROGRESSIVE = [-1.0, -0.6, -0.3, -0.15, -0.05, 0.05, 0.15, 0.3, 0.6, 1.0]
+
+
+def test_a_progressive_spool_is_learned_and_read_and_predicts(tmp_path):
+    y = [np.sign(u) * abs(u) ** 1.5 for u in PROGRESSIVE]
+    curve = registry.find("learned_opening").curve
+    machine = CRANE.with_effect("learned_opening@tilt", curve.values("spool", PROGRESSIVE, y))
+    found = learn(CRANE, _recorded("learn", machine, 1), _recorded("check", machine, 2), jobs=1)
+    (law,) = found.laws
+    assert (law.effect, law.over, law.tied_with) == ("learned_opening@tilt", "spool", ())
+    true = [np.sign(u) * abs(u) ** 1.5 for u in law.x]
+    assert np.abs(law.y - true).max() < 0.1 * np.abs(law.y).max()
+    assert law.resembles.startswith("opening = ")
+    assert found.error_after < 1.1 < found.error_before and found.check_error_after < 1.3
+    assert removed(found.crane, law.effect).effects == ()
+    file = tmp_path / "progressive.py"
+    file.write_text(own_effect(law, CRANE, "learn", "progressive"), encoding="utf-8")
+    code = f"from crane_exudyn.effects import registry as r; print(r.load_file(r'{file}')[0].opening(1.0, {law.x[0]}))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert float(said) == pytest.approx(law.y[0], rel=1e-4)
+
+
+def test_a_leak_of_the_library_is_not_learned():
+    machine = CRANE.with_effect("internal_leakage@lift", {"k": 2e-11})
+    found = learn(CRANE, _recorded("learn", machine, 1), jobs=1)
+    assert found.laws == () and found.crane is CRANE
+    assert any("internal_leakage@lift" in note for note in found.notes)
+
+
+def test_nothing_is_learned_from_a_sound_machine():
+    found = learn(CRANE, _recorded("learn", CRANE, 1), jobs=1)
+    assert found.laws == () and found.error_after == found.error_before < 1.1

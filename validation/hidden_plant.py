@@ -248,8 +248,7 @@ def draw_law(name: str, crane: Crane, rng: np.random.Generator, visited: Mapping
             low, high = np.quantile(seen, [0.15, 0.85])
             told = {"cylinder": c, "force": _log(rng, 3000.0, 20000.0), "middle": float(rng.uniform(low, high))}
             told |= {"width": float(rng.uniform(0.08, 0.25) * max(high - low, 0.05))}
-            begin = told["middle"] - crane[f"cylinders.{place}.empty_length"]
-            bump = lambda x: told["force"] * np.exp(-(((x - begin) / told["width"]) ** 2))  # noqa: E731
+            bump = lambda x: told["force"] * np.exp(-(((x - told["middle"]) / told["width"]) ** 2))  # noqa: E731
             return Hidden(scored_bore(crane, **told), f"learned_force@{place}", "stroke", bump, told)
         case "hunting_pump":
             told = {

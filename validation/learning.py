@@ -30,7 +30,7 @@ from .learned.screen import screened as screened_laws
 from .selection.criteria import CRITERIA
 from .selection.lean import needed
 from .selection.manoeuvre import best_manoeuvre
-from .selection.model import open_loop_error, plausible, together, unmoving
+from .selection.model import excess, plausible, run_error, together, unmoving
 from .selection.moves import scaled
 from .selection.screen import likely, screened
 from .selection.search import Progress, in_parallel, silent
@@ -192,25 +192,39 @@ def learn(
 def _searched(
     search: _Search, nothing: Explained, progress: Progress, notes: list[str]
 ) -> tuple[Explained, list[Explained]]:
-    """Return the best explanation of effects and laws, and all others of as many parts, best first."""
-    best, rivals, before = nothing, [], search.base
+    """Return the best explanation of effects and laws, and all that were carried to the end with it, best first."""
+    best, rivals = nothing, []
     for step in range(MOST):
         if best.weighed.good:
             break
-        progress("screening all laws" if not step else "looking for a second law", 0.2 + 0.35 * step)
-        found = _grown(search, best, before, progress)
-        # the library comes first: a law must be better by the proof that an effect must bring
-        named = [e for e in found if len(e.laws) == len(best.laws)]
-        least = best.evidence + CRITERIA.proof
-        chosen = next((e for e in found if e.evidence > least and _sound(e)), None)
-        if chosen is not None and len(chosen.laws) > len(best.laws) and named:
-            chosen = named[0] if named[0].evidence > max(chosen.evidence - CRITERIA.proof, least) else chosen
-        if chosen is None:
+        progress("looking for another" if step else "screening all laws", 0.2 + 0.35 * step)
+        found = _grown(search, best, search.base if not step else best.fit, progress)
+        chosen = _chosen(found, best)
+        if chosen is None or (step and not _repairs(chosen, best)):
             break
         if len(chosen.laws) > len(best.laws) and not _predicts(search, best, chosen, notes):
             break
-        best, rivals, before = chosen, found, chosen.fit
+        best, rivals = chosen, found
+    if best.laws and not (_repairs(best, nothing) and plausible(best.fit)):
+        names = " and ".join(_name(p) for p in best.parts)
+        notes.append(f"{names} would be the best, but leaves too much, or moves parameters too far")
+        return nothing, []
     return best, rivals
+
+
+def _chosen(found: Sequence[Explained], best: Explained) -> Explained | None:
+    """Return the best of the explanations that bring the proof; one with a law must bring it against those without a further one as well."""
+    proven = [e for e in found if e.evidence > best.evidence + CRITERIA.proof and _sound(e)]
+    plain = next((e for e in proven if len(e.laws) == len(best.laws)), None)
+    if plain is not None and plain.evidence > proven[0].evidence - CRITERIA.proof:
+        return plain
+    return proven[0] if proven else None
+
+
+def _repairs(after: Explained, before: Explained) -> bool:
+    """Whether an explanation leaves hardly more than noise, or less than half of the excess error of the one before."""
+    left, was = (excess(e.weighed.level) for e in (after, before))
+    return after.weighed.good or left < CRITERIA.left * was
 
 
 def _grown(search: _Search, best: Explained, before: Fit, progress: Progress) -> list[Explained]:
@@ -221,11 +235,28 @@ def _grown(search: _Search, best: Explained, before: Fit, progress: Progress) ->
     progress("fitting the likely ones", 0.35)
     found = search.explain(tried, (SIFT,))
     plain, curved = ([e for e in found if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
-    near = [
-        e for e in curved if e.evidence > found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
-    ]
+    least = found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
+    near = [e for e in curved if e.evidence > least][:CARRIED]
+    near = [e if plausible(e.fit) else _anew(search, e) for e in near]
     progress("carrying the leading ones to the end", 0.5)
-    return search.explain([(e.parts, e.fit) for e in (*near[:CARRIED], *plain[:1])], (TIGHT, STIFF))
+    return search.explain([(e.parts, e.fit) for e in (*near, *plain[:1])], (TIGHT, STIFF))
+
+
+def _anew(search: _Search, e: Explained) -> Explained:
+    """Return an explanation fitted anew from the crane as given with its parts as they were found, where that does no worse.
+
+    Parameters that did a law's work before it was there come back slowly.
+    """
+    keys = {p.key for p in e.parts}
+    held = unmoving(search.crane)
+    for acting in (a for a in e.fit.crane.effects if a.key in keys):
+        held = held.with_effect(acting.key, acting.parameters)
+    fit = all_parameters(held, search.data)
+    own = [i for i, v in enumerate(e.fit.variables) if getattr(v, "key", "") in keys]
+    variables = (*fit.variables, *(e.fit.variables[i] for i in own))
+    before = replace(fit, variables=variables, u=np.concatenate([fit.u, e.fit.u[own]]))
+    found = explain(search.crane, search.data, search.shared, before, e.parts, (LOOSE,))
+    return found if found.evidence > e.evidence else e
 
 
 def _promising(search: _Search, fit: Fit) -> list[Part]:
@@ -289,6 +320,16 @@ def _predicts(search: _Search, before: Explained, after: Explained, notes: list[
     return False
 
 
+def _refined(search: _Search, best: Explained) -> Explained:
+    """Return the explanation with more knots where its curves bend; itself where that is no better supported."""
+    parts = [p if p.found is None else Part.of(p.found.refined(best.curve(p)[0])) for p in best.parts]
+    keys = {p.key for p in best.laws}
+    shared = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in keys]
+    before = replace(best.fit, variables=tuple(best.fit.variables[i] for i in shared), u=best.fit.u[shared])
+    found = explain(search.crane, search.data, search.shared, before, parts, (STIFF,))
+    return found if found.evidence > best.evidence else best
+
+
 def _lean(search: _Search, best: Explained) -> Explained:
     """Return the explanation with the fewest moved parameters, or the one with all where that is better supported."""
     held: list[Variable] = [v for v in search.shared if not isinstance(v, NominalDirection)]
@@ -303,33 +344,29 @@ def _concluded(
     search: _Search, nothing: Explained, best: Explained, rivals: Sequence[Explained], recordings: Sequence[Recording],
     check: Recording | None, notes: list[str],
 ) -> Learned:  # fmt: skip
-    """Return what was learned, with errors on both recordings."""
+    """Return what was learned, with errors on both recordings; nothing, where the check recording says otherwise."""
+    given = Learned(search.data.name, search.crane, search.crane)
+    unchanged = _with_errors(given, nothing, recordings, check, search.jobs)
     if not best.laws:
         if best.parts:
-            notes.append(
-                f"effects of the library do as well: {', '.join(p.key for p in best.parts)}. Go on with `patu diagnose`"
-            )
-        return _with_errors(
-            Learned(search.data.name, search.crane, search.crane, notes=tuple(notes)),
-            nothing,
-            recordings,
-            check,
-            search,
-        )
-    ties = [
-        e for e in rivals
-        if e is not best and e.evidence > best.evidence - CRITERIA.tie and len(e.parts) == len(best.parts) and _sound(e)
-    ]  # fmt: skip
-    lean = _lean(search, best)
-    laws, effects = [], [p.key for p in lean.parts if p.law is None]
-    for part in lean.laws:
-        laws.append(_told(search, lean, part, _names(best, ties), best.evidence - nothing.evidence))
+            names = ", ".join(p.key for p in best.parts)
+            notes.append(f"effects of the library do as well: {names}. Go on with `patu diagnose`")
+        return replace(unchanged, notes=tuple(notes))
+    lean = _lean(search, _refined(search, best))
+    kept = {"recording": search.data.name, "evidence": lean.evidence - nothing.evidence}
+    learned = replace(given, crane=added(search.crane, lean.fit.crane, **kept))
+    learned = _with_errors(learned, lean, recordings, check, search.jobs, unchanged)
+    after, before = learned.check_error_after, learned.check_error_before
+    if after > CRITERIA.misled and excess(after) > CRITERIA.left * excess(before):
+        names = " and ".join(_name(p) for p in best.parts)
+        notes.append(f"{names} explains the recording, but not the check recording (error {before:.3g} -> {after:.3g})")
+        return replace(unchanged, notes=tuple(notes))
+    ties = [e for e in rivals if e is not best and e.evidence > best.evidence - CRITERIA.tie and _sound(e)]
     noise = {s.channel: s.noise for p in search.data.parts for s in p.samples}
     telling = best_manoeuvre(best.fit.crane, ties[0].fit.crane, noise, search.data.channels) if ties else ""
-    kept = {"recording": search.data.name, "evidence": lean.evidence - nothing.evidence}
-    crane = added(search.crane, lean.fit.crane, **kept)
-    found = Learned(search.data.name, crane, search.crane, tuple(laws), tuple(effects), telling, tuple(notes))
-    return _with_errors(found, lean, recordings, check, search)
+    laws = tuple(_told(search, lean, p, _names(best, ties), lean.evidence - nothing.evidence) for p in lean.laws)
+    effects = tuple(p.key for p in lean.parts if p.law is None)
+    return replace(learned, laws=laws, effects=effects, next_manoeuvre=telling, notes=tuple(notes))
 
 
 def _names(best: Explained, ties: Sequence[Explained]) -> tuple[str, ...]:
@@ -368,26 +405,19 @@ def _with_errors(
     e: Explained,
     recordings: Sequence[Recording],
     check: Recording | None,
-    search: _Search,
+    jobs: int,
+    before: Learned | None = None,
 ) -> Learned:
-    """Add open-loop errors on both recordings, before and after; without laws they are the same."""
-    cranes = [found.given] if found.crane is found.given else [found.given, found.crane]
-    n = len(recordings)
+    """Add open-loop errors of its crane on all recordings; those of the crane as given are the same, or those of `before`."""
     tasks: list[tuple[Any, ...]] = [
-        (_error, c, r, e.fit.of(i) if c is found.crane else None) for c in cranes for i, r in enumerate(recordings)
+        (run_error, found.crane, r, None if found.crane is found.given else e.fit.of(i)) for i, r in enumerate(recordings)
     ]
-    tasks += [(_error, c, check, None) for c in cranes] if check is not None else []
-    errors = in_parallel(search.jobs, tasks)
-    learned = [together(recordings, errors[n * k : n * (k + 1)]) for k in range(len(cranes))]
-    checked = errors[n * len(cranes) :] or [math.nan]
+    tasks += [(run_error, found.crane, check, None)] if check is not None else []
+    errors = in_parallel(jobs, tasks)
+    error = together(recordings, errors[: len(recordings)])
+    checked = errors[-1] if check is not None else math.nan
+    first = before or replace(found, error_before=error, check_error_before=checked)
     return replace(
-        found,
-        error_before=learned[0],
-        error_after=learned[-1],
-        check_error_before=checked[0],
-        check_error_after=checked[-1],
-    )
-
-
-def _error(crane: Crane, recording: Recording, knots: Fit | None) -> float:
-    return open_loop_error(crane, recording, knots)[0]
+        found, error_before=first.error_before, error_after=error,
+        check_error_before=first.check_error_before, check_error_after=checked,
+    )  # fmt: skip

@@ -27,6 +27,7 @@ class Argument:
         against: whether it acts against motion; both where it may do either, the usual one first.
         slope: of the neutral curve: 1 for an opening, which is the spool's position.
         level: of the neutral curve: 1 for a factor.
+        origin: last part of the name of the cylinder's parameter that is taken off x before it is compared with what hooks are given.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Argument:
     against: tuple[bool, ...] = (False,)
     slope: float = 0.0
     level: float = 0.0
+    origin: str = ""
 
     def neutral(self, x: float) -> float:
         """Return the neutral curve at x."""
@@ -95,6 +97,11 @@ class Curve:
             "knots": float(len(x)), "over": float(self.over.index(argument)), "against": float(against),
             **{f"x{k + 1}": float(v) for k, v in enumerate(x)}, **{f"y{k + 1}": float(v) for k, v in enumerate(y)},
         }  # fmt: skip
+
+    def origin_of(self, parameters: Mapping[str, float], place: str) -> str:
+        """Return the name of the crane's parameter at which the effect's x begins in E, or ""."""
+        origin = self.over[round(parameters["over"])].origin
+        return f"cylinders.{place}.{origin}" if origin else ""
 
     def table(self, parameters: Mapping[str, float]) -> Table:
         """Return the table of the effect's parameters."""

@@ -235,21 +235,23 @@ def curve_variables(key: str, start: Mapping[str, float], root: np.ndarray) -> l
     ]
 
 
-def prior_root(table: Table, size: float | None = None, bend: float = 10.0) -> np.ndarray:
-    """Return B (knots, m) of a curve's prior y = neutral + B u, u standard normal: a line, and a doubly integrated random walk.
+def prior_root(table: Table, size: float | None = None, length: float = 0.2) -> np.ndarray:
+    """Return B (knots, m) of a curve's prior y = neutral + B u, u standard normal: a line and a smooth departure from it (Matérn 5/2).
 
     Args:
         table: knots; a curve that begins in (0, 0) keeps that.
-        size: standard deviation (SI) of the curve at the ends of the line; by default the greatest departure of the curve from the neutral one.
-        bend: how much more the walk may depart from the line over the whole range.
+        size: standard deviation (SI) of either; by default the greatest departure of the curve from the neutral one.
+        length: over which share of the range the departure changes; infinite for the line alone.
     """
     x = np.array(table.x)
     departure = np.abs(np.array(table.y) - [table.over.neutral(v) for v in x]).max()
     size = size or max(float(departure), abs(table.over.size))
     t = (x - x[0]) / (x[-1] - x[0])
-    least, apart = np.minimum.outer(t, t), np.abs(np.subtract.outer(t, t))
-    line = np.outer(t, t) if table.over.from_zero else 0.5 * (1.0 + np.outer(2.0 * t - 1.0, 2.0 * t - 1.0))
-    K = line + bend**2 * (least**3 / 3.0 + 0.5 * apart * least**2)
+    K = np.outer(t, t) if table.over.from_zero else 0.5 * (1.0 + np.outer(2.0 * t - 1.0, 2.0 * t - 1.0))
+    if math.isfinite(length):
+        r = math.sqrt(5.0) * np.abs(np.subtract.outer(t, t)) / length
+        smooth = (1.0 + r + r * r / 3.0) * np.exp(-r)
+        K = K + (smooth - np.outer(smooth[:, 0], smooth[0]) if table.over.from_zero else smooth)
     values, vectors = np.linalg.eigh(K)
     kept = values > 1e-9 * values[-1]
     return size * vectors[:, kept] * np.sqrt(values[kept])

@@ -22,19 +22,24 @@ from .screen import Found
 
 @dataclass(frozen=True)
 class Part:
-    """One effect of an explanation: its variables, and where they begin. `law` is None for an effect of the library."""
+    """One effect of an explanation: its variables, and where they begin. `found` is None for an effect of the library."""
 
     key: str
     variables: tuple[EffectVariable, ...]
     u: np.ndarray
-    law: Law | None = None
+    found: Found | None = None
+
+    @property
+    def law(self) -> Law | None:
+        """The law, None for an effect of the library."""
+        return None if self.found is None else self.found.law
 
     @classmethod
     def of(cls, found: Found) -> Part:
         """Return the part of a law that was found by a screen; its prior is about the neutral curve."""
         law = found.law
         variables = tuple(curve_variables(law.key, law.values(law.neutral), found.root))
-        return cls(law.key, variables, found.u, law)
+        return cls(law.key, variables, found.u, found)
 
 
 @dataclass(frozen=True)

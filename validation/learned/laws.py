@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.curve import Argument, Table
+from crane_exudyn.effects.curve import KNOTS, NUMBER, Argument, Table, X, Y, value
 from crane_exudyn.layout import Layout
 
 from ..fit.data import ACCURACY
@@ -57,6 +57,19 @@ class Law:
         """Whether physics lets the curve only rise."""
         return self.over.from_zero or self.over.name in ("pressure", "spool")
 
+    def curve(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the curve through y at other knots x, at this law's knots."""
+        return curve_at(x, y, self.x, self.over.slope)
+
+    def refined(self, y: np.ndarray) -> Law:
+        """Return the law with as many knots as there may be over the same range, closer where the curve through y (K,) bends."""
+        fine = np.linspace(self.x[0], self.x[-1], 401)
+        bend = np.abs(np.gradient(np.gradient(curve_at(self.x, y, fine, self.over.slope))))
+        spread = np.ones(len(fine)) / len(fine) + 2.0 * np.sqrt(bend) / max(float(np.sqrt(bend).sum()), 1e-300)
+        spread = np.convolve(np.pad(spread, 20, mode="edge"), np.ones(41) / 41.0, mode="valid")
+        passed = np.concatenate([[0.0], np.cumsum(0.5 * (spread[1:] + spread[:-1]))])
+        return replace(self, x=np.interp(np.linspace(0.0, 1.0, KNOTS), passed / passed[-1], fine))
+
     def values(self, y: np.ndarray) -> dict[str, float]:
         """Return the effect's parameters of the curve through y (K,) at the knots."""
         curve = registry.split_key(self.key)[0].curve
@@ -66,6 +79,13 @@ class Law:
     def table(self, y: np.ndarray) -> Table:
         """Return the table of the curve through y (K,) at the knots."""
         return Table(self.over, tuple(self.x.tolist()), tuple(y.tolist()), self.against)
+
+
+def curve_at(x: np.ndarray, y: np.ndarray, at: np.ndarray, slope: float) -> np.ndarray:
+    """Return the curve through knots x, y (K,) at `at` (n,), as the engines have it."""
+    E = np.zeros(Y + KNOTS)
+    E[NUMBER], E[X : X + len(x)], E[Y : Y + len(x)] = len(x), x, y
+    return np.array([value(E, 0, float(v), slope) for v in at])
 
 
 def laws_of(fit: Fit) -> list[Law]:
@@ -84,13 +104,17 @@ def laws_of(fit: Fit) -> list[Law]:
 
 
 def knots(visited: np.ndarray, over: Argument) -> np.ndarray:
-    """Return knots (K,) over the visited values: half by their range, half by how often they were met."""
+    """Return knots over the visited values: half by their range, half by how often they were met; closer at 0 where a curve begins there."""
     low, high = np.quantile(visited, [BEYOND, 1.0 - BEYOND])
     low = 0.0 if over.from_zero else max(low, 0.0) if over.magnitude else low
     shares = np.linspace(0.0, 1.0, COUNT)
+    if over.from_zero:
+        return high * shares**1.5  # where nothing flows a curve may be steep
+    if over.slope and low < 0.0 < high:
+        each = np.linspace(0.0, 1.0, COUNT // 2 + 2)[1:] ** 1.5
+        return np.concatenate([low * each[::-1], [0.0], high * each])
     inside = visited[(visited >= low) & (visited <= high)]
     by_range, by_number = low + (high - low) * shares, np.quantile(inside, shares)
-    by_number[0] = low
     return 0.6 * by_range + 0.4 * by_number
 
 
@@ -117,7 +141,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
         found["learned_opening", place, "spool"] = U[opened]
         found["learned_opening", place, "pressure_drop"] = drops[drops > 0.0]
         found["learned_force", place, "speed"] = np.abs(v)[moves]
-        found["learned_force", place, "stroke"] = t[f"l{a + 1}"]
+        found["learned_force", place, "stroke"] = t[f"s{c + 1}"]
         found["learned_force", place, "pressure_drop"] = np.abs(p[:, 0] - p[:, 1])[moves]
         found["learned_leakage", place, "pressure_drop"] = np.abs(p[:, 0] - p[:, 1])
         for side, chamber in enumerate(lay.sides[c]):

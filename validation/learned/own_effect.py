@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import HOOKS
 from crane_exudyn.errors import CraneError
@@ -19,9 +20,9 @@ if TYPE_CHECKING:
 _HOOKS = {
     ("learned_opening", "spool"): ("opening", "U", "U + share * (y - U)"),
     ("learned_opening", "pressure_drop"): ("supply_drop", "dp", "dp * (1.0 + share * (y * abs(y) - 1.0))"),
-    ("learned_force", "speed"): ("cylinder_force", "abs(v)", "-share * y * math.tanh(v / 1.25e-3)"),
-    ("learned_force", "stroke"): ("cylinder_force", "la", "-share * y * math.tanh(v / 1.25e-3)"),
-    ("learned_force", "pressure_drop"): ("cylinder_force", "abs(pa - pb)", "-share * y * math.tanh(v / 1.25e-3)"),
+    ("learned_force", "speed"): ("cylinder_force", "abs(v)", "-share * y * math.tanh(v / 2e-3)"),
+    ("learned_force", "stroke"): ("cylinder_force", "la", "-share * y * math.tanh(v / 2e-3)"),
+    ("learned_force", "pressure_drop"): ("cylinder_force", "abs(pa - pb)", "-share * y * math.tanh(v / 2e-3)"),
     ("learned_leakage", "pressure_drop"): ("leakage", "abs(pa - pb)", "-share * math.copysign(y, pa - pb), share * math.copysign(y, pa - pb)"),
     ("learned_flow", "pressure"): ("leakage", "p", "-share * y"),
     ("learned_torque", "rate"): ("joint_torque", "abs(omega)", "-share * y * math.tanh(omega / 2e-3)"),
@@ -84,10 +85,12 @@ class {cls}(Effect):
 '''
 
 
-def own_effect(law: LearnedLaw, recording: str, name: str) -> str:
+def own_effect(law: LearnedLaw, crane: Crane, recording: str, name: str) -> str:
     """Return the text of a Python file that defines a law as an effect of that name, of which `share` = 1 is the curve as learned."""
     effect, place = registry.split_key(law.effect)
     hook, at, result = _of(law)
+    origin = law.law.over.origin
+    at += f" + {crane[f'cylinders.{place}.{origin}']:.6g}" if origin else ""
     given = _GIVEN.get(effect.name, HOOKS[hook].given)
     signature = inspect.cleandoc(effect.__doc__ or "").partition("Signature: ")[2]
     return _TEXT.format(

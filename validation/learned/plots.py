@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crane_exudyn.effects.curve import KNOTS, NUMBER, X, Y, value
-
 from ..plots import OTHERS, style
 from ..plots import figure as new_figure
 from ..selection.plots import in_words
+from .laws import curve_at
 
 if TYPE_CHECKING:
     from ..learning import Learned, LearnedLaw
@@ -28,18 +27,11 @@ def figure(found: Learned) -> Any:
     return made
 
 
-def curve_at(law: LearnedLaw, y: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return the curve through values y (K,) at the law's knots, at `at` (n,)."""
-    E = np.zeros(3 + 2 * KNOTS)
-    E[NUMBER], E[X : X + len(y)], E[Y : Y + len(y)] = len(y), law.x, y
-    return np.array([value(E, 0, float(v), law.law.over.slope) for v in at])
-
-
 def _panel(axes: Any, law: LearnedLaw) -> None:
     fx, x_unit = _scale(law.unit_over)
     fy, y_unit = _scale(law.unit)
     at = np.linspace(law.x[0], law.x[-1], 300)
-    middle, low, high = (curve_at(law, law.y + s * law.std, at) / fy for s in (0.0, -1.96, 1.96))
+    middle, low, high = (curve_at(law.x, law.y + s * law.std, at, law.law.over.slope) / fy for s in (0.0, -1.96, 1.96))
     color = OTHERS[2].color
     axes.fill_between(at / fx, low, high, color=color, alpha=0.25, linewidth=0, label="95 %")
     axes.plot(at / fx, middle, color=color, label="learned")

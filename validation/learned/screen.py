@@ -1,13 +1,14 @@
 """All laws looked at at once: linear in the knots' values around a fit, smoothness found by marginal likelihood.
 
 A fit's normal equations get one column a knot of every law. With everything else projected out, a law is a Gaussian linear model of its values y:
-the cost falls by b'y - y'Hy/2. Its prior (`fit.variables.prior_root`) has a size and a bend, and those are taken that make the recording likeliest.
+the cost falls by b'y - y'Hy/2. Its prior (`fit.variables.prior_root`) has a size and a length, and those are taken that make the recording likeliest.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,9 +20,9 @@ from ..fit.variables import prior_root
 from ..selection.screen import with_prior_block
 from .laws import Law
 
-#: what sizes and bends of a prior are tried: in units of the argument's own size, and of the size
+#: what sizes and lengths of a prior are tried: in units of the argument's own size, and as shares of the range
 SIZES = tuple(10.0 ** (0.5 * k) for k in range(-4, 5))
-BENDS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+LENGTHS = (0.1, 0.2, 0.4, 0.8, math.inf)
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Found:
 
     Attributes:
         gain: log evidence against a model without this law, linearly.
+        size, length: of the prior, see `prior_root`.
         root: (K, m) of the prior, y = neutral + root u.
         u: (m,) most likely; y: (K,) the curve there.
     """
@@ -39,6 +41,15 @@ class Found:
     root: np.ndarray
     u: np.ndarray
     y: np.ndarray
+    size: float = 0.0
+    length: float = 0.0
+
+    def refined(self, y: np.ndarray) -> Found:
+        """Return the law with as many knots as a curve may have, closest where the curve y (K,) bends most, and the same prior."""
+        law = self.law.refined(y)
+        root = prior_root(law.table(law.neutral), self.size, self.length)
+        before = law.curve(self.law.x, y)
+        return replace(self, law=law, root=root, u=np.linalg.lstsq(root, before - law.neutral, rcond=None)[0], y=before)
 
 
 def screened(fit: Fit, laws: Sequence[Law], stiffness: float) -> list[Found]:
@@ -82,8 +93,8 @@ def equations(fit: Fit, laws: Sequence[Law], stiffness: float) -> tuple[np.ndarr
 def best_prior(law: Law, H: np.ndarray, b: np.ndarray) -> Found:
     """Return a law with the prior of the greatest marginal likelihood under the cost y'Hy/2 - b'y of departures y (K,)."""
     best: Found | None = None
-    for bend in BENDS:
-        root = prior_root(law.table(law.neutral), abs(law.over.size), bend)
+    for length in LENGTHS:
+        root = prior_root(law.table(law.neutral), abs(law.over.size), length)
         A, c = root.T @ H @ root, root.T @ b
         values, vectors = np.linalg.eigh(0.5 * (A + A.T))
         values, c = np.maximum(values, 0.0), vectors.T @ c
@@ -92,7 +103,9 @@ def best_prior(law: Law, H: np.ndarray, b: np.ndarray) -> Found:
             gain = 0.5 * float((size**2 * c**2 / stretched).sum() - np.log(stretched).sum())
             if best is None or gain > best.gain:
                 u = vectors @ (size * c / stretched)
-                best = Found(law, gain, size * root, u, law.neutral + size * root @ u)
+                best = Found(
+                    law, gain, size * root, u, law.neutral + size * root @ u, size * abs(law.over.size), length
+                )
     assert best is not None
     return best
 
