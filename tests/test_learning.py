@@ -163,3 +163,11 @@ def test_a_leak_of_the_library_is_not_learned():
 def test_nothing_is_learned_from_a_sound_machine():
     found = learn(CRANE, _recorded("learn", CRANE, 1), jobs=1)
     assert found.laws == () and found.error_after == found.error_before < 1.1
+
+
+def test_a_curve_is_given_the_sign_and_slope_that_physics_asks_of_it():
+    assert FORCE.physical(np.array([-5.0, 20.0, *[0.0] * 7]), np.ones(9)).tolist() == [0.0, 20.0, *[0.0] * 7]
+    spool = _law("learned_opening@tilt", "spool", -0.6, 0.6)
+    y = spool.x.copy()
+    y[[3, 4]] = y[[4, 3]]
+    assert (np.diff(spool.physical(y, np.ones(len(y)))) >= 0.0).all()

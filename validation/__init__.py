@@ -1,6 +1,6 @@
 """What a model is worth: how well it predicts, where it fails, what it lacks, and what mends it.
 
-    from validation import compare, diagnose, improve
+    from validation import compare, diagnose, improve, learn
 
 Names are imported when they are first asked for, so that `import validation` costs nothing.
 """
@@ -16,10 +16,17 @@ if TYPE_CHECKING:
     from .compare import compare as compare
     from .diagnosis import diagnose as diagnose
     from .improvement import improve as improve
+    from .learning import learn as learn
     from .report import write_report as write_report
 
-_WHERE = {"compare": ".compare", "diagnose": ".diagnosis", "improve": ".improvement", "write_report": ".report"}
-__all__ = ["compare", "diagnose", "improve", "write_report"]
+_WHERE = {
+    "compare": ".compare",
+    "diagnose": ".diagnosis",
+    "improve": ".improvement",
+    "learn": ".learning",
+    "write_report": ".report",
+}
+__all__ = ["compare", "diagnose", "improve", "learn", "write_report"]
 
 
 class _Package(ModuleType):

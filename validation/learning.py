@@ -361,7 +361,11 @@ def _concluded(
         return replace(unchanged, notes=tuple(notes))
     lean = _lean(search, _refined(search, best))
     kept = {"recording": search.data.name, "evidence": lean.evidence - nothing.evidence}
-    learned = replace(given, crane=added(search.crane, lean.fit.crane, **kept))
+    found = lean.fit.crane
+    for part in lean.laws:
+        assert part.law is not None
+        found = found.with_effect(part.key, part.law.values(_curve(lean, part)[0]))
+    learned = replace(given, crane=added(search.crane, found, **kept))
     learned = _with_errors(learned, lean, recordings, check, search.jobs, unchanged)
     after, before = learned.check_error_after, learned.check_error_before
     if after > CRITERIA.misled and excess(after) > CRITERIA.left * excess(before):
@@ -395,12 +399,19 @@ def _name(part: Part) -> str:
     return f"{part.key} over {part.law.over.name}{kind}"
 
 
+def _curve(e: Explained, part: Part) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values (K,) of a law as physics allows them, and their covariance."""
+    assert part.law is not None
+    y, cov = e.curve(part)
+    return part.law.physical(y, np.sqrt(np.maximum(np.diag(cov), 0.0))), cov
+
+
 def _told(search: _Search, e: Explained, part: Part, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
     law = part.law
     assert law is not None
     curve = registry.split_key(law.key)[0].curve
     assert curve is not None
-    y, cov = e.curve(part)
+    y, cov = _curve(e, part)
     form = resembles(law.x, y, cov, law.over, curve.unit, law.key, law.against)
     text = form.text + (f", which is {form.library}" if form.library else "")
     return LearnedLaw(

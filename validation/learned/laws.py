@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import isotonic_regression
 
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.curve import KNOTS, NUMBER, Argument, Table, X, Y, value
@@ -75,6 +76,14 @@ class Law:
         spread = np.convolve(np.pad(spread, 20, mode="edge"), np.ones(41) / 41.0, mode="valid")
         passed = np.concatenate([[0.0], np.cumsum(0.5 * (spread[1:] + spread[:-1]))])
         return replace(self, x=np.interp(np.linspace(0.0, 1.0, KNOTS), passed / passed[-1], fine))
+
+    def physical(self, y: np.ndarray, std: np.ndarray) -> np.ndarray:
+        """Return the curve nearest to y (K,), in units of std, that has the sign and the slope that physics asks of
+        it.
+        """
+        if self.monotone:
+            y = isotonic_regression(y, weights=1.0 / np.maximum(std, 1e-9 * max(float(std.max()), 1e-300)) ** 2).x
+        return np.maximum(y, self.neutral) if self.one_sided else y
 
     def values(self, y: np.ndarray) -> dict[str, float]:
         """Return the effect's parameters of the curve through y (K,) at the knots."""
