@@ -13,7 +13,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
-from .options import DEFAULT_CRANE, EngineOption, JobsOption, JsonOption, load_crane
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
 from .output import Printer, progress
 from .outputs import Writes, saving
 
@@ -62,7 +62,9 @@ def command(
         typer.Option("-o", "--output", metavar="DIR", help="Folder for report, pictures and results; made if missing."),
         Writes(files=_FILES),
     ] = Path("out/demo"),
+    crane: CraneOption = DEFAULT_CRANE,
     engine: EngineOption = "exudyn",
+    effects: EffectsOption = None,
     jobs: JobsOption = 1,
     seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise in the paper's experiment.")] = 0,
     json: JsonOption = None,
@@ -75,17 +77,17 @@ def command(
     """
     printer = Printer(json)
     begin = perf_counter()
-    crane = load_crane(DEFAULT_CRANE)
+    chosen = load_crane(crane, effects)
     printer.line(
         f"1 of 3: a crane follows the paper's 25 s working cycle ({engine} engine), a filter follows the crane."
     )
     with progress("The paper's cycle") as done:
-        cases = follow(crane, engine, seed, done)
+        cases = follow(chosen, engine, seed, done)
     printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(cases))
     printer.line(followed(cases))
     printer.line("2 of 3: a recording of a crane with a hidden effect is compared and diagnosed, the effect is added.")
     with progress("The hidden effect") as done:
-        recordings, comparison, diagnosis = search(crane, jobs, done)
+        recordings, comparison, diagnosis = search(chosen, jobs, done)
     printer.line(f"Compared: {comparison.verdict}")
     found = Found(engine, cases, recordings, comparison, diagnosis, perf_counter() - begin)
     printer.line("3 of 3: a picture of that crane.")

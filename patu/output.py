@@ -90,7 +90,7 @@ class Printer:
     def line(self, text: str = "") -> None:
         """Print one line of text."""
         if not self.quiet:
-            print(text)
+            print(text, flush=True)  # whoever reads a pipe sees it when it is said
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Print a table: columns of numbers right, columns of text left."""
