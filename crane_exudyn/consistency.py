@@ -132,7 +132,7 @@ class Figures:
     def __init__(self, crane: Crane) -> None:
         self.crane, self.layout = crane, crane.layout
         self.cylinders = {
-            c: {w: crane[f"cylinders.{c}.{w}"] for w in ("bore", "rod", "empty_length", "chamber_range", "hose_volume_piston", "hose_volume_rod")}
+            c: {w: crane[f"cylinders.{c}.{w}"] for w in ("empty_length", "chamber_range", "hose_volume_piston", "hose_volume_rod")}
             for c in crane.layout.cylinders
         }  # fmt: skip
         oil, hose = crane["fluid.oil_bulk_modulus"], crane["fluid.hose_bulk_modulus"]
@@ -145,8 +145,7 @@ class Figures:
 
     def areas(self, c: int) -> tuple[float, float]:
         """Return the areas (m²) of a cylinder's piston side and rod side."""
-        size = self.cylinders[self.layout.cylinders[c]]
-        return np.pi / 4 * size["bore"] ** 2, np.pi / 4 * (size["bore"] ** 2 - size["rod"] ** 2)
+        return self.crane.areas(self.layout.cylinders[c])
 
     def volumes(self, c: int, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return how much oil (m³/Pa) a pressure presses into a cylinder's chambers, and their hoses, at its lengths (N,)."""

@@ -16,6 +16,7 @@ import numpy as np
 from . import crane_toml, parameters
 from .effects import registry
 from .effects.base import Acting
+from .effects.curve import X, Y
 from .errors import CraneError, nearest
 from .files import write_text
 from .layout import Layout
@@ -130,6 +131,11 @@ class Crane:
 
     # -- numbers -------------------------------------------------------------------------------------------------
 
+    def areas(self, cylinder: str) -> tuple[float, float]:
+        """Return the areas in m² of a cylinder's piston side and rod side."""
+        bore, rod = self[f"cylinders.{cylinder}.bore"], self[f"cylinders.{cylinder}.rod"]
+        return 0.25 * math.pi * bore**2, 0.25 * math.pi * (bore**2 - rod**2)
+
     def __getitem__(self, name: str) -> float:
         """Return a nominal parameter in SI by its name, such as "payload.mass"."""
         try:
@@ -147,9 +153,13 @@ class Crane:
         """Return E: parameters of every effect at every place, neutral where the crane has no such effect."""
         vector = registry.neutral_vector()
         for acting in self.effects:
-            start = registry.slot(acting.name, acting.place, self.layout)
-            for i, parameter in enumerate(registry.find(acting.name).parameters):
+            start, effect = registry.slot(acting.name, acting.place, self.layout), registry.find(acting.name)
+            for i, parameter in enumerate(effect.parameters):
                 vector[start + i] = acting.parameters.get(parameter.name, parameter.neutral)
+            origin = effect.curve.origin_of(acting.parameters, acting.place) if effect.curve else ""
+            if origin:
+                for i in range(start + X, start + Y):
+                    vector[i] -= self.values[origin]
         return np.array(vector)
 
     def commands_from_voltages(self, volts: np.ndarray) -> np.ndarray:
@@ -322,6 +332,8 @@ def check_effect(where: str, layout: Layout, acting: Acting) -> None:
                 f"{where}: effect {acting.key!r}: {name} = {value:g} {p.unit} is outside {p.lower:g} … {p.upper:g}. "
                 f"The neutral value is {p.neutral:g}."
             )
+    if effect.curve is not None:
+        effect.curve.check(f"{where}: effect {acting.key!r}", acting.parameters)
 
 
 def names_matching(pattern: str, names: Iterable[str]) -> list[str]:

@@ -11,7 +11,7 @@ import tomlkit
 from tomlkit.items import AoT, Table
 
 from . import parameters
-from .crane_toml import from_document
+from .crane_toml import REFERENCES, as_written, from_document
 from .effects.base import Acting
 from .units import factor_to_si, to_si
 
@@ -66,7 +66,7 @@ def _set_uncertainties(document: Any, before: Mapping[str, Uncertainty], now: Ma
 def _set_value(document: Any, name: str, value: float) -> None:
     """Put a parameter's value in the place of the one that the text has, in its unit."""
     if name == "supply.pressure_reference":
-        document["supply"]["pressure_reference"] = ("absolute", "gauge")[int(value)]
+        document["supply"]["pressure_reference"] = REFERENCES[int(value)]
         return
     *path, last = name.split(".")
     if path[:1] == ["slides"]:
@@ -102,11 +102,21 @@ def _set_effects(document: Any, before: tuple[Acting, ...], now: tuple[Acting, .
         if before[k].key not in kept:
             del tables[k]
         elif kept[before[k].key] != before[k]:
-            tables[k]["parameters"] = _inline(kept[before[k].key].parameters)
+            tables[k]["parameters"] = _parameters(kept[before[k].key])
     if not tables:
         document.pop("effect", None)
-    entries = [{"name": a.name} | ({"place": a.place} if a.place else {}) | {"parameters": a.parameters} for a in new]
+    entries = [{"name": a.name} | ({"place": a.place} if a.place else {}) | {"parameters": _parameters(a)} for a in new]
     _append(document, "effect", entries)
+
+
+def _parameters(acting: Acting) -> Any:
+    """Return an effect's parameters as they stand in a file: on one line, or the table of a curve on several."""
+    values = as_written(acting)
+    if values is acting.parameters:
+        return _inline(values)
+    table = tomlkit.table()
+    table.update({name: _plain(value) for name, value in values.items()})
+    return table
 
 
 def _inline(values: Mapping[str, Any]) -> Any:
@@ -127,6 +137,8 @@ def _append(document: Any, key: str, entries: list[dict[str, Any]]) -> None:
 
 def _plain(value: Any) -> Any:
     """Return a value of inline tables, lists and numbers."""
+    if isinstance(value, Table):
+        return value
     if isinstance(value, Mapping):
         return _inline(value)
     if isinstance(value, list | tuple):

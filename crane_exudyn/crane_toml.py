@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 from . import parameters
 from .effects import registry
 from .effects.base import Acting
+from .effects.curve import KNOTS, Curve
 from .errors import CraneError, nearest
 from .layout import Layout
 from .machine import PRISMATIC, Machine
 from .machine_toml import OF_CYLINDER, OF_PAYLOAD, machine_of
-from .units import to_si
+from .units import factor_to_si, to_si
 
 if TYPE_CHECKING:
     from .crane import Crane, Initial, Uncertainty, Voltage
@@ -66,7 +67,7 @@ _EARLIER = {"supply.air_pressure": 0.0, "supply.pressure_reference": 0.0}
 #: of a machine without payload
 _NO_PAYLOAD = dict.fromkeys(("payload.mass", "payload.width", "payload.height"), 0.0)
 #: what its pressures count from; the place in the list is its number
-_REFERENCE, _REFERENCES = "supply.pressure_reference", ("absolute", "gauge")
+_REFERENCE, REFERENCES = "supply.pressure_reference", ("absolute", "gauge")
 
 
 def _tables(document: Mapping[str, Any], key: str, where: str) -> list[Mapping[str, Any]]:
@@ -110,9 +111,9 @@ def _flatten(name: str, value: Any, machine: Machine, where: str, values: dict[s
     elif name not in machine.index:
         raise CraneError(f"{where}: unknown key {name!r}.{nearest(name, list(machine.names))}")
     elif name == _REFERENCE:
-        if value not in _REFERENCES:
+        if value not in REFERENCES:
             raise CraneError(f'{where}: {name} = {value!r} is not known. Give "absolute" or "gauge".')
-        values[name] = float(_REFERENCES.index(value))
+        values[name] = float(REFERENCES.index(value))
     else:
         values[name] = to_si(value, parameters.unit_of(name), f"{where}: {name}")
 
@@ -226,9 +227,55 @@ def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
         effect, _ = registry.split_key(f"{table['name']}@{place}" if place else str(table["name"]), layout)
     except CraneError as problem:
         raise CraneError(f"{where}: {problem}") from problem
-    units = {p.name: unit_at(p.unit, place, layout) for p in effect.parameters}
-    numbers = _read(table.get("parameters", {}), units, f"{where}: effect {effect.name!r}: parameters")
+    about, given = f"{where}: effect {effect.name!r}: parameters", table.get("parameters", {})
+    if effect.curve is not None:
+        return Acting(effect.name, place, MappingProxyType(complete(effect, _curve(effect.curve, given, about))))
+    numbers = _read(given, {p.name: unit_at(p.unit, place, layout) for p in effect.parameters}, about)
     return Acting(effect.name, place, MappingProxyType(complete(effect, numbers)))
+
+
+_CURVE = ("over", "against_motion", "unit_over", "x", "unit", "y")
+
+
+def _curve(curve: Curve, table: object, where: str) -> dict[str, float]:
+    """Return an effect's parameters of the table of a curve, its numbers in the units that it states, or SI."""
+    if not isinstance(table, Mapping) or "over" not in table:
+        names = ", ".join(a.name for a in curve.over)
+        raise CraneError(f"{where} need a table with over (one of {names}), x = [...] and y = [...].")
+    for key in table:
+        if key not in _CURVE:
+            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, list(_CURVE))}")
+    over, against = curve.argument(table["over"], where), table.get("against_motion")
+    if not (against is None or isinstance(against, bool)):
+        raise CraneError(f"{where}: against_motion = {against!r} should be true or false.")
+    x = _knots(table.get("x"), table.get("unit_over", over.unit), over.unit, f"{where}: x")
+    y = _knots(table.get("y"), table.get("unit", curve.unit), curve.unit, f"{where}: y")
+    if len(x) != len(y):
+        raise CraneError(f"{where}: found {len(x)} x and {len(y)} y. Give one y for each x.")
+    return curve.values(over.name, x, y, against)
+
+
+def _knots(numbers: object, unit: object, si_unit: str, where: str) -> list[float]:
+    """Return numbers (or texts with a unit of their own) that have a unit, in SI."""
+    if not isinstance(numbers, list) or not 2 <= len(numbers) <= KNOTS:
+        raise CraneError(f"{where} = {str(numbers)[:60]} should be a list of 2 to {KNOTS} numbers.")
+    try:
+        factor = factor_to_si(str(unit), si_unit)
+    except CraneError as problem:
+        raise CraneError(f"{where}: {problem}.") from None
+    each = enumerate(numbers, 1)
+    return [to_si(v, si_unit, f"{where}, entry {k}") * (1.0 if isinstance(v, str) else factor) for k, v in each]
+
+
+def as_written(acting: Acting) -> Mapping[str, Any]:
+    """Return an effect's parameters as a crane file has them: numbers in SI, or the table of a curve."""
+    curve = registry.find(acting.name).curve
+    if curve is None:
+        return acting.parameters
+    t = curve.table(acting.parameters)
+    against = {"against_motion": t.against_motion} if len(t.over.against) > 1 else {}
+    units = {"unit_over": t.over.unit, "x": list(t.x), "unit": curve.unit, "y": list(t.y)}
+    return {"over": t.over.name, **against, **units}
 
 
 def unit_at(unit: str, place: str, layout: Layout) -> str:
@@ -300,7 +347,7 @@ def _value_lines(crane: Crane) -> list[str]:
             name = name.removesuffix(".x")
             value = f"[{_number(crane[name + '.x'])}, {_number(crane[name + '.y'])}]"
         elif name == _REFERENCE:
-            value = f'"{_REFERENCES[int(crane[name])]}"'
+            value = f'"{REFERENCES[int(crane[name])]}"'
         else:
             value = _number(crane[name])
         section, _, key = name.rpartition(".")
@@ -333,8 +380,10 @@ def _effect_lines(acting: Acting) -> list[str]:
     lines = ["[[effect]]", f"name = {_text(acting.name)}"]
     if acting.place:
         lines.append(f"place = {_text(acting.place)}")
-    inner = ", ".join(f"{k} = {_number(v)}" for k, v in acting.parameters.items())
-    return [*lines, f"parameters = {{ {inner} }}", ""]
+    parameters = as_written(acting)
+    if parameters is not acting.parameters:
+        return [*lines, "", "[effect.parameters]", *(f"{k} = {_any(v)}" for k, v in parameters.items()), ""]
+    return [*lines, f"parameters = {_any(parameters)}", ""]
 
 
 def _uncertainty_text(u: Uncertainty) -> str:

@@ -155,8 +155,9 @@ def fill_frames(topology, P, z, arms):
 
 @part
 def turn_frames(topology, q, arms):
-    """Fill cosine and sine of the frames in arms for redundant coordinates q."""
+    """Fill angle, cosine and sine of the frames in arms for redundant coordinates q."""
     for b in range(topology[0, BODIES]):
+        arms[b, ANGLE] = q[3 * b + 2]
         arms[b, COS], arms[b, SIN] = math.cos(q[3 * b + 2]), math.sin(q[3 * b + 2])
 
 
@@ -329,19 +330,35 @@ def _chain_loop(topology, arms, v, first, g, x, bx, by):
     _hang(arms, v, second, a2, bx - a1 * y1 - w1 * x1 + cx, by + a1 * x1 - w1 * y1 + cy, x)
 
 
+@part
+def _stand(topology, P, z, origins, arms, q, v, lines):
+    """Fill arms and lines for the machine at rest at the independent coordinates z (n, …); return -1 or the loop that cannot be closed."""
+    failed = close_position(topology, P, origins, z, arms, q)
+    if failed < 0:
+        v[:] = 0.0
+        fill_lines(topology, arms, q, v, lines)
+    return failed
+
+
+@njit
+def _tables(topology):
+    """Return empty tables for `_stand`: origins (bodies, 4), arms, q, v, lines."""
+    bodies, lines = topology[0, BODIES], np.empty((topology[0, CYLINDERS], N_LINE))
+    arms = np.zeros((arm_rows(topology), N_ARM))
+    return np.zeros((bodies, 4)), arms, np.zeros(3 * bodies), np.zeros(3 * bodies), lines
+
+
 @njit
 def cylinder_length(topology, P, z, c, row):
     """Return the pin-to-pin length (m) of cylinder c at the independent coordinates z (n, …), and fill row[:n] with its derivative.
 
     NaN where a loop cannot be closed.
     """
-    n, n_bodies = topology[0, CYLINDERS], topology[0, BODIES]
-    q, v, arms = np.zeros(3 * n_bodies), np.zeros(3 * n_bodies), np.zeros((arm_rows(topology), N_ARM))
-    lines, none = np.empty((n, N_LINE)), np.empty(0)
-    if close_position(topology, P, np.zeros((n_bodies, 4)), z, arms, q) >= 0:
+    n, none = topology[0, CYLINDERS], np.empty(0)
+    origins, arms, q, v, lines = _tables(topology)
+    if _stand(topology, P, z, origins, arms, q, v, lines) >= 0:
         row[:n] = math.nan
         return math.nan
-    fill_lines(topology, arms, q, v, lines)
     for i in range(n):
         chain(topology, arms, i, none, none, v)
         row[i] = line_rate(topology, arms, v, lines, c)
@@ -351,26 +368,30 @@ def cylinder_length(topology, P, z, c, row):
 @njit
 def _poses(topology, P, places, Z, points, angles, lengths, length_rates):
     """Fill the arrays of a Pose for every row of Z; return (row, loop) of the first loop that cannot be closed, or (-1, -1)."""
-    arms, row = np.zeros((arm_rows(topology), N_ARM)), np.empty(Z.shape[1])
+    origins, arms, q, v, lines = _tables(topology)
+    none = np.empty(0)
     for k in range(Z.shape[0]):
-        failed = fill_frames(topology, P, Z[k], arms)
+        failed = _stand(topology, P, Z[k], origins, arms, q, v, lines)
         if failed >= 0:
             return k, failed
         angles[k] = arms[: topology[0, BODIES], ANGLE]
         for i in range(places.shape[0]):
             points[k, i, 0], points[k, i, 1] = _at(P, arms, places[i, 0], places[i, 1])
-        for c in range(lengths.shape[1]):
-            lengths[k, c] = cylinder_length(topology, P, Z[k], c, row)
-            length_rates[k, c] = row
+        lengths[k] = lines[:, LENGTH]
+        for i in range(Z.shape[1]):
+            chain(topology, arms, i, none, none, v)
+            for c in range(lengths.shape[1]):
+                length_rates[k, c, i] = line_rate(topology, arms, v, lines, c)
     return -1, -1
 
 
 @njit
 def _lengths(topology, P, Z, out):
-    row = np.empty(Z.shape[1])
+    origins, arms, q, v, lines = _tables(topology)
     for k in range(Z.shape[0]):
-        for c in range(out.shape[1]):
-            out[k, c] = cylinder_length(topology, P, Z[k], c, row)
+        out[k] = math.nan
+        if _stand(topology, P, Z[k], origins, arms, q, v, lines) < 0:
+            out[k] = lines[:, LENGTH]
 
 
 def cylinder_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:

@@ -77,10 +77,14 @@ def port_flows(topology, P, E, c, spool, pp, pt, pa, pb):
     load_b = float(topology[1 + topology[0, BODIES] + topology[0, LOOPS] + c, LOADED])
     if opening >= 0.0:
         drawn = edge_flow(cv * P[v + PUMP_A], opening, hooks.supply_drop(E, c, pp - pa), laminar)
-        returned = edge_flow(cv * P[v + B_TANK], opening, pb - pt, laminar) * hooks.return_gain(E, c, pb, pa, load_b)
+        returned = edge_flow(cv * P[v + B_TANK], opening, pb - pt, laminar) * hooks.return_gain(
+            E, c, pb, pa, load_b, pb - pt
+        )
         return drawn, returned, drawn, returned
     drawn = edge_flow(cv * P[v + PUMP_B], -opening, hooks.supply_drop(E, c, pp - pb), laminar)
-    returned = edge_flow(cv * P[v + A_TANK], -opening, pa - pt, laminar) * hooks.return_gain(E, c, pa, pb, 1.0 - load_b)
+    returned = edge_flow(cv * P[v + A_TANK], -opening, pa - pt, laminar) * hooks.return_gain(
+        E, c, pa, pb, 1.0 - load_b, pa - pt
+    )
     return -returned, -drawn, drawn, returned
 
 

@@ -269,14 +269,23 @@ def coordinate_rate(topology, arms, v, b):
 
 
 @part
+def coordinate(topology, arms, b):
+    """Return the coordinate of body b."""
+    if topology[1 + b, KIND] == SLIDES:
+        return arms[b, geo.WAY]
+    k = topology[1 + b, CARRIER]
+    return arms[b, geo.ANGLE] - (arms[k, geo.ANGLE] if k >= 0 else 0.0)
+
+
+@part
 def add_joint_forces(topology, E, t, w, arms, v, f):
     """Add moments on the coordinates, the forces on the payload's point, the pendulum's damping and disturbances to f."""
     n = topology[0, CYLINDERS]
     for b in range(topology[0, BODIES]):
         i = topology[1 + b, COORDINATE]
         if i >= 0:
-            moment = hooks.joint_torque(E, i, coordinate_rate(topology, arms, v, b)) + w[n + 2 + i]
-            add_on_coordinate(topology, arms, b, moment, f)
+            rate, at = coordinate_rate(topology, arms, v, b), coordinate(topology, arms, b)
+            add_on_coordinate(topology, arms, b, hooks.joint_torque(E, i, rate, at) + w[n + 2 + i], f)
     if topology[0, TIP_BODY] < 0:
         return
     row, first = _tip(topology), 2 * n + 2

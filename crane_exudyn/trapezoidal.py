@@ -317,8 +317,8 @@ def _fill_system(topology, E, h, inertia, arms, N, D, v, Fv, Fp, Rv, Rp, work, A
     for b in range(topology[0, BODIES]):
         i = topology[1 + b, red.COORDINATE]
         if i >= 0:
-            rate = red.coordinate_rate(topology, arms, v, b)
-            A[i, i] -= (hooks.joint_torque(E, i, rate + _DV) - hooks.joint_torque(E, i, rate)) / _DV
+            rate, at = red.coordinate_rate(topology, arms, v, b), red.coordinate(topology, arms, b)
+            A[i, i] -= (hooks.joint_torque(E, i, rate + _DV, at) - hooks.joint_torque(E, i, rate, at)) / _DV
     if nu > n:
         A[n, n] += hooks.pendulum(E)[1]
     for i in range(2 * n):
@@ -507,14 +507,15 @@ def _stiff_error(topology, P, E, h, inertia, w, arms, lines, N, q, v, p, held, b
 def stroke_end(P, E, lines, p):
     """Return 0, or 1 + number of the first chamber that is shorter than nothing and has no end stop.
 
-    A cylinder that pushes back when its chamber is shortened by a millimetre has an end stop.
+    A cylinder that pushes back harder beyond its end than at it has an end stop.
     """
     for c in range(lines.shape[0]):
         pa, pb = p[2 * c], p[2 * c + 1]
         la, lb, va, vb, _, _ = hyd.chambers(P, E, c, lines[c, LENGTH], pa, pb)
         pa, pb = max(pa, hyd.vapour_pressure(P)), max(pb, hyd.vapour_pressure(P))
-        if la < 0.0 and (va <= 0.0 or hooks.cylinder_force(E, c, 0.0, pa, pb, la, lb) <= 0.0):
+        push = hooks.cylinder_force(E, c, 0.0, pa, pb, la, lb)
+        if la < 0.0 and (va <= 0.0 or push <= hooks.cylinder_force(E, c, 0.0, pa, pb, 0.0, la + lb)):
             return 1 + 2 * c
-        if lb < 0.0 and (vb <= 0.0 or hooks.cylinder_force(E, c, 0.0, pa, pb, la, lb) >= 0.0):
+        if lb < 0.0 and (vb <= 0.0 or push >= hooks.cylinder_force(E, c, 0.0, pa, pb, la + lb, 0.0)):
             return 2 + 2 * c
     return 0

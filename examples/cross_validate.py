@@ -11,8 +11,8 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from crane_exudyn import Crane, Recording
-from validation.search.fitted import fitted_effect
-from validation.search.weigh import open_loop_error
+from validation.selection.fitted import fitted_effect
+from validation.selection.model import open_loop_error
 
 
 def error(crane: Crane, recording: Recording) -> float:

@@ -66,7 +66,7 @@ def command(
         result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
         _write(result, output, json, {"effect": effect})
         return
-    from validation.search.fitted import fitted_effect, helped
+    from validation.selection.fitted import fitted_effect, helped
 
     with doing(f"fitting {effect} to {fit}"):
         result, document = fitted_effect(chosen, effect, load_recording(fit, chosen, mapping, map_file), values_given)

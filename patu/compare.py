@@ -17,15 +17,18 @@ from .options import (
     JsonOption,
     MapFileOption,
     MapOption,
-    RecordingArgument,
+    PerRecordingOption,
+    RecordingsArgument,
     ReportOption,
-    load_checked,
     load_crane,
+    load_several,
 )
 from .output import Printer, progress
 from .outputs import Writes, saving
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from validation.compare import Comparison
 
 _SHOWN = 10
@@ -33,15 +36,16 @@ _PICTURES = ("where", "open_loop", "balances", "balances_by_work")
 
 
 def command(
-    recording: RecordingArgument,
+    recordings: RecordingsArgument,
     crane: CraneOption = DEFAULT_CRANE,
     engine: EngineOption = "semi-recursive",
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Write pictures there."),
-        Writes(files=tuple(f"{name}.png" for name in _PICTURES)),
+        Writes(files=tuple(f"*{name}.png" for name in _PICTURES)),
     ] = None,
     report: ReportOption = None,
+    per_recording: PerRecordingOption = None,
     effects: EffectsOption = None,
     mapping: MapOption = None,
     map_file: MapFileOption = None,
@@ -51,22 +55,24 @@ def command(
     """Lay the model beside a measurement: how large the errors are, when they arise, which balance is violated.
 
     The crane starts as the recording starts (the start is fitted) and then sees only the commands; a filter predicts each next
-    sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
+    sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks. Several recordings are compared
+    one after the other; what --per-recording names is fitted to each.
     """
     chosen = load_crane(crane, effects)
-    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
-    from validation.compare import compare
+    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
+    from validation.compare import compare_all
 
     with progress("Comparing", json) as step:
-        result = compare(chosen, measured, engine, progress=step)
+        results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)
     from validation.reports import report_comparison
 
     printer = Printer(json)
-    tell(printer, result)
+    for result in results:
+        tell(printer, result)
     with saving(printer) as save:
-        save.json(json, result.to_dict())
-        save(output, partial(save_figures, result))
-        save(report, partial(report_comparison, result, chosen, measured))
+        save.json(json, results[0].to_dict() if len(results) == 1 else {"recordings": [r.to_dict() for r in results]})
+        save(output, partial(save_figures, results))
+        save(report, partial(report_comparison, results, chosen, measured))
 
 
 def tell(printer: Printer, result: Comparison) -> None:
@@ -92,13 +98,15 @@ def worst(result: Comparison, most: int = _SHOWN) -> list[tuple[str, str]]:
     return [(f"{f.score:.1f}", f.text) for f in result.where[:most]]
 
 
-def save_figures(result: Comparison, folder: Path) -> list[Path]:
+def save_figures(results: Sequence[Comparison], folder: Path) -> list[Path]:
     """Write all pictures to a folder and return their paths."""
     from validation import plots
 
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for name, figure in result.figures().items():
-        paths.append(folder / f"{name}.png")
-        plots.save(figure, paths[-1])
+    for result in results:
+        prefix = f"{Path(result.recording).stem}_" if len(results) > 1 else ""
+        for name, figure in result.figures().items():
+            paths.append(folder / f"{prefix}{name}.png")
+            plots.save(figure, paths[-1])
     return paths

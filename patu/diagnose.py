@@ -17,10 +17,12 @@ from .options import (
     JsonOption,
     MapFileOption,
     MapOption,
-    RecordingArgument,
+    PerRecordingOption,
+    RecordingsArgument,
     ReportOption,
     load_checked,
     load_crane,
+    load_several,
     picture,
 )
 from .output import Printer, progress
@@ -31,8 +33,9 @@ if TYPE_CHECKING:
 
 
 def command(
-    recording: RecordingArgument,
+    recordings: RecordingsArgument,
     check: CheckOption = None,
+    per_recording: PerRecordingOption = None,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
@@ -49,29 +52,42 @@ def command(
 
     First the nominal parameters may move within their uncertainty; then every effect at every place is weighed, alone and in
     pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
+    Several recordings of one machine are fitted together; each has its own start and clocks, and what --per-recording names.
     """
     chosen = load_crane(crane, effects)
-    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
+    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
     from validation.diagnosis import diagnose
 
     with progress("Diagnose") as done:
-        result = diagnose(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
+        result = diagnose(
+            chosen,
+            measured,
+            other,
+            per_recording=per_recording or (),
+            jobs=jobs,
+            progress=lambda part, share: done(share, part),
+        )
     from validation.plots import save as save_figure
     from validation.reports import Examined, report_diagnosis
 
     printer = Printer(json)
     tell(printer, result)
+    if result.verdict == "unknown" and not result.misses_check:
+        more = [*(["--check", str(check)] if check else []), *(["--crane", crane] if crane != DEFAULT_CRANE else [])]
+        printer.line(
+            f"Go on: {' '.join(['patu', 'learn', *map(str, recordings), *more])}   looks for a law that is not in the library"
+        )
     given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
     with saving(printer) as save:
-        save.json(json, {"recording": str(recording), "crane": chosen.name} | result.to_dict())
+        save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
         save(report, lambda path: report_diagnosis(result, path, given, Examined(measured, other)))
 
 
 def tell(printer: Printer, d: Diagnosis) -> None:
     """Print verdict, candidates, parameters that moved, and what to do next."""
-    from validation.diagnosis import sentence
+    from validation.diagnosis import own_values, sentence
     from validation.reports import told
 
     printer.line(f"Verdict: {d.verdict} — {sentence(d)}.")
@@ -90,6 +106,9 @@ def tell(printer: Printer, d: Diagnosis) -> None:
             ("parameter", "value", "std", "nominal", "unit"),
             [(n, p["value"], p["std"], p["nominal"], p["unit"]) for n, p in moved],
         )
+    if d.recordings:
+        rows = [(r["recording"], r["error_before"], r["error_after"], own_values(r)) for r in d.recordings]
+        printer.table("By recording", ("recording", "error before", "after", "its own"), rows)
     for entry in d.where[:5]:
         printer.line(f"  left over: {entry['text']}")
     for note in d.notes:

@@ -14,6 +14,7 @@ from .outputs import saving
 
 if TYPE_CHECKING:
     from crane_exudyn.effects.base import Effect
+    from crane_exudyn.effects.curve import Curve
     from crane_exudyn.layout import Layout
 
 
@@ -32,16 +33,18 @@ def command(
     if name:
         tell(printer, chosen[0], layout)
     else:
-        rows = [(e.name, _places(e, layout), ", ".join(p.name for p in e.parameters), title(e)) for e in chosen]
+        rows = [(e.name, _places(e, layout), _parameters(e), e.law()) for e in chosen]
         printer.table("", ("effect", "places", "parameters", "what it is"), rows)
         printer.line("`patu effects NAME` tells one of them whole.")
     with saving(printer) as save:
         save.json(json, [describe(effect, layout) for effect in chosen])
 
 
-def title(effect: type[Effect]) -> str:
-    """Return the first line of the effect's docstring."""
-    return inspect.cleandoc(effect.__doc__ or effect.name).splitlines()[0]
+def _parameters(effect: type[Effect]) -> str:
+    """Return the names of an effect's parameters, or what its curve may run over."""
+    if effect.curve is not None:
+        return "curve over " + ", ".join(a.name for a in effect.curve.over)
+    return ", ".join(p.name for p in effect.parameters)
 
 
 def describe(effect: type[Effect], layout: Layout) -> dict[str, Any]:
@@ -50,20 +53,43 @@ def describe(effect: type[Effect], layout: Layout) -> dict[str, Any]:
         {"name": p.name, "unit": p.unit, "neutral": p.neutral, "lower": p.lower, "upper": p.upper, "text": p.text}
         for p in effect.parameters
     ]
-    text = inspect.cleandoc(effect.__doc__ or "")
-    return {"name": effect.name, "places": list(effect.on(layout)), "text": text, "parameters": parameters}
+    told = {
+        "name": effect.name,
+        "places": list(effect.on(layout)),
+        "text": inspect.cleandoc(effect.__doc__ or ""),
+        "parameters": parameters,
+    }
+    if effect.curve is None:
+        return told
+    over = [{"name": a.name, "unit": a.unit, "against_motion": list(a.against)} for a in effect.curve.over]
+    return told | {"parameters": [], "curve": {"unit": effect.curve.unit, "over": over}}
 
 
 def tell(printer: Printer, effect: type[Effect], layout: Layout) -> None:
     """Print one effect: its docstring, where it may act on a machine, its parameters."""
     printer.line(f"{effect.name} - {inspect.cleandoc(effect.__doc__ or '')}")
     printer.line(f"\nPlaces: {_places(effect, layout)}")
+    if effect.curve is not None:
+        _tell_curve(printer, effect.curve)
+        return
     rows = [
         (p.name, p.unit or "-", "shape" if p.shape else _number(p.neutral), f"{p.lower:g} … {p.upper:g}", p.text)
         for p in effect.parameters
     ]
     printer.table("", ("parameter", "unit", "neutral", "range", "meaning"), rows)
     printer.line(f"patu add {next(iter(effect.keys(layout)))} --fit REC -o new.toml   adds it to a crane file, fitted.")
+
+
+def _tell_curve(printer: Printer, curve: Curve) -> None:
+    """Print what the curve of an effect may run over, and what it is found with."""
+    rows = [
+        (a.name, a.unit or "-", curve.unit or "-", " or ".join(_ACTS[kind] for kind in a.against)) for a in curve.over
+    ]
+    printer.table("", ("over", "unit of x", "unit of y", "acts"), rows)
+    printer.line("patu learn REC -o new.toml   finds such a curve; in a crane file it is a table over, x, y.")
+
+
+_ACTS = {True: "against motion", False: "as it is"}
 
 
 def _places(effect: type[Effect], layout: Layout) -> str:

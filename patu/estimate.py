@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,12 +28,13 @@ from .options import (
     picture,
 )
 from .output import Printer, progress
-from .outputs import Writes, saving
+from .outputs import Reads, Writes, saving
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
     from crane_exudyn.recording import Recording
     from ukf.estimate import Estimate
+    from ukf.estimator import Estimator
     from ukf.noise import ProcessNoise
 
 
@@ -53,7 +55,9 @@ def command(
         list[str] | None,
         typer.Option("--augment", metavar="NAME", help="Also estimate this, such as payload.mass; repeatable."),
     ] = None,
-    method: Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|ekf", help="Which filter.")] = "ukf",
+    method: Annotated[
+        str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|simplex|ekf", help="Which filter.")
+    ] = "ukf",
     smooth: Annotated[bool, typer.Option("--smooth", help="Also smooth back over the recording (RTS).")] = False,
     tune: Annotated[
         bool, typer.Option("--tune", help="First find the most likely process noise, not only its size.")
@@ -66,6 +70,15 @@ def command(
             help="Let the intervals allow for an error of the model; auto: where needed.",
         ),
     ] = "auto",
+    models: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--models",
+            metavar="A.toml B.toml …",
+            help="Run these cranes side by side, instead of --crane: which one is it, and when?",
+        ),
+        Reads(),
+    ] = None,
     step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Longest time step of the model.")] = 1e-3,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
@@ -81,16 +94,21 @@ def command(
     """
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
-    chosen = load_crane(crane, effects)
+    cranes = _cranes(models, crane, effects)
+    chosen = next(iter(cranes.values()))
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
     from ukf.estimator import Estimator
     from ukf.model_error import estimate
 
-    noise = _tuned(chosen, measured, std, augment or [], json, tune)
-    plain = Estimator(chosen, engine, std, noise, method, augment or (), max_step=step)
+    noise = _tuned(cranes.values(), measured, std, augment or [], json, tune)
+    filters = {n: Estimator(c, engine, std, noise, method, augment or (), max_step=step) for n, c in cranes.items()}
     slack = noise_slack(chosen, measured, std)
-    result = estimate(plain, measured, mode=model_error, smooth=smooth, noise_slack=slack, stage=progress)
+    if models:
+        result = _side_by_side(filters, measured, model_error, smooth, slack)
+    else:
+        plain = filters[crane]
+        result = estimate(plain, measured, mode=model_error, smooth=smooth, noise_slack=slack, stage=progress)
     best = result.smoothed if result.smoothed is not None else result
     from crane_exudyn.plots import save as save_figure
 
@@ -103,6 +121,33 @@ def command(
         save(report, lambda path: save_report(result, measured.name, path, engine, std))
     if result.failed:
         raise typer.Exit(1)
+
+
+def _cranes(models: list[str] | None, crane: str, effects: list[Path] | None) -> dict[str, Crane]:
+    """Return the crane files to run, by their names."""
+    if not models:
+        return {crane: load_crane(crane, effects)}
+    if crane != DEFAULT_CRANE:
+        raise CraneError(f"--crane {crane} and --models exclude each other. Give {crane} as one of the models.")
+    loaded = {(Path(m).stem if m.endswith(".toml") else m): load_crane(m, effects) for m in models}
+    return loaded if len(loaded) == len(models) else dict(zip(models, loaded.values(), strict=False))
+
+
+def _side_by_side(
+    filters: dict[str, Estimator], recording: Recording, model_error: str, smooth: bool, slack: float
+) -> Estimate:
+    """Return the mixed estimate of several models, each with its own model error if that was asked for."""
+    from ukf.model_error import find
+    from ukf.side_by_side import SideBySide
+
+    if smooth:
+        raise CraneError("--smooth and --models exclude each other: several models cannot be smoothed together.")
+    if model_error == "on":
+        with progress("Model error"):
+            found = {n: find(e.crane, recording, e.std_of, augment=e.augment) for n, e in filters.items()}
+        filters = {n: found[n].behind(e) for n, e in filters.items()}
+    with progress("Estimate") as done:
+        return replace(SideBySide(filters).run(recording, progress=done), noise_slack=slack)
 
 
 def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
@@ -126,13 +171,18 @@ def noise_slack(crane: Crane, recording: Recording, std: Iterable[str]) -> float
 
 
 def _tuned(
-    crane: Crane, recording: Recording, std: dict[str, float], augment: list[str], json: str | None, thorough: bool
+    cranes: Iterable[Crane],
+    recording: Recording,
+    std: dict[str, float],
+    augment: list[str],
+    json: str | None,
+    thorough: bool,
 ) -> ProcessNoise:
-    """Return the most likely process noise; a wrong model needs more of it than a right one."""
+    """Return the most likely process noise of the models; wrong ones need more of it than right ones."""
     from ukf.tuning import scale, tune
 
     with progress("Noise") as done:
-        found = (tune if thorough else scale)(crane, recording, std, augment=tuple(augment), progress=done)
+        found = (tune if thorough else scale)(tuple(cranes), recording, std, augment=tuple(augment), progress=done)
     if found.after > found.before:
         Printer(json).line(repr(found).strip("<>"))
     return found.noise
@@ -148,6 +198,7 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
     words = "Innovations in units of what the filter expects; 95 % should lie in the band, without a pattern in time."
     sections: list[tuple[str, list[Any]]] = [
         ("States", [states, Table(COLUMNS, rows(best))]),
+        *([("Models", [Table(MODEL_COLUMNS, model_rows(result))])] if result.models else []),
         ("Consistency", [consistency(result), *allowance(result), Picture(innovations_figure(result), words)]),
         ("What happened on the way", event_lines(result) or ["Nothing odd."]),
     ]
@@ -166,12 +217,27 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
 
 #: so many unknowns of a wrong model are named
 _LISTED = 4
+MODEL_COLUMNS = ("model", "probability", "at the end", "likeliest / s")
 COLUMNS = ("quantity", "first", "last", "± (95 %)", "min", "max")
 
 
 def rows(estimate: Estimate) -> list[tuple[object, ...]]:
     """Return the table: each quantity in units for people, at the start, at the end with its interval, and its range."""
     return [(f"{name} / {unit}" if unit else name, *numbers) for name, unit, *numbers in estimate.ranges()]
+
+
+#: so many spans in which a model was the likeliest are told, s that they last at least
+_SPANS, _SHORT = 3, 0.5
+
+
+def model_rows(estimate: Estimate) -> list[tuple[object, ...]]:
+    """Return one row a model: its probability on the average and at the end, and when it was the likeliest for long."""
+    found: list[tuple[object, ...]] = []
+    for name, told in estimate.document()["models"].items():
+        spans = sorted((s for s in told["leads"] if s[1] - s[0] > _SHORT), key=lambda s: s[0] - s[1])[:_SPANS]
+        words = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in sorted(spans))
+        found.append((name, round(told["mean"], 3), round(told["final"], 3), words or "never for long"))
+    return found
 
 
 def tell(printer: Printer, result: Estimate, recording: Any) -> None:
@@ -181,6 +247,8 @@ def tell(printer: Printer, result: Estimate, recording: Any) -> None:
         f"{result.time[0]:g} to {result.time[-1]:g} s, sensors {', '.join(result.channel_names)}"
     )
     printer.table("", COLUMNS, rows(result.smoothed if result.smoothed is not None else result))
+    if result.models:
+        printer.table("", MODEL_COLUMNS, model_rows(result))
     for line in (consistency(result), verdict(result), *allowance(result), *event_lines(result)):
         printer.line(line)
 

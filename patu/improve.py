@@ -17,10 +17,12 @@ from .options import (
     JsonOption,
     MapFileOption,
     MapOption,
-    RecordingArgument,
+    PerRecordingOption,
+    RecordingsArgument,
     ReportOption,
     load_checked,
     load_crane,
+    load_several,
     picture,
 )
 from .output import Printer, progress
@@ -31,9 +33,10 @@ if TYPE_CHECKING:
 
 
 def command(
-    recording: RecordingArgument,
+    recordings: RecordingsArgument,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file to write."), Writes()],
     check: CheckOption = None,
+    per_recording: PerRecordingOption = None,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
@@ -53,14 +56,14 @@ def command(
     which evidence; `patu remove` undoes it.
     """
     chosen = load_crane(crane, effects)
-    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway)
+    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
     from validation.improvement import improve
 
     printer = Printer(json)
     with progress("Improve") as done:
         result = improve(
-            chosen, measured, other, jobs=jobs, most=most,
+            chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most,
             told=lambda step: tell(printer, step), progress=lambda part, share: done(share, part),
         )  # fmt: skip
     from validation.plots import save as save_figure
@@ -72,7 +75,7 @@ def command(
     given = {"check": other.name if other else None, "most steps": most, "crane file written": str(output)}
     with saving(printer) as save:
         save(output, result.crane.save, result.crane.to_toml())
-        save.json(json, {"recording": str(recording)} | result.to_dict(output))
+        save.json(json, {"recording": ", ".join(map(str, recordings))} | result.to_dict(output))
         save(plot, lambda path: save_figure(result.plot(), path))
         save(report, lambda path: report_improvement(result, path, given, Examined(measured, other)))
 

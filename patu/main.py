@@ -14,6 +14,8 @@ import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
+#: options that take all words up to the next option
+SEVERAL = ("--models", "--sensors", "--sensor-noise")
 BAD_INPUT = 2
 INTERRUPTED = 130
 
@@ -40,6 +42,9 @@ COMMANDS: dict[str, Command] = {
     "crosscheck": Command("both engines against each other, quantity by quantity", "patu crosscheck"),
     "compare": Command("model against measurement: how good, and where it fails", "patu compare lift.csv"),
     "diagnose": Command("which physical effect is missing", "patu diagnose lift.csv --check lower.csv"),
+    "learn": Command(
+        "a law that nobody wrote: where it is missing, over what, its curve", "patu learn lift.csv -o new.toml"
+    ),
     "add": Command(
         "add an effect, fitted, to a crane file",
         "patu add internal_leakage@lift --fit lift.csv -o new.toml",
@@ -279,10 +284,23 @@ def _invoke(name: str, words: list[str]) -> int:
         context_settings={"help_option_names": ["--help", "-h"]},
     )(_past_typer(checked(load(name))))
     try:
-        app(words, prog_name=f"patu {name}")
+        app(_one_each(words), prog_name=f"patu {name}")
     except SystemExit as leaving:  # typer ends every run, good or bad, this way
         return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
     return 0
+
+
+def _one_each(words: Sequence[str]) -> list[str]:
+    """Return the words with `--models A B` as `--models A --models B`: options of typer take one value each."""
+    out: list[str] = []
+    taking = ""
+    for word in words:
+        if word.startswith("-"):
+            taking = word if word in SEVERAL else ""
+        elif taking and out[-1] != taking:
+            out.append(taking)
+        out.append(word)
+    return out
 
 
 def _past_typer(command: Callable[..., None]) -> Callable[..., None]:

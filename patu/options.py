@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -37,6 +38,21 @@ def picture(path: Path) -> None:
 PICTURES = (".png", ".svg", ".pdf")
 RecordingArgument = Annotated[
     Path, typer.Argument(metavar="REC", help="Recording: CSV, MAT, Parquet or MDF4."), Reads()
+]
+RecordingsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="REC…", help="Recordings of one machine: CSV, MAT, Parquet or MDF4; sensors and rates may differ."
+    ),
+    Reads(),
+]
+PerRecordingOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--per-recording",
+        metavar="NAME",
+        help="Parameter that differs from recording to recording, such as payload.mass; repeatable.",
+    ),
 ]
 CraneOption = Annotated[
     str,
@@ -133,6 +149,15 @@ def load_checked(
         return accepted(recording, findings, anyway=anyway)
     except CraneError as problem:
         raise CraneError(f"{problem} To use it all the same, give --anyway.") from None
+
+
+def load_several(
+    paths: Sequence[Path], crane: Crane, entries: Sequence[str] | None, map_file: Path | None, *, anyway: bool
+) -> list[Recording]:
+    """Return the recordings as `load_checked` does; those whose files have the same name are told apart by their folders."""
+    found = [load_checked(p, crane, entries, map_file, anyway=anyway) for p in paths]
+    names = [r.name for r in found]
+    return [replace(r, name=str(path)) if names.count(r.name) > 1 else r for r, path in zip(found, paths, strict=True)]
 
 
 def load_mapping(crane: Crane, entries: Sequence[str] | None, map_file: Path | None) -> dict[str, Column]:

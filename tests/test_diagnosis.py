@@ -1,7 +1,6 @@
 """The diagnosis on recordings of an independent simulation, whose answers are open; and its refusals."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,25 +10,12 @@ import pytest
 from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.channels import Channel
 from validation import hidden
-from validation.diagnosis import (
-    Diagnosis,
-    _between_samples,
-    _elsewhere,
-    _explains,
-    _held_to_check,
-    _idle,
-    _leading_pairs,
-    _paired,
-    diagnose,
-    sentence,
-)  # fmt: skip
+from validation.diagnosis import Diagnosis, _held_to_check, diagnose, sentence
 from validation.fit.data import FitData
-from validation.fit.variables import effect_variables, uncertain_parameters
 from validation.fitness import check_check
-from validation.search.candidates import Start, around
-from validation.search.weigh import Hypothesis, Weighed
+from validation.selection.moves import Start, around, starts
+from validation.selection.verdict import verdict_of, within_clocks
 
-KNOWN = uncertain_parameters(Crane.load("patu655"))[:5]
 DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
 
@@ -100,33 +86,97 @@ def test_moments_around_the_best_one_are_looked_at_more_closely():
     assert around(Start("internal_leakage@lift", {"k": 1e-12})) == []
 
 
-def weighed(
-    key: str, values: dict[str, float], evidence: float, prior_cost: float = 0.0, level: float = 1.5
-) -> Weighed:
-    """Return a weighed hypothesis of which only the crane, the evidence and the cost of moved parameters matter."""
-    crane = Crane.load("patu655").with_effect(key, values)
-    fit = SimpleNamespace(crane=crane, variables=uncertain_parameters(crane)[:5], prior_cost=prior_cost)
-    return Weighed(Hypothesis({key: values}), fit, evidence, level, np.ones(3, dtype=bool))
+# -- what a path means -----------------------------------------------------------------------------------------------
+
+
+def model(keys: str = "", evidence: float = 0.0, good: bool = True, **more: object) -> SimpleNamespace:
+    """Return what the verdict asks of a fitted model; `keys` are its effects, separated by blanks."""
+    asked = {
+        "plausible": True,
+        "strained": False,
+        "level": 1.0,
+        "bad": np.zeros(100, dtype=bool),
+        "idle": set(),
+        "far": (),
+        "fit": SimpleNamespace(variables=(), u=()),
+    }
+    return SimpleNamespace(keys=tuple(keys.split()), evidence=evidence, good=good, **asked | more)
+
+
+def path(
+    given: SimpleNamespace, parameters: SimpleNamespace, *weighed: SimpleNamespace, **more: object
+) -> SimpleNamespace:
+    """Return a path that weighed these models, best first."""
+    asked = {"fewest": parameters, "left_out": {}, "problem": None, "bare": max(given.evidence, parameters.evidence)}
+    return SimpleNamespace(
+        given=given, parameters=parameters, weighed=weighed, best=weighed[0] if weighed else None, **asked | more
+    )
+
+
+ALL = np.ones(100, dtype=bool)
+WRONG = {"good": False, "level": 9.0, "bad": ALL}
+LEAK, BIAS = "internal_leakage@lift", "sensor_bias@z1"
 
 
 @pytest.mark.parametrize(
-    ("evidence", "prior_cost", "level", "errors", "named"),
-    [(500.0, 0.0, 1.5, (6.4, 1.1), True), (500.0, 0.0, 1.5, (6.4, 1.9), False), (500.0, 0.0, 1.5, (1.5, 1.2), False),
-     (5.0, 0.0, 1.5, (6.4, 1.1), False), (500.0, 200.0, 1.5, (6.4, 1.1), False),
-     (500.0, 0.0, 1.2, (6.4, 1.9), True), (500.0, 0.0, 1.2, (14.8, 3.2), False)],
+    ("given", "parameters", "weighed", "kind", "effects"),
+    [
+        (model(), model(evidence=5.0), [model(LEAK, 11.0)], "adequate", ()),
+        (model(), model(evidence=20.0), [model(LEAK, 30.0)], "parameters", ()),
+        (model(**WRONG), model(evidence=500.0), [], "parameters", ()),
+        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0), model(BIAS, 480.0)], "effect", (LEAK,)),
+        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0), model(BIAS, 495.0)], "tied", (LEAK,)),
+        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0), model(f"{BIAS} {LEAK}", 495.0)], "effect", (LEAK,)),
+        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 108.0)], "unknown", ()),
+        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0, plausible=False)], "unknown", ()),
+        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0, False, level=1.5, bad=ALL)], "unknown", ()),
+        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0, False, level=1.2, bad=np.arange(100) < 10)], "effect", (LEAK,)),
+    ],
 )  # fmt: skip
-def test_an_effect_that_leaves_something_is_named_only_if_it_predicts_the_check_recording(
-    monkeypatch, evidence, prior_cost, level, errors, named
-):
-    best = weighed("internal_leakage@lift", {"k": 5e-12}, evidence, prior_cost, level)
-    bare = replace(weighed("internal_leakage@lift", {"k": 0.0}, 0.0), bad=np.ones(100, dtype=bool))
-    best = replace(best, bad=np.arange(100) < 10)
-    found = dict(zip((0, 1), errors, strict=True))
-    monkeypatch.setattr("validation.diagnosis._error", lambda crane, recording, knots: found[len(crane.effects)])
-    search = SimpleNamespace(crane=Crane.load("patu655"), jobs=1)
-    notes: list[str] = []
-    assert _explains(search, best, bare, object(), notes) is named
-    assert any("does not predict" in n for n in notes) is (errors[1] > 3.0)
+def test_the_verdict_is_a_function_of_the_path(given, parameters, weighed, kind, effects):
+    found = verdict_of(path(given, parameters, *weighed))
+    assert (found.kind, found.chosen.keys) == (kind, effects)
+
+
+def test_what_predicts_the_blocks_that_were_left_out_explains_although_it_leaves_something():
+    best = model(LEAK, 500.0, False, level=1.5, bad=ALL)
+    for errors, kind in (((6.4, 1.1), "effect"), ((6.4, 1.9), "unknown"), ((1.5, 1.2), "unknown")):
+        assert verdict_of(path(model(**WRONG), model(**WRONG), best, left_out={frozenset([LEAK]): errors})).kind == kind
+
+
+def test_parameters_moved_far_are_tied_with_one_effect_that_explains_at_once():
+    far = model(evidence=100.0, strained=True, far=("a", "b", "c"))
+    for bias, kind in (
+        (model(BIAS, 108.0), "tied"),
+        (model(BIAS, 90.0), "parameters"),
+        (model(BIAS, 108.0, far=("a", "b")), "parameters"),
+    ):
+        found = verdict_of(path(model(**WRONG), far, bias))
+        assert found.kind == kind
+        assert [t.keys for t in found.ties] == ([()] if kind == "tied" else [])
+
+
+def test_what_a_shift_of_the_clock_does_is_no_effect():
+    """Where in a sampling interval a command came is not recorded."""
+    crane = Crane.load("patu655")
+    data = FitData.of(Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 8.0), crane)
+    problem = SimpleNamespace(data=SimpleNamespace(parts=(data,)))
+    for key, values, within in (
+        ("command_delay@lift", {"T": 0.004}, True), ("command_delay@lift", {"T": 0.03}, False),
+        ("dead_band@lift", {"lower": 0.02, "upper": 0.02}, False), ("internal_leakage@lift", {"k": 1e-13}, False),
+    ):  # fmt: skip
+        fit = SimpleNamespace(crane=crane.with_effect(key, values), late=0.0)
+        fit.of = lambda recording, fit=fit: fit
+        assert within_clocks(problem, SimpleNamespace(keys=(key,), fit=fit)) is within, key
+
+
+def test_what_acts_on_a_pressure_that_was_recorded_is_not_offered():
+    crane = Crane.load("patu655")
+    case = Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0)
+    pump = Channel(case["p1"].time, 2e7 + 1e4 * np.random.default_rng(1).standard_normal(len(case["p1"])))
+    for recording, offered in ((case, True), (Recording("pump", {**case.channels, "pp": pump}), False)):
+        keys = {s.key for s in starts(crane, FitData.of(recording, crane))}
+        assert ("pump_droop" in keys) is offered and "return_back_pressure" in keys
 
 
 # -- the check recording ---------------------------------------------------------------------------------------------
@@ -161,7 +211,7 @@ def test_what_does_not_predict_the_check_recording_is_said_first_and_is_no_plain
 def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):
     crane = Crane.load("patu655")
     learn = Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0)
-    monkeypatch.setattr("validation.diagnosis._prepare", lambda *_: pytest.fail("the search has begun"))
+    monkeypatch.setattr("validation.diagnosis.search", lambda *_: pytest.fail("the search has begun"))
     bar_as_pascal = Channel(learn["p1"].time, learn["p1"].values / 1e5)
     for check, words in (
         (learn.window(0.0, 0.5), "at least 1 s is needed"),
@@ -175,60 +225,5 @@ def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):
 def test_the_same_recording_twice_is_told():
     learn = Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0)
     copy = Recording("copy", learn.channels, "copy.csv")
-    assert "copy.csv is the recording that is learned from" in check_check(copy, learn, Crane.load("patu655"))[0]
-    assert not any("confirms nothing" in n for n in check_check(learn.window(0.0, 2.9), learn, Crane.load("patu655")))
-
-
-def test_the_pair_that_parameters_help_least_is_fitted_to_the_end_too():
-    pairs = [
-        Weighed(Hypothesis({first: {}, second: {}}), SimpleNamespace(variables=KNOWN, prior_cost=cost), evidence, 1.0, np.zeros(1))
-        for first, second, cost, evidence in (
-            ("dead_band@tilt", "payload_swing", 240.0, 30.0), ("dead_band@tilt", "base_tilt", 280.0, 20.0),
-            ("dead_band@tilt", "sensor_scale@z4", 50.0, 10.0), ("base_tilt", "command_delay@tilt", 40.0, 0.0),
-        )
-    ]  # fmt: skip
-    assert _leading_pairs(pairs, "dead_band@tilt") == pairs[:3]
-    calm = [replace(pairs[0], fit=SimpleNamespace(variables=KNOWN, prior_cost=0.5)), *pairs[1:]]
-    assert _leading_pairs(calm, "dead_band@tilt") == calm[:2]
-    assert _leading_pairs([], "dead_band@tilt") == []
-    assert _paired(SimpleNamespace(), []) == []  # nothing promised anything
-
-
-class Recorded:
-    """A search that notes what it is asked to fit, and answers with the same evidence for all."""
-
-    def __init__(self, data: FitData) -> None:
-        self.crane, self.data, self.base, self.asked = Crane.load("patu655"), data, None, []
-
-    def run(self, hypotheses, stages):
-        """Return the hypotheses as weighed."""
-        self.asked += [h.keys[0] for h, _ in hypotheses]
-        return [weighed(h.keys[0], h.effects[h.keys[0]], 0.0) for h, _ in hypotheses]
-
-
-def test_where_moved_parameters_help_an_effect_its_other_places_are_fitted_too():
-    crane = Crane.load("patu655")
-    data = FitData.of(hidden.make_case(3, kind="none", noise=0, sensors=0, rate=100).learn.window(0.0, 3.0), crane)
-    for cost, asked in ((0.5, set()), (20.0, {"external_leakage@p1", "external_leakage@p3", "external_leakage@p4"})):
-        search = Recorded(data)
-        first = [weighed("external_leakage@p2", {"k": 5e-12}, 10.0, prior_cost=cost)]
-        found = _elsewhere(search, first)
-        assert set(search.asked) == asked
-        assert found[0] is first[0] and len(found) == (2 if asked else 1)
-
-
-def test_an_effect_too_weak_to_be_told_from_nothing_is_idle():
-    """A pressure compensation of 128 bar does nothing; its neutral value is infinite."""
-    w = weighed("pressure_compensation@lift", {"dpc": 128e5}, 0.0)
-    variables = effect_variables("pressure_compensation@lift", {"dpc": 128e5}, w.fit.crane.layout)
-    u = np.array([v.to_u(v.start) for v in variables])
-    for spread, idle in ((u[0], {"pressure_compensation@lift"}), (u[0] / 10.0, set())):
-        fit = SimpleNamespace(crane=w.fit.crane, variables=variables, u=u, cov=np.diag([spread**2]))
-        assert _idle(replace(w, fit=fit)) == idle
-
-
-def test_a_delay_within_a_sampling_interval_is_no_effect():
-    search = SimpleNamespace(data=SimpleNamespace(command_time=np.arange(0.0, 1.0, 0.01)))
-    assert _between_samples(search, weighed("command_delay@lift", {"T": 0.006}, 100.0))
-    assert not _between_samples(search, weighed("command_delay@lift", {"T": 0.012}, 100.0))
-    assert not _between_samples(search, weighed("internal_leakage@lift", {"k": 5e-12}, 100.0))
+    assert "copy.csv is the recording that is learned from" in check_check(copy, [learn], Crane.load("patu655"))[0]
+    assert not any("confirms nothing" in n for n in check_check(learn.window(0.0, 2.9), [learn], Crane.load("patu655")))

@@ -12,7 +12,7 @@ from validation.fit.linear import RATE, columns_of, cut, forgotten, model_at, no
 from validation.fit.solve import bounded_step, covariance, fit, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
-from validation.search.weigh import UNDETERMINED
+from validation.selection.model import UNDETERMINED
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 NOISE = {"z1": math.radians(0.05), "z4": math.radians(0.05), "p1": 3e4, "p2": 3e4, "p3": 3e4, "p4": 3e4}

@@ -18,7 +18,7 @@ from crane_exudyn import Crane, Recording, files, plots
 from crane_exudyn.errors import CraneError
 from patu import calls, main, outputs
 from patu.output import Printer
-from validation.search import fitted as fitting
+from validation.selection import fitted as fitting
 
 GOOD = "time[s],u1,u2,z1[deg],z4[deg]\n" + "".join(f"{0.01 * k:.2f},0,0,10,-40\n" for k in range(21))
 

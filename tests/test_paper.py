@@ -9,6 +9,7 @@ import pytest
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
+from ukf.estimator import Estimator
 from validation import montecarlo, paper
 from validation.metrics import pn_rmse, r2
 
@@ -60,6 +61,7 @@ def test_published_goal_is_reached_by_the_estimators_own_means():
 
 def test_the_papers_tuning_leaves_the_sensor_noise_that_the_formula_says():
     case = paper.run_case(0.15, 1, FAST, 0, duration=4.0)
+    assert np.isnan(case.pn_rmse["z4"])  # which has not moved yet
     error = case.estimate.mean[1000:, [4, 7]] - case.experiment.truth[1000:, [4, 7]]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(paper.pressure_floor(), rel=0.1)
     document = case.document()
@@ -82,18 +84,33 @@ def test_pressure_floor_is_the_stationary_kalman_error():
 
 
 def test_reproduce_in_order_and_with_the_contract_keys():
-    def short(error, inputs, engine, seed, tunings, crane):
+    def short(error, inputs, engine, seed, tunings, crane, seen):
         return [{"model_error": error, "inputs": inputs, "tuning": t, "realtime_factor": 2.0} for t in tunings], {}
 
-    original = paper._both_tunings
-    paper._both_tunings = short
+    original = paper._all_tunings
+    paper._all_tunings = short
     try:
         result = paper.reproduce((0.05, 0.15), (1, 2), FAST)
     finally:
-        paper._both_tunings = original
+        paper._all_tunings = original
     order = [(d["tuning"], d["inputs"], d["model_error"]) for d in result.documents]
-    assert order == [(t, i, e) for t in ("paper", "own") for i in (1, 2) for e in (0.05, 0.15)]
+    assert order == [(t, i, e) for t in paper.ROWS for i in (1, 2) for e in (0.05, 0.15)]
     assert result.document()["realtime_factor"] == 2.0
+
+
+def test_sensors_noise_and_filter_may_be_ones_own():
+    """Gauges of 0.15 bar by name of the tuning or by number are the same case; a filter of one's own gets what was seen."""
+    quiet = paper.run_case(0.15, 1, FAST, 0, tuning="paper-0.15-bar", duration=0.5)
+    same = paper.run_case(0.15, 1, FAST, 0, noise={"p1": 0.15e5, "p4": 0.15e5}, duration=0.5)
+    assert same.rmse == quiet.rmse and quiet.experiment.sensors["p1"] == 0.15e5
+
+    def made(wrong, experiment, engine):
+        return Estimator(wrong, engine, experiment.sensors, method="ckf", max_step=2.5e-3)
+
+    case = paper.run_case(0.15, 1, FAST, 0, sensors=("z1", "z4", "p3"), filter=made, duration=0.5)
+    assert case.estimate.channel_names == ("z1", "z4", "p3") and case.estimate.method == "ckf"
+    with pytest.raises(CraneError, match="p3, which is not among"):
+        paper.run_case(0.15, 1, FAST, 0, noise={"p3": 1e5}, duration=0.1)
 
 
 def test_unknown_names_are_refused():

@@ -11,7 +11,7 @@ from crane_exudyn.errors import CraneError
 from ukf import filter as kf
 from ukf.linear_algebra import cholesky, lower_factor, semidefinite_root
 from ukf.noise import PaperNoise, ProcessNoise, measurement_noise, paper_process_noise, paper_start_covariance
-from ukf.sigma_points import Weights, centre_gain, cubature, merwe
+from ukf.sigma_points import Weights, centre_gain, cubature, merwe, simplex
 from ukf.smoother import smooth
 
 RNG = np.random.default_rng(655)
@@ -85,7 +85,7 @@ def run_linearised(propagate, observe):
     return beliefs
 
 
-@pytest.mark.parametrize("weights", [merwe(N), merwe(N, 1e-1, 2.0), merwe(N, 1.0, 0.0, 1.0), cubature(N)])
+@pytest.mark.parametrize("weights", [merwe(N), merwe(N, 1e-1, 2.0), merwe(N, 1.0, 0.0, 1.0), cubature(N), simplex(N)])
 @pytest.mark.parametrize("form", ["covariance", "root"])
 def test_linear_case_is_the_kalman_filter(weights, form):
     beliefs = run_covariance(weights, linear, seen) if form == "covariance" else run_root(weights, linear, seen)
@@ -143,7 +143,7 @@ def test_weights_equal_filterpy_for_eight_states():
     )
 
 
-@pytest.mark.parametrize("weights", [merwe(N), merwe(N, 0.5, 2.0), cubature(N)])
+@pytest.mark.parametrize("weights", [merwe(N), merwe(N, 0.5, 2.0), cubature(N), simplex(N)])
 def test_square_root_form_equals_covariance_form(weights):
     pairs = zip(run_covariance(weights, pendulum, curved), run_root(weights, pendulum, curved), strict=True)
     for a, b in pairs:

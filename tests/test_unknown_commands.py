@@ -19,7 +19,7 @@ from validation.compare import compare
 from validation.fit.data import FitData
 from validation.fit.linear import cut, follows
 from validation.fit.staged import start_fitted
-from validation.search.weigh import open_loop_error
+from validation.selection.model import open_loop_error
 from validation.semi_recursive import SemiRecursiveEngine
 
 STD = {"z1": 1e-3, "z4": 1e-3, "p1": 1e5, "p2": 1e5, "p3": 1e5, "p4": 1e5}

@@ -67,6 +67,7 @@ class Estimate:
         noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed (`consistency.guessed_noise`).
         model_error: what became of the model error, if that was asked.
         smoothed: the smoothed estimate if it was asked for.
+        models: how probable (N,) each model was, by its name, where several ran side by side.
     """
 
     time: np.ndarray
@@ -92,6 +93,7 @@ class Estimate:
     noise_slack: float = 0.0
     model_error: Account | None = None
     smoothed: Estimate | None = None
+    models: Mapping[str, np.ndarray] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     layout: Layout = field(default_factory=usual_layout, repr=False)
 
@@ -265,12 +267,21 @@ class Estimate:
                 "log_likelihood": self.log_likelihood,
             },
             **({} if self.model_error is None else {"model_error": self.model_error.document()}),
+            **({"models": {n: self._led(n) for n in self.models}} if self.models else {}),
             "used": {n: int((self.flags[:, i] == USED).sum()) for i, n in enumerate(self.channel_names)},
             "final": last,
             "events": [
                 {"from": e.start, "to": e.end, "where": e.where, "text": e.text, "count": e.count} for e in self.events
             ],
         }
+
+    def _led(self, model: str) -> dict[str, Any]:
+        """Return how probable one of several models was: at the end, on the average; and from when to when it was the likeliest, s."""
+        probability = self.models[model]
+        leads = probability >= np.max(list(self.models.values()), axis=0)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], leads, [False]])))
+        spans = [[float(self.time[a]), float(self.time[b - 1])] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        return {"final": float(probability[-1]), "mean": float(probability.mean()), "leads": spans}
 
     def to_csv(self, path: str | Path) -> None:
         """Write states with 95 % limits, innovations, their standard deviations and NIS; SI, whole or not at all."""

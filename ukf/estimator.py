@@ -599,7 +599,11 @@ class Estimator:
             CraneError: the recording has none of the sensors, or no commands.
         """
         recorder, plan = self.recorded(recording, smooth=smooth, keep_covariance=keep_covariance, progress=progress)
-        return recorder.estimate(plan, self.events, self.crane, self._method_name, self._std, self._floor)
+        return self.told(recorder, plan, self.events)
+
+    def told(self, recorder: Recorder, plan: Plan, events: list[tuple[float, str, str]]) -> Estimate:
+        """Return the estimate that a recorder has collected over a plan, with what happened on the way."""
+        return recorder.estimate(plan, events, self.crane, self._method_name, self._std, self._floor)
 
     def recorded(
         self,
@@ -610,6 +614,18 @@ class Estimator:
         progress: Callable[[float], None] | None = None,
     ) -> tuple[Recorder, Plan]:
         """Return what a run over a recording leaves behind, and the instants that it went over; see `run`."""
+        plan = self.opened(recording)
+        recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
+        recorder.start(self.belief)
+        for k in range(1, plan.time.size):
+            result = self.on_plan(plan, k, recorder)
+            recorder.note(k, self.belief, *result)
+            if progress is not None and k % 500 == 0:
+                progress(k / plan.time.size)
+        return recorder, plan
+
+    def opened(self, recording: Any) -> Plan:
+        """Return the instants of a recording (as of `run`), with the belief set up at the first of them."""
         signals = recording if isinstance(recording, Signals) else Signals.of(recording, self.crane)
         self.reset()
         plan = signals.plan(self.crane, self.channel_names, self.max_step)
@@ -621,19 +637,19 @@ class Estimator:
             self.events.append((float(plan.time[0]), name, text))
         plan = plan.without(self.channel_names, since)
         self.start_at(float(plan.time[0]), *plan.opening())
-        recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
-        recorder.start(self.belief)
-        for k in range(1, plan.time.size):
-            result = self._on_plan(plan, k, recorder)
-            recorder.note(k, self.belief, *result)
-            if progress is not None and k % 500 == 0:
-                progress(k / plan.time.size)
-        return recorder, plan
+        return plan
 
-    def _on_plan(
+    def believe(self, belief: Belief) -> None:
+        """Go on from another belief, of all that is estimated, at the same time."""
+        self.belief = self._method.begin(belief.mean, belief.covariance)
+
+    def on_plan(
         self, plan: Plan, k: int, recorder: Recorder | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-        """Go on to instant k of a plan: by prediction and correction, or anew from the sensors after a long gap."""
+        """Go on to instant k of a plan: by prediction and correction, or anew from the sensors after a long gap.
+
+        Returns innovation (k,), its variance (k,), flags (k,), NIS and log-likelihood.
+        """
         i, j = plan.inner[k - 1], plan.inner[k] + 1
         if plan.time[k] - plan.time[k - 1] > LONG_GAP:
             self._resume(float(plan.time[k]), *plan.opening(at=float(plan.time[k])), recorder)
@@ -674,7 +690,7 @@ class Estimator:
         total: float = 0.0
         most = self._gate**2
         for k in range(1, plan.until(2.0 * end - start)):
-            innovation, variance, flags, _, _ = self._on_plan(tried, k)
+            innovation, variance, flags, _, _ = self.on_plan(tried, k)
             used = flags == USED
             size = variance[used] / self._variance.diagonal()[used]
             total += float(np.sum(np.minimum(innovation[used] ** 2 / variance[used], most) + np.log(size)))

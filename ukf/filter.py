@@ -3,7 +3,7 @@
 `propagate` is a function from points (m, n) to points (m, n), one time step on; `observe` one from points (m, n) to
 predicted measurements (m, k). Both see all sigma points at once, and no function here keeps any state.
 
-    UKF, CKF        predict, update              weights: `sigma_points.merwe` or `sigma_points.cubature`
+    UKF, CKF, ...   predict, update              weights: `sigma_points.merwe`, `cubature` or `simplex`
     square root     predict_root, update_root    the same numbers, the root of the covariance instead of it
     EKF             predict_linearised, update_linearised
 
@@ -112,7 +112,7 @@ def draw(belief: Belief, weights: Weights, *, step: int | None = None) -> np.nda
         FilterError: the covariance has no Cholesky factor.
     """
     points: np.ndarray
-    points, failed = drawn(belief.mean, belief.covariance, weights.spread, weights.count)
+    points, failed = drawn(belief.mean, belief.covariance, weights.directions)
     if failed:
         raise FilterError("state covariance", belief.covariance, step)
     return points
@@ -169,7 +169,7 @@ def predict_root(belief: RootBelief, propagate: Points, noise_root: np.ndarray, 
 
     The negative weight of the centre point needs no downdate: see `sigma_points.centre_gain`.
     """
-    before = place(belief.mean, belief.root, weights.spread, weights.count)
+    before = place(belief.mean, belief.root, weights.directions)
     after = propagate(before)
     _check_points(after, before.shape)
     gain = centre_gain(weights)
@@ -186,7 +186,7 @@ def update_root(
     One factorisation of [[Rv^½, Y], [0, X]] gives the root of Py, the gain and the new root together; nothing is
     subtracted, so nothing can become indefinite. Here X, Y are the weighted deviations of states and measurements.
     """
-    points = place(belief.mean, belief.root, weights.spread, weights.count)
+    points = place(belief.mean, belief.root, weights.directions)
     seen = observe(points)
     _check_points(seen, (weights.count, measurement.size))
     gain = centre_gain(weights)

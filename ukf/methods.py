@@ -11,9 +11,9 @@ from crane_exudyn.errors import CraneError, nearest
 
 from . import filter as kf
 from .linear_algebra import semidefinite_root
-from .sigma_points import Weights, cubature, merwe
+from .sigma_points import Weights, cubature, merwe, simplex
 
-METHODS = ("ukf", "sr-ukf", "ckf", "ekf")
+METHODS = ("ukf", "sr-ukf", "ckf", "simplex", "ekf")
 
 
 class Method(Protocol):
@@ -28,9 +28,9 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class SigmaPoints:
-    """UKF or CKF, by the weights."""
+    """UKF, CKF or simplex, by the weights, which take turns from step to step."""
 
-    weights: Weights
+    weights: tuple[Weights, ...]
 
     def begin(self, mean: np.ndarray, covariance: np.ndarray) -> kf.Belief:
         """Return the belief to start with."""
@@ -38,13 +38,13 @@ class SigmaPoints:
 
     def predict(self, belief: kf.Belief, propagate: kf.Points, noise: np.ndarray, step: int) -> kf.Prediction:
         """Return (28), (29)."""
-        return kf.predict(belief, propagate, noise, self.weights, step=step)
+        return kf.predict(belief, propagate, noise, self.weights[step % len(self.weights)], step=step)
 
     def update(
         self, belief: kf.Belief, observe: kf.Points, y: np.ndarray, noise: np.ndarray, step: int
     ) -> kf.Correction:
         """Return (30), (31)."""
-        return kf.update(belief, observe, y, noise, self.weights, step=step)
+        return kf.update(belief, observe, y, noise, self.weights[step % len(self.weights)], step=step)
 
 
 class SquareRoot:
@@ -103,9 +103,12 @@ def method_of(name: str, std: np.ndarray) -> Method:
         CraneError: no such filter.
     """
     if name == "ukf":
-        return SigmaPoints(merwe(std.size))
+        return SigmaPoints((merwe(std.size),))
     if name == "ckf":
-        return SigmaPoints(cubature(std.size))
+        return SigmaPoints((cubature(std.size),))
+    if name == "simplex":
+        # mirrored from one step to the next, so that what third moments do to the mean takes turns
+        return SigmaPoints((simplex(std.size), simplex(std.size, -1.0)))
     if name == "sr-ukf":
         return SquareRoot(merwe(std.size))
     if name == "ekf":

@@ -31,7 +31,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
-from crane_exudyn.geometry import cylinder_lengths
+from crane_exudyn.geometry import pose
 
 from .augment import Augment, resolve
 from .estimate import Estimate, unit_of
@@ -134,16 +134,10 @@ def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str
 
 def _moments(crane: Crane) -> list[float]:
     """Return the moment (N m; sliding: force, N) that each joint's cylinder can do under pump pressure, in the pose to start with."""
-    lay, pose, step = crane.layout, np.array(crane.initial.pose), 1e-4
-    out = []
-    for i, name in enumerate(lay.coordinates):
-        c = lay.driven.index(name)
-        ends = np.tile(pose, (2, 1))
-        ends[:, i] += (-step, step)
-        lengths = cylinder_lengths(crane, ends)[:, c]
-        area = np.pi / 4.0 * crane[f"cylinders.{lay.cylinders[c]}.bore"] ** 2
-        out.append(float(crane["supply.pump_pressure"] * area * abs(lengths[1] - lengths[0]) / (2.0 * step)))
-    return out
+    lay, pump = crane.layout, crane["supply.pump_pressure"]
+    arms = np.abs(pose(crane, *crane.initial.pose).length_rates[0])
+    driving = [lay.driven.index(name) for name in lay.coordinates]
+    return [pump * crane.areas(lay.cylinders[c])[0] * float(arms[c, i]) for i, c in enumerate(driving)]
 
 
 def expected(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> ModelError:

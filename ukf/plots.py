@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,8 @@ from crane_exudyn.plots import Shown
 from .monitor import FROZEN, OUTLIER
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from .estimate import Estimate
 
 _BLUE, _BLACK, _RED, _GREY = "#0072B2", "#111111", "#D55E00", "#999999"
+_MODELS = (_BLUE, _RED, "#009E73", "#CC79A7", _BLACK)
 _MOST = 4000
 
 
@@ -30,14 +34,12 @@ def estimate_figure(estimate: Estimate, truth: np.ndarray | None = None) -> Figu
         estimate: N instants, n quantities, k sensors.
         truth: (N, m) true values of the first m quantities, drawn dashed where they are known.
     """
-    left, right = len(estimate.state_names), len(estimate.channel_names) + 1
+    left, right = len(estimate.state_names), len(estimate.channel_names) + 1 + bool(estimate.models)
     rows = max(left, right)
     made = plots.figure(rows, 2, height=1.25, width=2 * plots.WIDTH)
     for i in range(left):
         _state(made.axes[2 * i], estimate, i, truth)
-    for k in range(right - 1):
-        _innovation(made.axes[2 * k + 1], estimate, k)
-    _nis(made.axes[2 * right - 1], estimate)
+    _judged(made.axes[1 : 2 * right : 2], estimate)
     for column, used in ((0, left), (1, right)):
         _end(made.axes[2 * used - 2 + column])
         for row in range(used, rows):
@@ -58,13 +60,20 @@ def states_figure(estimate: Estimate, truth: np.ndarray | None = None) -> Figure
 
 def innovations_figure(estimate: Estimate) -> Figure:
     """Return a figure with the normalised innovations of each sensor and the NIS, in one column."""
-    made = plots.figure(len(estimate.channel_names) + 1, height=1.25)
-    for k, axes in enumerate(made.axes[:-1]):
-        _innovation(axes, estimate, k)
-    _nis(made.axes[-1], estimate)
+    made = plots.figure(len(estimate.channel_names) + 1 + bool(estimate.models), height=1.25)
+    _judged(made.axes, estimate)
     _end(made.axes[-1])
     _finish(made, None)
     return made
+
+
+def _judged(panels: Sequence[Axes], estimate: Estimate) -> None:
+    """Draw the innovations of each sensor, the NIS, and how probable each model was where there were several."""
+    for k in range(len(estimate.channel_names)):
+        _innovation(panels[k], estimate, k)
+    _nis(panels[len(estimate.channel_names)], estimate)
+    if estimate.models:
+        _models(panels[-1], estimate)
 
 
 def display(name: str, unit: str, layout: Layout) -> tuple[float, str]:
@@ -181,3 +190,13 @@ def _nis(axes: Axes, estimate: Estimate) -> None:
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("")
     plots.name_axes(axes, Shown("normalised innovation squared, a sensor", "NIS", 1.0, ""))
+
+
+def _models(axes: Axes, estimate: Estimate) -> None:
+    part = _thin(estimate.time.size)
+    with plots.style():
+        drawn = [(p[part], colour) for p, colour in zip(estimate.models.values(), cycle(_MODELS), strict=False)]
+        for (probability, colour), name in zip(drawn, estimate.models, strict=True):
+            axes.plot(estimate.time[part], probability, color=colour, lw=1.2, label=name)
+        axes.set_ylim(-0.05, 1.05)
+    plots.name_axes(axes, Shown("how probable each model is", "probability", 1.0, ""))

@@ -109,8 +109,7 @@ def _set_pressures(
 ) -> None:
     """Fill in the pressures of one cylinder: measured ones as measured, a missing one from the cylinder's static force."""
     name, channels = crane.layout.cylinders[cylinder], crane.layout.sides[cylinder]
-    bore, rod = crane[f"cylinders.{name}.bore"], crane[f"cylinders.{name}.rod"]
-    area = np.pi / 4 * np.array([bore**2, bore**2 - rod**2])
+    area = crane.areas(name)
     at = crane.layout.pressures_of(cylinder).start
     force = mean[at] * area[0] - mean[at + 1] * area[1]
     for side, channel in enumerate(channels):

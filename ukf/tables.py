@@ -26,4 +26,7 @@ def write_csv(estimate: Estimate, path: str | Path) -> None:
         columns += [estimate.innovation[:, i], estimate.innovation_std[:, i]]
     names.append("nis[dimensionless]")
     columns.append(estimate.nis)
+    for name, probability in estimate.models.items():
+        names.append(f"probability_{name}[dimensionless]")
+        columns.append(probability)
     write_table(path, dict(zip(names, columns, strict=True)), digits=9)

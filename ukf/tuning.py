@@ -18,6 +18,7 @@ from crane_exudyn.crane import Crane
 
 from .estimator import Estimator, sensor_std
 from .noise import ProcessNoise
+from .side_by_side import SideBySide
 from .signals import Signals
 
 #: ranges in which the logarithms (base 10) of accelerations and pressures are searched
@@ -48,7 +49,7 @@ class Tuned:
 
 
 def tune(
-    crane: Crane,
+    crane: Crane | Sequence[Crane],
     recording: Any,
     sensors: Mapping[str, float],
     *,
@@ -62,7 +63,7 @@ def tune(
     """Return the noise under which the innovations of a recording are most likely.
 
     Args:
-        crane: the model.
+        crane: the model, or several that run side by side.
         recording: a Recording or Signals.
         sensors: channels with noise standard deviations (SI), kept as they are.
         start: noise to begin with.
@@ -71,15 +72,16 @@ def tune(
         evaluations: most runs of the filter.
         progress: called with the fraction done.
     """
-    std = sensor_std(crane, sensors)
-    cost, count = _cost(crane, recording, std, engine, augment, seconds, evaluations, progress)
-    first = logs_of(start or ProcessNoise.of(crane.layout))
+    cranes = _listed(crane)
+    lay, std = cranes[0].layout, sensor_std(cranes[0], sensors)
+    cost, count = _cost(cranes, recording, std, engine, augment, seconds, evaluations, progress)
+    first = logs_of(start or ProcessNoise.of(lay))
     before = cost(first)
     logs, best = _climb(cost, first, before)
     logs, best = descend(
         cost, logs, best, limits_of(logs), finest=_FINEST, gain=1e-4, enough=lambda: count[0] >= evaluations
     )
-    return Tuned(noise_of(logs), std, -before, -best, count[0], crane.layout.cylinders)
+    return Tuned(noise_of(logs), std, -before, -best, count[0], lay.cylinders)
 
 
 def descend(
@@ -151,7 +153,7 @@ def _climb(cost: Callable[[np.ndarray], float], first: np.ndarray, before: float
 
 
 def scale(
-    crane: Crane,
+    crane: Crane | Sequence[Crane],
     recording: Any,
     sensors: Mapping[str, float],
     *,
@@ -165,16 +167,21 @@ def scale(
     A few short runs: enough that a filter with a wrong model follows its sensors, and that one with a right model does not
     expect more of its innovations than there is. `tune` searches further.
     """
-    std = sensor_std(crane, sensors)
-    cost, count = _cost(crane, recording, std, engine, augment, seconds, _UP, progress)
-    first = logs_of(ProcessNoise.of(crane.layout))
+    cranes = _listed(crane)
+    lay, std = cranes[0].layout, sensor_std(cranes[0], sensors)
+    cost, count = _cost(cranes, recording, std, engine, augment, seconds, _UP, progress)
+    first = logs_of(ProcessNoise.of(lay))
     before = cost(first)
     chosen, best = _climb(cost, first, before)
-    return Tuned(noise_of(chosen), std, -before, -best, count[0], crane.layout.cylinders)
+    return Tuned(noise_of(chosen), std, -before, -best, count[0], lay.cylinders)
+
+
+def _listed(crane: Crane | Sequence[Crane]) -> list[Crane]:
+    return [crane] if isinstance(crane, Crane) else list(crane)
 
 
 def _cost(
-    crane: Crane,
+    cranes: Sequence[Crane],
     recording: Any,
     std: dict[str, float],
     engine: Any,
@@ -184,7 +191,7 @@ def _cost(
     progress: Callable[[float], None] | None,
 ) -> tuple[Callable[[np.ndarray], float], list[int]]:
     """Return minus the log-likelihood a sample as a function of the noise's logarithms, and the count of its calls."""
-    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
+    signals = recording if isinstance(recording, Signals) else Signals.of(recording, cranes[0])
     piece = busiest(signals, seconds)
     count = [0]
 
@@ -192,7 +199,8 @@ def _cost(
         count[0] += 1
         if progress is not None:
             progress(min(1.0, count[0] / evaluations))
-        estimate = Estimator(crane, engine, std, noise_of(logs), augment=augment).run(piece)
+        filters = [Estimator(crane, engine, std, noise_of(logs), augment=augment) for crane in cranes]
+        estimate = (SideBySide({str(k): f for k, f in enumerate(filters)}) if filters[1:] else filters[0]).run(piece)
         restarts = sum(e.count for e in estimate.events if e.where == "filter")
         used = float(estimate.dof.sum())
         rejected = 1.0 - used / max(float(np.isfinite(estimate.measured[1:]).sum()), 1.0)

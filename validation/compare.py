@@ -32,13 +32,14 @@ from ukf.signals import Signals
 
 from .balances import Balances, balances_of
 from .findings import Finding, Scores, balance_words, people_unit, scores_of, told
-from .fit.data import FitData
+from .fit.data import FitData, known_parameters
 from .fit.model import model_of, spool_path
 from .fit.solve import Fit
 from .fit.staged import FINE, LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged, timing_of
 from .fitness import check_recording, usable
 from .metrics import pn_rmse, r2, rmse
 from .phases import Phase, phases_of
+from .selection.model import open_loop_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -271,6 +272,28 @@ def compare(
         recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured, simulated,
         (data.command_time, data.commands), nis_bounds(estimate, kept, crane), tuple(notes),
     )  # fmt: skip
+
+
+def compare_all(
+    crane: Crane,
+    recordings: Sequence[Recording],
+    engine: Engine = "semi-recursive",
+    *,
+    per_recording: Sequence[str] = (),
+    progress: Callable[[float], None] | None = None,
+) -> list[Comparison]:
+    """Return one comparison a recording, each with its own value of the nominal parameters `per_recording`, which is fitted.
+
+    Raises:
+        CraneError: as `compare`, or one of them is no parameter of the crane that is uncertain.
+    """
+    own = known_parameters(crane, per_recording)
+    found = []
+    for i, recording in enumerate(recordings):
+        its = open_loop_error(crane, recording, own=own)[1].crane if own else crane
+        share = partial(_share, progress, i / len(recordings), 1.0 / len(recordings))
+        found.append(compare(its, recording, engine, progress=share))
+    return found
 
 
 def started(crane: Crane, data: FitData) -> Fit:

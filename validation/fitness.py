@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -57,20 +59,40 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
     return notes + _wavering(recording, crane, time, commands, constant)
 
 
-def check_check(check: Recording, learned: Recording, crane: Crane) -> list[str]:
-    """Return notes on a recording that is only predicted, beside the one that is learned from.
+def check_all(recordings: Sequence[Recording], check: Recording | None, crane: Crane) -> list[str]:
+    """Return notes on recordings to be diagnosed and the one that is only predicted, each with its recording's name where there are several.
 
     Raises:
-        CraneError: it cannot be compared with the crane, or has no sensor of the other recording.
+        CraneError: one of them cannot be used.
+    """
+    if not recordings:
+        raise CraneError("There is no recording. Give at least one.")
+    each = [check_recording(r, crane, purpose="diagnose") for r in recordings]
+    notes = [f"{r.name}: {n}" if len(each) > 1 else n for r, own in zip(recordings, each, strict=True) for n in own]
+    where = [r.source or r.name for r in recordings]
+    notes += [
+        f"{where[j]} is {where[i]} once more: it proves nothing further"
+        for i, j in combinations(range(len(recordings)), 2)
+        if same(recordings[i], recordings[j])
+    ]
+    return notes if check is None else check_check(check, recordings, crane) + notes
+
+
+def check_check(check: Recording, learned: Sequence[Recording], crane: Crane) -> list[str]:
+    """Return notes on a recording that is only predicted, beside those that are learned from.
+
+    Raises:
+        CraneError: it cannot be compared with the crane, or has no sensor of the others.
     """
     notes = check_recording(check, crane)
     where = check.source or check.name
-    if not set(check.sensors) & set(learned.sensors):
+    sensors = list(dict.fromkeys(c for r in learned for c in r.sensors))
+    if not set(check.sensors) & set(sensors):
         raise CraneError(
-            f"{where}: has {', '.join(check.sensors)}, but no sensor of {learned.name} ({', '.join(learned.sensors)}). A check recording is of "
-            "the same machine, with the same sensors."
+            f"{where}: has {', '.join(check.sensors)}, but no sensor of {', '.join(r.name for r in learned)} ({', '.join(sensors)}). "
+            "A check recording is of the same machine, with the same sensors."
         )
-    if same(check, learned):
+    if any(same(check, r) for r in learned):
         return [f"{where} is the recording that is learned from: as a check it confirms nothing"]
     return [f"check recording: {note}" for note in notes]
 

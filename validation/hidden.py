@@ -494,14 +494,14 @@ def _unknown_case(seed: int, s: _Setting, manoeuvres: Sequence[Manoeuvre]) -> Hi
     name = str(s.keys[0]) if s.keys else str(s.rng.choice(LAWS))
     plain = _draft(s.machine, manoeuvres[0])
     lengths = pose(s.machine, plain["z1"], plain["z4"]).lengths
-    law, told = draw_law(name, s.machine, s.rng, {"s1": lengths[:, 0], "s2": lengths[:, 1]})
-    runs = [_exact(s.machine, s, manoeuvres[0], [law])]
+    hidden = draw_law(name, s.machine, s.rng, plain | {"s1": lengths[:, 0], "s2": lengths[:, 1]})
+    runs = [_exact(s.machine, s, manoeuvres[0], [hidden.law])]
     seen = visibility(runs[0], plain, s.noise)
     if not s.visible[0] <= seen <= s.visible[1]:
         raise CraneError(f"{name} moves the channels by {seen:.2g} noise units, asked for {s.visible}.")
-    runs.append(_exact(s.machine, s, manoeuvres[1], [law]))
+    runs.append(_exact(s.machine, s, manoeuvres[1], [hidden.law]))
     answer = _answer(s, s.machine, {name: seen})
-    return _recorded(seed, s, manoeuvres, runs, answer | {"law": {"name": name, **told}})
+    return _recorded(seed, s, manoeuvres, runs, answer | {"law": {"name": name, **hidden.told, **hidden.answer()}})
 
 
 def _answer(s: _Setting, machine: Crane, seen: Mapping[str, float]) -> dict[str, Any]:

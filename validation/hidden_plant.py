@@ -18,6 +18,7 @@ from crane_exudyn import geometry
 from crane_exudyn import hydraulics as hyd
 from crane_exudyn.crane import Crane
 from crane_exudyn.drive import spool_on
+from crane_exudyn.effects import registry
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.inputs import SpoolPath, play
 from crane_exudyn.statics import visible
@@ -107,37 +108,222 @@ def hunting_pump(crane: Crane, share: float, frequency: float, phase: float) -> 
     return law
 
 
+#: those that the study of the diagnosis draws from
 LAWS = ("scored_bore", "hunting_pump")
 
 
-def draw_law(
-    name: str, crane: Crane, rng: np.random.Generator, visited: Mapping[str, np.ndarray]
-) -> tuple[Law, dict[str, Any]]:
-    """Return a law of LAWS with random severity, and what describes it.
+def _each_step(name: str, value: Callable[[Now], float]) -> Law:
+    return lambda now: {name: value(now)}
 
-    Args:
-        name: of the law.
-        crane: the plant.
-        rng: source of the draws.
-        visited: "s1" and "s2" along the manoeuvre, m; a scored place counts only where the cylinder comes by.
-    """
-    told: dict[str, Any]
-    if name == "hunting_pump":
-        told = {
-            "share": rng.uniform(0.04, 0.2),
-            "frequency": rng.uniform(0.25, 2.0),
-            "phase": rng.uniform(0.0, 2.0 * math.pi),
+
+def _progressive_spool(crane: Crane, c: int, place: str, exponent: float) -> Law:
+    """Return a law: the opening is U^exponent instead of U."""
+    name = f"valves.{place}.flow_coefficient"
+    return _each_step(name, lambda now: crane[name] * max(abs(float(now.inputs[c])), 1e-3) ** (exponent - 1.0))
+
+
+def _choked_valve(crane: Crane, c: int, place: str, share: float, drop: float) -> Law:
+    """Return a law: each edge passes less the greater its own pressure drop, 1 - share dp²/(dp² + drop²)."""
+    pp, pt = crane["supply.pump_pressure"], crane["supply.tank_pressure"]
+
+    def law(now: Now) -> Mapping[str, float]:
+        (piston, rod), name = now.pressures(c), f"valves.{place}.edges."
+        drops = {
+            "pump_to_piston": pp - piston,
+            "pump_to_rod": pp - rod,
+            "piston_to_tank": piston - pt,
+            "rod_to_tank": rod - pt,
         }
-        return hunting_pump(crane, **told), told
-    cylinder = int(rng.integers(2))
-    low, high = np.quantile(visited[f"s{cylinder + 1}"], [0.15, 0.85])
-    told = {
-        "cylinder": cylinder,
-        "force": float(np.exp(rng.uniform(*np.log([3000.0, 20000.0])))),
-        "middle": float(rng.uniform(low, high)),
-        "width": float(rng.uniform(0.08, 0.25) * max(high - low, 0.05)),
-    }
-    return scored_bore(crane, **told), told
+        return {name + e: crane[name + e] * (1.0 - share * d * d / (d * d + drop * drop)) for e, d in drops.items()}
+
+    return law
+
+
+def _quadratic_drag(crane: Crane, c: int, place: str, drag: float) -> Law:
+    """Return a law: the force against the piston has a part drag·v²."""
+    name, last = f"cylinders.{place}.viscous_friction", [0.0, 0.0]
+
+    def law(now: Now) -> Mapping[str, float]:
+        passed = now.time - last[0]
+        speed = abs(now.lengths[c] - last[1]) / passed if 0.0 < passed < 0.01 else 0.0
+        last[:] = [now.time, now.lengths[c]]
+        return {name: crane[name] + drag * speed}
+
+    return law
+
+
+def _root_friction(crane: Crane, c: int, place: str, force: float) -> Law:
+    """Return a law: friction grows with the root of the pressure difference, force at 50 bar."""
+    names = [f"cylinders.{place}.{kind}_friction" for kind in ("coulomb", "static")]
+
+    def law(now: Now) -> Mapping[str, float]:
+        piston, rod = now.pressures(c)
+        return {n: crane[n] + force * math.sqrt(abs(piston - rod) / 50e5) for n in names}
+
+    return law
+
+
+def _orifice_leak(crane: Crane, c: int, flow: float) -> Law:
+    """Return a law: the piston's seal leaks through an orifice, flow at 50 bar."""
+
+    def law(now: Now) -> Mapping[str, float]:
+        piston, rod = now.pressures(c)
+        q = flow * math.copysign(math.sqrt(abs(piston - rod) / 50e5), piston - rod)
+        return {f"flow.p{2 * c + 1}": -q, f"flow.p{2 * c + 2}": q}
+
+    return law
+
+
+def _early_relief(crane: Crane, chamber: str, opens: float, flow: float) -> Law:
+    """Return a law: a relief valve of a chamber opens at a pressure, and passes that flow 20 bar above it."""
+    at = crane.layout.index(chamber)
+    return _each_step(f"flow.{chamber}", lambda now: -flow * max(float(now.visible[at]) - opens, 0.0) / 20e5)
+
+
+def _hose_spring(crane: Crane, i: int, joint: str, torque: float, middle: float) -> Law:
+    """Return a law: bent hoses turn a joint back to an angle, with the torque at 0.5 rad and its cube."""
+
+    def value(now: Now) -> float:
+        x = (float(now.state[i]) - middle) / 0.5
+        return -0.5 * torque * (x + x**3)
+
+    return _each_step(f"torque.{joint}", value)
+
+
+def _churning_joint(crane: Crane, i: int, joint: str, torque: float) -> Law:
+    """Return a law: grease in a joint resists with the square of its rate, torque at 0.3 rad/s."""
+    n = len(crane.layout.coordinates)
+    return _each_step(
+        f"torque.{joint}", lambda now: -torque * float(now.state[n + i]) * abs(float(now.state[n + i])) / 0.09
+    )
+
+
+def _quadratic_line(crane: Crane, name: str, sign: float, which: int, drop: float) -> Law:
+    """Return a law: a line loses pressure with the square of its flow, drop at 40 l/min; `which`: 2 drawn, 3 returned."""
+    P, E, topology, at = crane.parameter_vector(), crane.effect_vector(), crane.machine.topology, {"drop": 0.0}
+
+    def law(now: Now) -> Mapping[str, float]:
+        pressures = [crane["supply.pump_pressure"], crane["supply.tank_pressure"]]
+        pressures[which - 2] += sign * at["drop"]
+        flows = (
+            hyd.port_flows(topology, P, E, c, now.inputs[c], *pressures, *now.pressures(c))[which] for c in range(2)
+        )
+        at["drop"] += 0.3 * (drop * (sum(flows) / (40.0 / 60e3)) ** 2 - at["drop"])
+        return {name: crane[name] + sign * at["drop"]}
+
+    return law
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(*np.log([low, high]))))
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A law for the study of learning: what acts, and what is to be found: effect with place, argument, and the curve (SI)."""
+
+    law: Law
+    effect: str
+    over: str
+    curve: Callable[[np.ndarray], np.ndarray] | None
+    told: Mapping[str, Any]
+
+    def answer(self) -> dict[str, Any]:
+        """Return effect, argument and the curve over the whole range of the argument, for the answer of a case."""
+        if self.curve is None:
+            return {"effect": "", "over": ""}
+        over = registry.split_key(self.effect)[0].curve.argument(self.over, self.effect)  # type: ignore[union-attr]
+        x = np.linspace(min(over.low, 0.0), 2.0 * over.high, 401)
+        return {"effect": self.effect, "over": self.over, "x": x.tolist(), "y": self.curve(x).tolist()}
+
+
+def draw_law(name: str, crane: Crane, rng: np.random.Generator, visited: Mapping[str, np.ndarray]) -> Hidden:
+    """Return a law of LEARNABLE with random severity at a random place; `visited` are "s1", "s2", "z1", "z4" along the manoeuvre."""
+    c = int(rng.integers(2)) if name != "hunting_pump" else 0
+    place, joint = crane.layout.cylinders[c], crane.layout.joints[c]
+    told: dict[str, Any]
+    match name:
+        case "scored_bore":
+            seen = visited[f"s{c + 1}"]
+            low, high = np.quantile(seen, [0.15, 0.85])
+            told = {"cylinder": c, "force": _log(rng, 3000.0, 20000.0), "middle": float(rng.uniform(low, high))}
+            told |= {"width": float(rng.uniform(0.08, 0.25) * max(high - low, 0.05))}
+            bump = lambda x: told["force"] * np.exp(-(((x - told["middle"]) / told["width"]) ** 2))  # noqa: E731
+            return Hidden(scored_bore(crane, **told), f"learned_force@{place}", "stroke", bump, told)
+        case "hunting_pump":
+            told = {
+                "share": rng.uniform(0.04, 0.2),
+                "frequency": rng.uniform(0.25, 2.0),
+                "phase": rng.uniform(0.0, 2.0 * math.pi),
+            }
+            return Hidden(hunting_pump(crane, **told), "", "", None, told)
+        case "progressive_spool":
+            n = float(rng.uniform(1.2, 1.8))
+            power = lambda x: np.sign(x) * np.abs(x) ** n  # noqa: E731
+            return Hidden(
+                _progressive_spool(crane, c, place, n), f"learned_opening@{place}", "spool", power, {"exponent": n}
+            )
+        case "choked_valve":
+            share, drop = float(rng.uniform(0.3, 0.7)), float(rng.uniform(20e5, 60e5))
+            factor = lambda x: 1.0 - share * x * x / (x * x + drop * drop)  # noqa: E731
+            told = {"share": share, "drop": drop}
+            return Hidden(
+                _choked_valve(crane, c, place, share, drop), f"learned_opening@{place}", "pressure_drop", factor, told
+            )
+        case "quadratic_drag":
+            d = _log(rng, 3e4, 3e5)
+            return Hidden(
+                _quadratic_drag(crane, c, place, d), f"learned_force@{place}", "speed", lambda x: d * x * x, {"drag": d}
+            )
+        case "root_friction":
+            f = _log(rng, 1500.0, 8000.0)
+            root = lambda x: f * np.sqrt(x / 50e5)  # noqa: E731
+            return Hidden(
+                _root_friction(crane, c, place, f), f"learned_force@{place}", "pressure_drop", root, {"force": f}
+            )
+        case "orifice_leak":
+            q = _log(rng, 1e-5, 1e-4)
+            root = lambda x: q * np.sqrt(x / 50e5)  # noqa: E731
+            return Hidden(_orifice_leak(crane, c, q), f"learned_leakage@{place}", "pressure_drop", root, {"flow": q})
+        case "early_relief":
+            chamber, q, p0 = crane.layout.loaded[c], _log(rng, 1e-5, 1e-4), float(rng.uniform(25e5, 45e5))
+            ramp = lambda x: q * np.maximum(x - p0, 0.0) / 20e5  # noqa: E731
+            return Hidden(
+                _early_relief(crane, chamber, p0, q),
+                f"learned_flow@{chamber}",
+                "pressure",
+                ramp,
+                {"opens": p0, "flow": q},
+            )
+        case "hose_spring":
+            middle, t = float(np.median(visited[crane.layout.coordinates[c]])), _log(rng, 300.0, 3000.0)
+            spring = lambda x: -0.5 * t * ((x - middle) / 0.5 + ((x - middle) / 0.5) ** 3)  # noqa: E731
+            return Hidden(
+                _hose_spring(crane, c, joint, t, middle), f"learned_torque@{joint}", "angle", spring, {"torque": t}
+            )
+        case "churning_joint":
+            t = _log(rng, 300.0, 3000.0)
+            return Hidden(
+                _churning_joint(crane, c, joint, t),
+                f"learned_torque@{joint}",
+                "rate",
+                lambda x: t * x * x / 0.09,
+                {"torque": t},
+            )
+        case "thin_supply_line" | "thin_return_line":
+            pump, drop = name == "thin_supply_line", _log(rng, 3e5, 30e5)
+            supply, sign, which = ("supply.pump_pressure", -1.0, 2) if pump else ("supply.tank_pressure", 1.0, 3)
+            square = lambda x: drop * (x / (40.0 / 60e3)) ** 2  # noqa: E731
+            effect = "learned_supply" if pump else "learned_return"
+            return Hidden(_quadratic_line(crane, supply, sign, which, drop), effect, "flow", square, {"drop": drop})
+    raise ValueError(name)
+
+
+#: the laws of the study of learning; none of them is in an effect file
+LEARNABLE = (
+    "scored_bore", "hunting_pump", "progressive_spool", "choked_valve", "quadratic_drag", "root_friction", "orifice_leak", "early_relief",
+    "hose_spring", "churning_joint", "thin_supply_line", "thin_return_line",
+)  # fmt: skip
 
 
 # -- the library's effects in a dialect ------------------------------------------------------------------------------
@@ -233,11 +419,12 @@ def _supply_behind_a_line(values: Mapping[str, float], crane: Crane, name: str, 
         name: of the supply pressure;  sign: of its change with the flow;  which: 2 for drawn, 3 for returned flow.
     """
     P, E, follower = crane.parameter_vector(), crane.effect_vector(), _Follower(0.01)
+    topology = crane.machine.topology
 
     def law(now: Now) -> Mapping[str, float]:
         pressure = crane[name] + sign * values["R"] * follower.value
         pp, pt = (pressure, P[hyd.SUPPLY + 1]) if which == 2 else (P[hyd.SUPPLY], pressure)
-        flows = (hyd.port_flows(P, E, c, now.inputs[c], pp, pt, *now.pressures(c))[which] for c in range(2))
+        flows = (hyd.port_flows(topology, P, E, c, now.inputs[c], pp, pt, *now.pressures(c))[which] for c in range(2))
         follower.follow(now.time, sum(flows))
         return {name: crane[name] + sign * values["R"] * follower.value}
 

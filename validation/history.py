@@ -58,5 +58,9 @@ def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
     effect, _ = registry.split_key(key)
     if crane.effect(key) is not None:
         raise CraneError(f"{crane.name} has {key!r} already. Remove it first, or fit it anew with `patu improve`.")
+    if effect.curve is not None:
+        raise CraneError(
+            f"{key!r} is a curve: `patu learn` finds it. To give one, write its table (over, x, y) into the crane file."
+        )
     typical = dict(effect.probes[0]) if effect.probes else {effect.parameters[0].name: effect.parameters[0].typical}
     return crane.with_effect(key, dict(values) or typical)

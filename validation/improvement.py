@@ -1,9 +1,9 @@
-"""Compare, diagnose, add, until nothing more is justified; where no effect alone explains a recording, one after the other (`stepwise`)."""
+"""The search to many effects, each step confirmed on the Exudyn engine; where no two explain a recording, one after the other (`selection.many`)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,17 +11,19 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
-from .diagnosis import LEVEL, Candidate, Diagnosis, diagnose, sentence
+from .diagnosis import Candidate, Diagnosis, diagnosis_of, searched, sentence
 from .fit.data import FitData
 from .fit.staged import FINE, residuals, rms
 from .history import added
-from .search.weigh import open_loop_error
-from .stepwise import Grown, explained, grow
+from .selection.criteria import CRITERIA
+from .selection.levels import Errors
+from .selection.many import Many, search_many
+from .selection.model import open_loop_error, parameters_of, together
+from .selection.search import Progress, silent
 
-#: an effect that does not explain everything is still added if the error on what was not fitted falls by this share
-WORTH = 0.1
 #: the two engines' errors may differ by this share before it is said
 AGREEMENT = 0.05
 
@@ -53,7 +55,7 @@ class Step:
 class Improvement:
     """The steps from the crane as given to the one that explains the recording as far as effects are justified.
 
-    `grown`: what was found where no single effect explained the recording, with the evidence for each effect; None otherwise.
+    `many`: what was found where no single effect explained the recording, with the evidence for each effect; None otherwise.
     """
 
     recording: str
@@ -61,13 +63,13 @@ class Improvement:
     crane: Crane
     verdict: str
     diagnoses: tuple[Diagnosis, ...]
-    grown: Grown | None = None
+    many: Many | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What to know about the recordings; and what the data demand, cannot separate and leave, where several effects were taken in."""
         about = self.diagnoses[0].notes if self.diagnoses else ()
-        return about if self.grown is None else (*about, *explained(self.grown))
+        return about if self.many is None else (*about, *explained(self.many))
 
     def to_dict(self, path: str | Path = "") -> dict[str, Any]:
         """Return the JSON of improve; `path` is where the crane file was written."""
@@ -81,7 +83,7 @@ class Improvement:
 
     def plot(self) -> Any:
         """Return a figure of the falling error."""
-        from .search.plots import improvement_figure
+        from .selection.plots import improvement_figure
 
         return improvement_figure(self)
 
@@ -103,126 +105,84 @@ class Improvement:
         return table_html(columns, rows, title=repr(self).strip("<>"))
 
 
-Progress = Callable[[str, float], None]
-
-
 def improve(
     crane: Crane,
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     check: Recording | None = None,
     *,
+    per_recording: Sequence[str] = (),
     jobs: int = 2,
     most: int = 4,
     told: Callable[[Step], None] = lambda step: None,
-    progress: Progress = lambda text, share: None,
+    progress: Progress = silent,
 ) -> Improvement:
-    """Return the crane improved step by step; each step's errors are confirmed on the Exudyn engine.
+    """Return the crane with what the recordings justify; each step's errors are confirmed on the Exudyn engine.
 
     Args:
         crane: the crane file as given.
-        recording, check: learned from, and only predicted.
+        recording, check: learned from (several of one machine together), and only predicted.
+        per_recording: nominal parameters that differ from recording to recording.
         jobs: processes to use.
-        most: at most so many steps; where effects are taken in one by one, at most so many of them.
+        most: at most so many effects.
         told: called with each step as soon as it is known.
-        progress: called with a text and the share that is done of the current step.
+        progress: called with a text and the share that is done.
     """
-    current, best = crane, crane
-    steps: list[Step] = []
-    diagnoses: list[Diagnosis] = []
-    while True:
-        d = diagnose(current, recording, check, jobs=jobs, progress=progress)
-        diagnoses.append(d)
-        if not steps:
-            steps.append(_step(None, crane, d, recording, check, d.verdict))
-            told(steps[-1])
-        if d.verdict == "unknown" and not d.misses_check:
-            grown = grow(current, recording, check, jobs=jobs, most=most, progress=progress)
-            if grown is not None and _predicts_better(grown):
-                return _grown(grown, best, recording, check, steps, diagnoses, told)
-        chosen = _worth_adding(d, steps[-1])
-        if chosen is None or len(steps) > most:
-            return Improvement(
-                recording.name, tuple(steps), best, d.verdict if len(steps) == 1 else _left(d), tuple(diagnoses)
-            )
-        name = chosen.name
-        entry = {
-            "recording": recording.name,
-            "evidence": chosen.evidence,
-            "verdict": d.verdict,
-            "error_before": steps[-1].error,
-        }
-        best = added(best, replace(chosen.crane, history=best.history), **entry)
-        steps.append(_step(name, best, d, recording, check, d.verdict))
-        told(steps[-1])
-        if not chosen.effects:
-            return Improvement(recording.name, tuple(steps), best, "adequate", tuple(diagnoses))
-        for key in chosen.effects:
-            acting = chosen.crane.effect(key)
-            assert acting is not None
-            current = current.with_effect(key, acting.parameters)
+    path, notes = searched(crane, recording, check, per_recording, most, jobs, progress)
+    d = diagnosis_of(path, check, notes)
+    judge = _Judge(path.problem.recordings, check, path.problem.data.own)
+    steps = [judge.step(None, crane, d.verdict, sentence(d))]
+    told(steps[0])
+    many, left, chosen = None, d.verdict, _chosen(d)
+    if d.verdict == "unknown" and not d.misses_check:
+        many = search_many(path.problem, most, progress)
+        many = many if many is not None and many.predicts_better else None
+    if many is not None:
+        name, improved, evidence = " + ".join(many.needed), many.crane, sum(many.needed.values())
+    elif chosen is not None:
+        name, improved, evidence = chosen.name, chosen.crane, chosen.evidence
+    else:
+        return Improvement(d.recording, tuple(steps), crane, left, (d,))
+    entry = {"recording": d.recording, "evidence": evidence, "verdict": d.verdict, "error_before": steps[0].error}
+    best = added(crane, replace(improved, history=crane.history), **entry)
+    text = (
+        "no effect alone explains the recording, these together do what can be done"
+        if many is not None
+        else sentence(d)
+    )
+    steps.append(judge.step(name, best, d.verdict, text))
+    told(steps[-1])
+    good = steps[-1].search_error < CRITERIA.level or (
+        chosen is not None and many is None and chosen.level < CRITERIA.level
+    )
+    return Improvement(d.recording, tuple(steps), best, "adequate" if good else "unknown", (d,), many)
 
 
-def _predicts_better(grown: Grown) -> bool:
-    """Whether what was not fitted is predicted better by a tenth, on the average of the channels, than by the fitted nominal model."""
-    first, last = grown.nominal, grown.predicted
-    return sum(math.log(first[c] / last[c]) for c in last) / len(last) > -math.log(1.0 - WORTH)
-
-
-def _grown(
-    grown: Grown,
-    best: Crane,
-    recording: Recording,
-    check: Recording | None,
-    steps: list[Step],
-    diagnoses: list[Diagnosis],
-    told: Callable[[Step], None],
-) -> Improvement:
-    """Return the improvement by effects that were taken in one by one, confirmed as one step."""
-    entry = {
-        "recording": recording.name,
-        "evidence": sum(grown.needed.values()),
-        "verdict": "unknown",
-        "error_before": steps[-1].error,
-    }
-    crane = added(best, replace(grown.crane, history=best.history), **entry)
-    error, searched = exudyn_error(crane, recording)
-    check_error = exudyn_error(crane, check)[0] if check is not None else math.nan
-    text = f"no effect alone explains the recording, these together make error {steps[-1].error:.3g} -> {error:.3g} noise units"
-    step = Step(
-        " + ".join(grown.needed), error, check_error, nis_mean(crane, recording), "unknown", searched,
-        text + _disagreement(error, searched),
-    )  # fmt: skip
-    told(step)
-    left = "adequate" if error < LEVEL else "unknown"
-    return Improvement(recording.name, (*steps, step), crane, left, tuple(diagnoses), grown)
-
-
-def _left(d: Diagnosis) -> str:
-    """Return the verdict on what is left after a step: parameters that moved along are part of the step."""
-    return "adequate" if d.verdict == "parameters" else d.verdict
-
-
-def _worth_adding(d: Diagnosis, last: Step) -> Candidate | None:
+def _chosen(d: Diagnosis) -> Candidate | None:
     """Return what a diagnosis justifies to add: its choice, or the best candidate if the error falls by a tenth all the same."""
-    if d.verdict == "adequate" or (d.verdict == "parameters" and last.added is not None):
+    if d.verdict == "adequate" or d.misses_check:
         return None
-    if d.verdict in ("effect", "tied", "parameters"):
+    if d.verdict != "unknown":
         return next(c for c in d.candidates if c.effects == d.effects)
     best = next((c for c in d.candidates if c.effects), None)
-    if best is None or math.isnan(best.error_after):
-        return None
-    judged = best.check_error_after if not math.isnan(best.check_error_after) else best.error_after
-    before = last.check_error if not math.isnan(best.check_error_after) else last.error
-    return best if judged < (1.0 - WORTH) * before else None
+    return best if best is not None and best.error_after < (1.0 - CRITERIA.worth) * d.error_before else None
 
 
-def _step(
-    name: str | None, crane: Crane, d: Diagnosis, recording: Recording, check: Recording | None, verdict: str
-) -> Step:
-    error, searched = exudyn_error(crane, recording)
-    check_error = exudyn_error(crane, check)[0] if check is not None else math.nan
-    text = sentence(d) + _disagreement(error, searched)
-    return Step(name, error, check_error, nis_mean(crane, recording), verdict, searched, text)
+@dataclass(frozen=True)
+class _Judge:
+    """What the steps of an improvement are confirmed on; `own`: parameters that differ from recording to recording."""
+
+    recordings: tuple[Recording, ...]
+    check: Recording | None
+    own: tuple[str, ...]
+
+    def step(self, name: str | None, crane: Crane, verdict: str, text: str) -> Step:
+        """Return a step to a crane: errors on the Exudyn engine and on that of the search, on the check recording, and the filter's mean NIS."""
+        found = [exudyn_error(crane, r, self.own) for r in self.recordings]
+        exudyn, searched = (together(self.recordings, e) for e in ([f[0] for f in found], [f[1] for f in found]))
+        check_error = exudyn_error(crane, self.check, self.own)[0] if self.check is not None else math.nan
+        nis = [nis_mean(f[2], r) for f, r in zip(found, self.recordings, strict=True)]
+        text += _disagreement(exudyn, searched)
+        return Step(name, exudyn, check_error, float(np.mean(nis)), verdict, searched, text)
 
 
 def _disagreement(error: float, searched: float) -> str:
@@ -232,14 +192,15 @@ def _disagreement(error: float, searched: float) -> str:
     return f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
 
 
-def exudyn_error(crane: Crane, recording: Recording) -> tuple[float, float]:
-    """Return the open-loop RMS error in noise units on the Exudyn engine, and on the engine of the search, from the same start."""
+def exudyn_error(crane: Crane, recording: Recording, own: Sequence[str] = ()) -> tuple[float, float, Crane]:
+    """Return the open-loop RMS error in noise units on the Exudyn engine, and on that of the search, from the same start, and the crane with
+    the recording's own parameters."""
     from crane_exudyn.engine import ExudynEngine
 
-    searched, fit = open_loop_error(crane, recording)
+    searched, fit = open_loop_error(crane, recording, own=own)
     data = FitData.of(recording, crane, rate=math.inf, step=FINE)
-    engine = ExudynEngine(crane)
-    return rms(residuals(crane, data, fit.starts, fit.late, engine.simulate)), searched
+    engine = ExudynEngine(fit.crane)
+    return rms(residuals(fit.crane, data, fit.starts, fit.late, engine.simulate)), searched, fit.crane
 
 
 def nis_mean(crane: Crane, recording: Recording) -> float:
@@ -249,3 +210,65 @@ def nis_mean(crane: Crane, recording: Recording) -> float:
     noise = recording.noise()
     std = {c: crane.sensors.get(c, noise[c]) for c in recording.sensors}
     return float(Estimator(crane, "semi-recursive", std, max_step=2.5e-3).run(recording).nis_mean)
+
+
+def explained(found: Many) -> list[str]:
+    """Return in plain words what the data demand, what they cannot separate, and what is left."""
+    texts = [_demanded(found, key) for key in sorted(found.needed, key=lambda k: -found.needed[k])]
+    for step in found.taken:
+        near = [k for k, g in sorted(step.rivals.items(), key=lambda r: -r[1]) if g > CRITERIA.serious * step.evidence][
+            :3
+        ]
+        if near:
+            texts.append(
+                f"Not separated: when {step.key} was taken in, {', '.join(near)} would have brought half its evidence or more"
+            )
+    for (first, other), r in sorted(found.alike.items(), key=lambda p: -abs(p[1]))[:5]:
+        texts.append(f"Not separated: {first} and {other} (correlation {r:+.2f}); only what they do together is known")
+    texts += _identified(found)
+    texts.append(
+        f"Left, in % of each channel's range, open loop over the whole recording: {percent(found, found.after)}"
+    )
+    texts.append(f"Of what was not fitted when the effects were chosen: {percent(found, found.predicted)}")
+    return texts
+
+
+def _identified(found: Many) -> list[str]:
+    """Return the sentences on the nominal parameters: the furthest moved with their intervals, and those not to be believed."""
+    furthest = sorted((n for n, u in found.moved.items() if abs(u) > CRITERIA.told), key=lambda n: -abs(found.moved[n]))
+    values = [
+        f"{n} = {found.crane[n]:.4g} ± {found.deviations.get(n, math.inf):.2g} {unit_of(n)}".strip() for n in furthest
+    ]
+    texts = [f"Parameters that moved with them: {', '.join(values)}"] if values else []
+    known = found.crane.uncertainty
+    strained = [n for n in furthest if abs(found.moved[n]) > CRITERIA.strained and math.isfinite(known[n].std)]
+    if strained:
+        far = ", ".join(f"{n} by {abs(found.moved[n]):.1f}" for n in strained)
+        texts.append(
+            f"Hardly plausible, as many standard uncertainties from the crane file: {far}. They do the work of something that is "
+            "not in the model, or that this recording does not separate from them"
+        )
+    return texts
+
+
+def _demanded(found: Many, key: str) -> str:
+    """Return the sentence on one effect: evidence, the errors that it mends, its values."""
+    without = found.without[key]
+    worse = sorted(found.after, key=lambda c: (found.after[c] - without[c]) / found.ranges[c])[:3]
+    errors = ", ".join(
+        f"{c} {100 * without[c] / found.ranges[c]:.3g} -> {100 * found.after[c] / found.ranges[c]:.3g} %"
+        for c in worse
+        if without[c] > 1.05 * found.after[c]
+    )
+    values = ", ".join(
+        f"{n} = {x:.3g} ± {found.deviations.get(f'{key}:{n}', math.inf):.2g}"
+        for n, x in parameters_of(found.crane, key).items()
+    )
+    return f"Demanded: {key} ({values}); log evidence lost without it {found.needed[key]:.0f}" + (
+        f"; with it {errors} of the range" if errors else ""
+    )
+
+
+def percent(found: Many, errors: Errors) -> str:
+    """Return errors by channel as text, in per cent of the channel's range."""
+    return ", ".join(f"{c} {100 * e / found.ranges[c]:.3g}" for c, e in errors.items())

@@ -4,15 +4,17 @@ The real system is the crane as given. The simulation and the estimation model s
 are known): masses and inertias of both booms, brackets, payload, joint coordinates, pump pressure and start. The simulation
 model runs open loop; the estimation model is corrected by the filter from noisy z1, z4, p1, p4 at 1 kHz.
 
-Two estimators: `paper`, the paper's tuning (32), (33) and P0 to the letter; `own`, the estimator's own means: what the model
-may be wrong about is estimated along with the state, so that the process noise can be small.
+Three rows: `paper`, the paper's tuning (32), (33) and P0 to the letter; `paper-0.15-bar`, the same with gauges of 0.15 instead of 1.5 bar;
+`own`, the estimator's own means: what the model may be wrong about is estimated along with the state, so that the process
+noise can be small. How wrong it may be follows from the crane file's uncertainties, one, two or four times as wide: the innovations of
+the first ten seconds say which is likeliest. `own-file`, `own-half` and `own-twice` take them as they are, half and twice as wide.
 """
 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,9 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath, paper_cycle
+from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import Measurement
+from crane_exudyn.sensors import sensor
 from crane_exudyn.statics import visible
 from ukf.augment import Augment
 from ukf.estimate import Estimate
@@ -40,13 +44,36 @@ PUBLISHED = dict(zip(STATES, (0.33, 1.07, 2.05, 2.58, 0.1209, 1.91, 5.92, 0.3127
 MODEL_ERRORS = (0.05, 0.15, 0.25)
 STEP, DURATION = 1e-3, 25.0
 SENSOR_STD = {"z1": np.radians(1.0), "z4": np.radians(1.0), "p1": 1.5e5, "p4": 1.5e5}
+#: noise of the paper's sensors by unit; a range of a state that is smaller than twice of it is nothing to divide an error by
+_NOISE = {"rad": np.radians(1.0), "Pa": 1.5e5, "rad/s": np.radians(1.0)}
 #: start of the models off the real system's: +2° in z1, -3° in z4, +3 bar in each pressure
 START_ERROR = np.array([np.radians(2.0), np.radians(-3.0), 0.0, 0.0, 3e5, 3e5, 3e5, 3e5])
 _PUMP_ERROR, _PAYLOAD, _JOINT_ERROR = 20e5, 10.0, 5e-3
 #: growth of the unknowns' standard deviation in parts of that at the start, per √s
-_DRIFT = 0.01
-#: what is known of a payload before it is lifted: something up to 400 kg, and that it does not grow on the way, kg, kg/√s
-_PAYLOAD_STD, _PAYLOAD_DRIFT = 200.0, 0.3
+_DRIFT = 1e-3
+#: s from which the likeliest width of the priors is found
+_LISTENING = 10.0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What a row of the table says, the noise of its gauges in Pa (the paper's where none), and how wide the priors of `own` may be."""
+
+    text: str
+    gauges: float | None = None
+    widths: tuple[float, ...] = ()
+
+
+TUNINGS = {
+    "paper": Tuning("the paper's tuning"),
+    "paper-0.15-bar": Tuning("the paper's tuning, gauges of 0.15 bar", gauges=0.15e5),
+    "own": Tuning("own means: what is unknown is estimated too", widths=(1.0, 2.0, 4.0)),
+    "own-file": Tuning("own means, priors as in the crane file", widths=(1.0,)),
+    "own-half": Tuning("own means, priors half as wide as in the crane file", widths=(0.5,)),
+    "own-twice": Tuning("own means, priors twice as wide as in the crane file", widths=(2.0,)),
+}
+#: rows of the table where nothing else is asked for
+ROWS = ("paper", "paper-0.15-bar", "own")
 
 
 def _pulses(time: np.ndarray, pulses: Sequence[tuple[int, float, float, float]]) -> np.ndarray:
@@ -90,27 +117,25 @@ def wrong_crane(crane: Crane, model_error: float) -> Crane:
     return crane.with_parameters(changes)
 
 
-def unknowns(crane: Crane) -> tuple[Augment, ...]:
+def unknowns(crane: Crane, width: float = 1.0) -> tuple[Augment, ...]:
     """Return what the estimator's own means estimate along with the state, for an estimation model.
 
-    Everything that the experiment's setting says may be wrong: payload, pump, masses and inertias of the booms, coordinates of
-    the joints. The brackets are left out: 5 % of 20 kg are below what the sensors can tell; for such rests every quantity
-    drifts by a hundredth of its uncertainty per √s, so that the filter never becomes surer than its model is right.
-
-    The payload's standard deviation has to be wide. The first samples weigh the load before the angles are known; with 30 kg the
-    filter settles too early at 5 to 10 kg in smooth motion (input set 3), and p3 is then outside its interval most of the time.
+    Payload, pump, masses and inertias of the booms, coordinates of the joints, each with `width` times the standard deviation that the crane
+    file states; a payload that the file calls unknown has that of its range. Nothing is taken from the errors that the experiment
+    makes. Every quantity drifts by a thousandth of its uncertainty per √s, for what is not among them, so that the filter never
+    becomes surer than its model is right.
     """
     masses = [f"bodies.{b}.{q}" for b in ("lift_boom", "outer_boom") for q in ("mass", "inertia")]
     joints = [f"joints.{j}.{axis}" for j in "ABCD" for axis in "xy"]
-    std = {"supply.pump_pressure": _PUMP_ERROR}
-    std |= {name: 0.15 * crane[name] for name in masses} | dict.fromkeys(joints, _JOINT_ERROR)
-    payload = Augment("payload.mass", _PAYLOAD_STD, drift=_PAYLOAD_DRIFT)
-    return (payload, *(Augment(name, value, drift=_DRIFT * value) for name, value in std.items()))
+    std = {n: width * crane.uncertainty[n].std for n in ("supply.pump_pressure", *masses, *joints)}
+    load = crane.uncertainty["payload.mass"]
+    std["payload.mass"] = load.std if np.isfinite(load.std) else (load.upper - load.lower) / np.sqrt(12.0)
+    return tuple(Augment(name, value, drift=_DRIFT * value) for name, value in std.items())
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """The real system's run: time (N,), commands (N, 2), inputs (N, 4), states (N, 8), noisy measurements as signals."""
+    """The real system's run: time (N,), commands (N, 2), inputs (N, 4), states (N, 8), noisy measurements as signals, and their noise in SI."""
 
     crane: Crane
     time: np.ndarray
@@ -118,6 +143,12 @@ class Experiment:
     inputs: np.ndarray
     truth: np.ndarray
     signals: Signals
+    sensors: Mapping[str, float]
+
+    def seen(self, sensors: Mapping[str, float], seed: int) -> Experiment:
+        """Return the same run as other sensors show it: channels with their noise in SI."""
+        shown = noisy_sensors(self.crane, self.time, self.truth, np.random.default_rng(seed), sensors)
+        return replace(self, signals=replace(self.signals, sensors=shown), sensors=dict(sensors))
 
 
 @dataclass(frozen=True)
@@ -125,7 +156,7 @@ class Case:
     """One run of the experiment.
 
     Attributes:
-        model_error, inputs, tuning, engine: which case it is; tuning is "paper" or "own".
+        model_error, inputs, tuning, engine: which case it is; tuning is one of `TUNINGS`, or what the filter is called.
         experiment: the real system.
         open_loop: (N, 8) states of the simulation model; NaN after it has left its limits.
         estimate: what the filter made of it.
@@ -143,13 +174,24 @@ class Case:
 
     @property
     def pn_rmse(self) -> dict[str, float]:
-        """PN-RMSE of the estimate in %, by state."""
-        return _named(metrics.pn_rmse(self.estimate.mean[:, :8], self.experiment.truth))
+        """PN-RMSE of the estimate in %, by state; NaN for a state that does not move."""
+        return self._percent(self.estimate.mean[:, :8])
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """RMSE of the estimate in SI, by state."""
+        return _named(metrics.rmse(self.estimate.mean[:, :8], self.experiment.truth))
 
     @property
     def pn_rmse_open_loop(self) -> dict[str, float]:
         """PN-RMSE of the simulation model in %, by state."""
-        return _named(metrics.pn_rmse(self.open_loop, self.experiment.truth))
+        return self._percent(self.open_loop)
+
+    def _percent(self, states: np.ndarray) -> dict[str, float]:
+        """Return the PN-RMSE in %, by state; NaN where the state's range is too small to divide by."""
+        truth, layout = self.experiment.truth, self.experiment.crane.layout
+        least = np.array([2.0 * _NOISE[layout.unit_of(name)] for name in STATES])
+        return _named(np.where(np.ptp(truth, axis=0) > least, metrics.pn_rmse(states, truth), np.nan))
 
     @property
     def published(self) -> dict[str, float] | None:
@@ -179,9 +221,11 @@ class Case:
             "inputs": self.inputs,
             "tuning": self.tuning,
             "engine": self.engine,
-            "pn_rmse": self.pn_rmse,
+            "pn_rmse": _or_none(self.pn_rmse),
+            "rmse": self.rmse,
+            "sensors": dict(self.experiment.sensors),
             "published": self.published,
-            "pn_rmse_open_loop": self.pn_rmse_open_loop,
+            "pn_rmse_open_loop": _or_none(self.pn_rmse_open_loop),
             "coverage95": self.coverage,
             "nees_mean": self.nees_mean,
             "nis_mean": self.estimate.nis_mean,
@@ -195,12 +239,24 @@ class Case:
         }
 
 
+def _or_none(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Return numbers for JSON, which has no NaN."""
+    return {name: value if np.isfinite(value) else None for name, value in values.items()}
+
+
 def _named(values: np.ndarray) -> dict[str, float]:
     return dict(zip(STATES, values.tolist(), strict=True))
 
 
-def real_system(crane: Crane, inputs: int, engine: str, seed: int, duration: float = DURATION) -> Experiment:
-    """Return a run of the synthetic real system and its noisy sensors.
+def real_system(
+    crane: Crane,
+    inputs: int,
+    engine: str,
+    seed: int,
+    duration: float = DURATION,
+    sensors: Mapping[str, float] = SENSOR_STD,
+) -> Experiment:
+    """Return a run of the synthetic real system and its noisy sensors: channels with their noise in SI.
 
     Raises:
         CraneError: an input set that does not exist.
@@ -212,17 +268,36 @@ def real_system(crane: Crane, inputs: int, engine: str, seed: int, duration: flo
     w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((time.size, 2), np.nan)])
     model = engine_of(engine, crane)
     truth = visible(crane, model.simulate(model.static_start(*crane.initial.pose), time, w, step=STEP))
-    rng = np.random.default_rng(seed)
-    signals = Signals(time, commands, noisy_sensors(crane, time, truth, rng), name=f"input set {inputs}")
-    return Experiment(crane, time, commands, w, truth, signals)
+    blank = Experiment(crane, time, commands, w, truth, Signals(time, commands, {}, name=f"input set {inputs}"), {})
+    return blank.seen(sensors, seed)
 
 
-def noisy_sensors(crane: Crane, time: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> dict[str, Series]:
-    """Return what the paper's sensors show of states (N, nx) at `time` (N,), with their noise."""
-    shown = Measurement.of(crane, tuple(SENSOR_STD)).shown(truth, time, settled=True)
-    return {
-        n: (time, y + s * rng.normal(size=time.size)) for (n, s), y in zip(SENSOR_STD.items(), shown.T, strict=True)
-    }
+def noisy_sensors(
+    crane: Crane,
+    time: np.ndarray,
+    truth: np.ndarray,
+    rng: np.random.Generator,
+    sensors: Mapping[str, float] = SENSOR_STD,
+) -> dict[str, Series]:
+    """Return what sensors (channels with their noise in SI) show of states (N, nx) at `time` (N,)."""
+    shown = Measurement.of(crane, tuple(sensors)).shown(truth, time, settled=True)
+    return {n: (time, y + s * rng.normal(size=time.size)) for (n, s), y in zip(sensors.items(), shown.T, strict=True)}
+
+
+def sensors_of(names: Sequence[str], noise: Mapping[str, float], layout: Layout) -> dict[str, float]:
+    """Return {channel: noise in SI} of some sensors: as given, else the paper's for the channel's unit, else a usual one.
+
+    Raises:
+        CraneError: an unknown sensor, or noise of one that is not used.
+    """
+    for name in (*names, *noise):
+        sensor(name, layout.sensors)
+        if name not in names:
+            raise CraneError(
+                f"There is a noise for {name}, which is not among the sensors {', '.join(names)}. Add it to them."
+            )
+    known = {n: layout.sensors[n] for n in names}
+    return {n: float(noise.get(n, SENSOR_STD.get(n, _NOISE.get(s.unit, s.sizes.noise)))) for n, s in known.items()}
 
 
 def simulation_model(wrong: Crane, experiment: Experiment, engine: str) -> np.ndarray:
@@ -241,21 +316,38 @@ def simulation_model(wrong: Crane, experiment: Experiment, engine: str) -> np.nd
 
 
 def estimator(wrong: Crane, experiment: Experiment, engine: Any, tuning: str, method: str = "ukf") -> Estimator:
-    """Return the estimator of a tuning ("paper" or "own") for the estimation model.
+    """Return the estimator of one of the `TUNINGS` for the estimation model.
 
     Raises:
         CraneError: no such tuning.
     """
+    widths = tuning_of(tuning).widths
     mean = experiment.truth[0] + START_ERROR
-    if tuning == "paper":
+    if not widths:
         start = Belief(mean, paper_start_covariance())
-        return Estimator(wrong, engine, SENSOR_STD, PaperNoise(), method, start=start, gate=None, max_step=STEP)
-    if tuning != "own":
-        raise CraneError(f'There is no tuning {tuning!r}. Use "paper" or "own".')
+        return Estimator(wrong, engine, experiment.sensors, PaperNoise(), method, start=start, gate=None, max_step=STEP)
     deviation = np.array([*np.radians([3.0, 4.0, 3.0, 3.0]), *[5e5] * 4])
     start = Belief(mean, np.diag(deviation**2))
     noise = ProcessNoise((1e-5, 1e-5), (1e7, 1e7, 1e7, 1e7))
-    return Estimator(wrong, engine, SENSOR_STD, noise, method, unknowns(wrong), start, max_step=STEP)
+    tried = [
+        Estimator(wrong, engine, experiment.sensors, noise, method, unknowns(wrong, w), start, max_step=STEP)
+        for w in widths
+    ]
+    if len(tried) == 1:
+        return tried[0]
+    part = cut(experiment.signals, 0.0, _LISTENING)
+    return max(tried, key=lambda e: e.run(part).log_likelihood)
+
+
+def tuning_of(name: str) -> Tuning:
+    """Return a tuning by its name. Raises CraneError where there is none."""
+    if name not in TUNINGS:
+        raise CraneError(f"There is no tuning {name!r}. Use one of {', '.join(TUNINGS)}.")
+    return TUNINGS[name]
+
+
+#: makes a filter for the estimation model, the real system as it was seen, and an engine of that model
+MakeFilter = Callable[[Crane, Experiment, Any], Estimator]
 
 
 def run_case(
@@ -265,6 +357,9 @@ def run_case(
     seed: int = 0,
     *,
     tuning: str = "paper",
+    filter: str | MakeFilter = "ukf",
+    sensors: Sequence[str] = tuple(SENSOR_STD),
+    noise: Mapping[str, float] | None = None,
     crane: Crane | None = None,
     duration: float = DURATION,
     experiment: Experiment | None = None,
@@ -278,20 +373,33 @@ def run_case(
         inputs: 1 for the paper's cycle, 2 or 3 for ours.
         engine: "exudyn" or "semi-recursive", for all three models.
         seed: of the sensors' noise.
-        tuning: "paper", or "own" for the estimator's own means.
+        tuning: one of `TUNINGS`: "paper", or "own" for the estimator's own means.
+        filter: one of `ukf.methods.METHODS`, or a function that makes a filter of one's own (which the tuning has no part in).
+        sensors: channels that the filter gets.
+        noise: their noise in SI where it is not the paper's (1°, 1.5 bar).
         crane: the real system; default the built-in crane.
         duration: length of the run, s.
         experiment, open_loop: what an earlier case has computed already for the same engine, inputs, seed and error.
         progress: called with the fraction of the filter's run that is done.
     """
     crane = crane if crane is not None else Crane.load("patu655")
-    experiment = experiment if experiment is not None else real_system(crane, inputs, engine, seed, duration)
+    gauges = tuning_of(tuning).gauges
+    own = {n: gauges for n in sensors if gauges is not None and crane.layout.sensors[n].unit == "Pa"} | dict(
+        noise or {}
+    )
+    believed = sensors_of(sensors, own, crane.layout)
+    if experiment is None:
+        experiment = real_system(crane, inputs, engine, seed, duration, believed)
+    elif dict(experiment.sensors) != believed:
+        experiment = experiment.seen(believed, seed)
     wrong = wrong_crane(crane, model_error)
     open_loop = open_loop if open_loop is not None else simulation_model(wrong, experiment, engine)
     model, used = engine_of(engine, wrong), engine
-    if tuning == "own" and not accepts_parameters(model):
+    if TUNINGS[tuning].widths and not accepts_parameters(model):
         model, used = engine_of("semi-recursive", wrong), "semi-recursive"
-    filter_ = estimator(wrong, experiment, model, tuning)
+    filter_ = (
+        filter(wrong, experiment, model) if callable(filter) else estimator(wrong, experiment, model, tuning, filter)
+    )
     filter_.run(cut(experiment.signals, 0.0, 0.02))  # compiles, so that the clock does not count it
     begin = clock.perf_counter()
     estimate = filter_.run(experiment.signals, keep_covariance=True, progress=progress)
@@ -310,7 +418,9 @@ class Reproduction:
     @property
     def realtime_factor(self) -> float:
         """Smallest real-time factor of the 17-point filter over all cases of the paper's tuning."""
-        return min((d["realtime_factor"] for d in self.documents if d["tuning"] == "paper"), default=float("nan"))
+        return min(
+            (d["realtime_factor"] for d in self.documents if d["tuning"].startswith("paper")), default=float("nan")
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the result as JSON."""
@@ -323,7 +433,9 @@ def reproduce(
     engine: str = "exudyn",
     seed: int = 0,
     *,
-    tunings: Sequence[str] = ("paper", "own"),
+    tunings: Sequence[str] = ROWS,
+    sensors: Sequence[str] = tuple(SENSOR_STD),
+    noise: Mapping[str, float] | None = None,
     crane: Crane | None = None,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
@@ -336,7 +448,8 @@ def reproduce(
     begin = clock.perf_counter()
     crane = crane if crane is not None else Crane.load("patu655")
     work = [(error, i) for i in inputs for error in model_errors]
-    tasks = [(_both_tunings, error, i, engine, seed, tuple(tunings), crane) for error, i in work]
+    seen = {"sensors": tuple(sensors), "noise": dict(noise or {})}
+    tasks = [(_all_tunings, error, i, engine, seed, tuple(tunings), crane, seen) for error, i in work]
     documents: list[dict[str, Any]] = []
     shown: dict[str, Case] = {}
     for k, (found, cases) in enumerate(results_of(tasks, jobs)):
@@ -349,8 +462,8 @@ def reproduce(
     return Reproduction(tuple(documents), shown, clock.perf_counter() - begin)
 
 
-def _both_tunings(
-    error: float, inputs: int, engine: str, seed: int, tunings: tuple[str, ...], crane: Crane
+def _all_tunings(
+    error: float, inputs: int, engine: str, seed: int, tunings: tuple[str, ...], crane: Crane, seen: Mapping[str, Any]
 ) -> tuple[list[dict[str, Any]], dict[str, Case]]:
     """Return the documents of one error and input set, and the cases themselves where figures show them."""
     experiment = real_system(crane, inputs, engine, seed)
@@ -358,12 +471,72 @@ def _both_tunings(
     documents, shown = [], {}
     for tuning in tunings:
         case = run_case(
-            error, inputs, engine, seed, tuning=tuning, crane=crane, experiment=experiment, open_loop=open_loop
+            error, inputs, engine, seed, tuning=tuning, crane=crane, experiment=experiment, open_loop=open_loop, **seen
         )
         documents.append(case.document())
         if (error, inputs) == (0.15, 1):
             shown[tuning] = case
     return documents, shown
+
+
+@dataclass(frozen=True)
+class Told:
+    """What some sensors tell: the payload found, mean and standard deviation in kg at `INSTANTS`, and PN-RMSE in % by state."""
+
+    sensors: tuple[str, ...]
+    payload: tuple[tuple[float, float], ...]
+    pn_rmse: dict[str, float]
+
+    def document(self) -> dict[str, Any]:
+        """Return the row as JSON."""
+        return {
+            "sensors": list(self.sensors),
+            "payload": [list(p) for p in self.payload],
+            "pn_rmse": _or_none(self.pn_rmse),
+        }
+
+
+#: s at which the payload is told, and the sensors beside the paper's
+INSTANTS = (5.0, 10.0, 25.0)
+_MORE: tuple[tuple[str, ...], ...] = ((), ("p2",), ("p3",), ("p2", "p3"), ("dz1", "dz4"))
+
+
+def what_sensors_tell(
+    engine: str = "exudyn",
+    seed: int = 0,
+    *,
+    crane: Crane | None = None,
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> list[Told]:
+    """Return what the paper's four sensors tell of the 15 % case with the estimator's own means, and what more sensors would."""
+    crane = crane if crane is not None else Crane.load("patu655")
+    experiment = real_system(crane, 1, engine, seed)
+    tasks = [(_told_by, engine, seed, crane, experiment, (*SENSOR_STD, *more)) for more in _MORE]
+    found = []
+    for told in results_of(tasks, jobs):
+        found.append(told)
+        if progress is not None:
+            progress(len(found) / len(tasks))
+    return sorted(found, key=lambda t: _MORE.index(t.sensors[len(SENSOR_STD) :]))
+
+
+def _told_by(engine: str, seed: int, crane: Crane, experiment: Experiment, sensors: tuple[str, ...]) -> Told:
+    case = run_case(
+        0.15,
+        1,
+        engine,
+        seed,
+        tuning="own",
+        sensors=sensors,
+        crane=crane,
+        experiment=experiment,
+        open_loop=experiment.truth,
+    )
+    at, column = np.searchsorted(experiment.time, INSTANTS), case.estimate.state_names.index("payload.mass")
+    at = np.minimum(at, experiment.time.size - 1)
+    payload = zip(case.estimate.mean[at, column].tolist(), case.estimate.std[at, column].tolist(), strict=True)
+    return Told(sensors, tuple(payload), case.pn_rmse)
 
 
 def pressure_floor(std: float = SENSOR_STD["p1"], variance: float | None = None) -> float:

@@ -23,7 +23,7 @@ from .diagnosis import Candidate, Diagnosis, sentence
 from .findings import VIOLATED, balance_words, people_unit
 from .improvement import Improvement
 from .report import Mood, Part, Picture, Section, Table, write_report
-from .search.plots import in_words
+from .selection.plots import in_words
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
@@ -37,16 +37,16 @@ _WEIGHED, _WORST = 12, 20
 
 @dataclass(frozen=True)
 class Examined:
-    """The recordings of a result: the one that was looked at, and the one that was only predicted."""
+    """The recordings of a result: those that were looked at, and the one that was only predicted."""
 
-    recording: Recording
+    recordings: Sequence[Recording]
     check: Recording | None = None
 
     @property
     def typed(self) -> str:
         """The recordings as one types them behind a command."""
         check = f" --check {_file(self.check)}" if self.check is not None else ""
-        return f"{_file(self.recording)}{check}"
+        return f"{' '.join(map(_file, self.recordings))}{check}"
 
 
 def _file(recording: Recording) -> str:
@@ -56,14 +56,24 @@ def _file(recording: Recording) -> str:
 # -- compare ---------------------------------------------------------------------------------------------------------
 
 
-def report_comparison(c: Comparison, crane: Crane, recording: Recording, directory: Path) -> Path:
-    """Write the report of a comparison and return its path."""
-    mood: Mood = "good" if not c.where and c.error < 1.2 else "bad"
-    noise = ", ".join(f"{n} {e.noise_std:.3g} {e.unit}" for n, e in c.channels.items())
-    parameters = {"crane": c.crane, "recording": c.recording, "engine": c.engine, "noise of the sensors": noise}
-    title = f"{c.recording} against {c.crane}"
-    sections = comparison_sections(c, crane, Examined(recording))
-    return write_report(directory, title, c.verdict, sections, parameters=parameters, mood=mood)
+def report_comparison(
+    comparisons: Sequence[Comparison], crane: Crane, recordings: Sequence[Recording], directory: Path
+) -> Path:
+    """Write the report of comparisons with recordings, one after the other, and return its path."""
+    mood: Mood = "good" if all(not c.where and c.error < 1.2 for c in comparisons) else "bad"
+    first, names = comparisons[0], ", ".join(c.recording for c in comparisons)
+    noise = ", ".join(f"{n} {e.noise_std:.3g} {e.unit}" for n, e in first.channels.items())
+    parameters = {"crane": first.crane, "recording": names, "engine": first.engine, "noise of the sensors": noise}
+    of = [f"{c.recording}: " if len(comparisons) > 1 else "" for c in comparisons]
+    verdict = " ".join(f"{begin}{c.verdict}" for begin, c in zip(of, comparisons, strict=True))
+    sections = [
+        (f"{begin}{title}", parts)
+        for begin, c, recording in zip(of, comparisons, recordings, strict=True)
+        for title, parts in comparison_sections(c, crane, Examined((recording,)))
+    ]
+    return write_report(
+        directory, f"{names} against {first.crane}", verdict, sections, parameters=parameters, mood=mood
+    )
 
 
 def comparison_sections(c: Comparison, crane: Crane, examined: Examined) -> list[Section]:
@@ -214,7 +224,7 @@ def diagnosis_sections(d: Diagnosis, examined: Examined | None = None) -> list[S
     chosen = next((c for c in d.candidates if c.effects == d.effects), None)
     sections: list[Section] = [("What to do next", after_diagnosis(d, examined))]
     if examined is not None and d.crane is not d.given:
-        sections.append(("Before and after", [before_and_after(examined.recording, d.given, d.crane)]))
+        sections.append(("Before and after", before_and_after(examined.recordings, d.given, d.crane)))
     if d.effects:
         sections.append(("Where", where_parts(d.given, _places(d.effects))))
         sections.append(("What is missing", law_parts(d.effects, chosen.parameters if chosen else {})))
@@ -235,7 +245,7 @@ def after_diagnosis(d: Diagnosis, examined: Examined | None) -> list[Part]:
         "unknown": f"`patu improve {typed} -o new.toml` takes effects in one after the other where none alone explains the recording.",
     }[d.verdict]  # fmt: skip
     if d.misses_check and examined is not None and examined.check is not None:
-        todo = f"`patu check {_file(examined.recording)} {_file(examined.check)}` tells whether both are what they say they are."
+        todo = f"`patu check {' '.join(map(_file, (*examined.recordings, examined.check)))}` tells whether all are what they say they are."
     return list(filter(None, (todo, unchecked)))
 
 
@@ -304,11 +314,16 @@ def _parameter_rows(c: Candidate) -> list[tuple[object, ...]]:
 # -- what the reports share ------------------------------------------------------------------------------------------
 
 
-def before_and_after(recording: Recording, given: Crane, improved: Crane) -> Picture:
-    """Return a picture of what was measured, and of the given and the improved model from the same start."""
-    lines = from_one_start(recording, {"as given": given, "improved": improved})
+def before_and_after(recordings: Sequence[Recording], given: Crane, improved: Crane) -> list[Part]:
+    """Return pictures of what was measured, and of the given and the improved model from the same start."""
     caption = "What was measured, and what the crane file as given and the improved one do from the same start, seeing only the commands."
-    return Picture(traces_figure(lines, given.layout), caption)
+    return [
+        Picture(
+            traces_figure(from_one_start(r, {"as given": given, "improved": improved}), given.layout),
+            f"{r.name}: {caption}",
+        )
+        for r in recordings
+    ]
 
 
 def _places(keys: Iterable[str]) -> list[str]:
@@ -361,7 +376,7 @@ def report_improvement(
     expected = f"NIS is that of the filter with its usual process noise, and is no error; expected is the number of sensors. {_ERRORS}"
     table = Table(("step", "error / noise", "on check", "filter's NIS", "what was found"), rows, note=expected)
     sections: list[Section] = [("What to do next", _after_improvement(result))]
-    traces = [before_and_after(examined.recording, first.given, result.crane)] if examined is not None and added else []
+    traces = before_and_after(examined.recordings, first.given, result.crane) if examined is not None and added else []
     falling = Picture(
         result.plot(), "Open-loop error on the Exudyn engine after each step, in units of the sensors' noise."
     )

@@ -14,7 +14,7 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -143,14 +143,20 @@ def _folder_line(folder: Path, name: str) -> dict[str, Any]:
     return run_one(folder_case(folder, name), name)
 
 
-def run(results: Path, tasks: Sequence[tuple[Any, ...]], *, jobs: int = 1) -> None:
-    """Run tasks (name, function, arguments) that `results` does not hold yet; a line is added as each is done."""
+def run(
+    results: Path,
+    tasks: Sequence[tuple[Any, ...]],
+    *,
+    jobs: int = 1,
+    say: Callable[[Mapping[str, Any]], str] | None = None,
+) -> None:
+    """Run tasks (name, function, arguments) that `results` does not hold yet; a line is added as each is done, and said."""
     done = {line["name"] for line in read(results)} if results.exists() else set()
     left = [(f, *a) for name, f, a in tasks if name not in done]
     for line in results_of(left, jobs, "generator_unordered"):
         with results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
-        print(told(line), file=sys.stderr, flush=True)
+        print((say or told)(line), file=sys.stderr, flush=True)
 
 
 def told(line: Mapping[str, Any]) -> str:

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from ..layout import Layout
+from .curve import Curve
+from .parameter import Parameter
 
 #: kinds of places; an effect without a place acts on the whole machine
 CYLINDERS, CHAMBERS, JOINTS, SENSORS, EVERYWHERE = "cylinders", "chambers", "joints", "sensors", ""
@@ -18,11 +20,14 @@ class Hook:
     """What a hook is given after the effect's own parameters, and what it returns (docs/architecture.md says what they mean).
 
     `neutral` are the first results of an effect that is switched off; without, it returns what it is given.
+
+    What is measured from a recording (`Effect.curve`) is given `more` behind that.
     """
 
     given: str
     returns: str
     neutral: tuple[float, ...] = ()
+    more: str = ""
 
     @property
     def arguments(self) -> tuple[str, ...]:
@@ -43,10 +48,10 @@ _NOTHING = (0.0,)
 HOOKS: Mapping[str, Hook] = {
     "command": Hook("u", "u"), "delay": Hook("", "T", _NOTHING), "backlash": Hook("", "b", _NOTHING),
     "creep": Hook("", "share, tau", _NOTHING), "opening": Hook("U", "U"), "supply_drop": Hook("dp", "dp"),
-    "return_gain": Hook("p_own, p_other, load_side", "factor", (1.0,)), "leakage": Hook("pa, pb", "qa, qb", (0.0, 0.0)),
+    "return_gain": Hook("p_own, p_other, load_side", "factor", (1.0,), "drop"), "leakage": Hook("pa, pb", "qa, qb", (0.0, 0.0)),
     "supply_pressure": Hook("pp, q", "pp"), "tank_pressure": Hook("pt, q", "pt"),
     "free_gas": Hook("p", "share, compliance", (0.0, 0.0)), "cylinder_force": Hook("v, pa, pb, la, lb", "F", _NOTHING),
-    "series_compliance": Hook("", "1/k", _NOTHING), "joint_torque": Hook("omega", "torque", _NOTHING),
+    "series_compliance": Hook("", "1/k", _NOTHING), "joint_torque": Hook("omega", "torque", _NOTHING, "angle"),
     "payload_mass": Hook("t, m", "m"), "tip_force": Hook("t", "fy", _NOTHING), "gravity": Hook("gx, gy", "gx, gy"),
     "pendulum": Hook("", "length, damping", _NOTHING), "measurement": Hook("y", "y"), "lag": Hook("", "tau", _NOTHING),
 }  # fmt: skip
@@ -62,30 +67,6 @@ ACTS_AT: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter of an effect.
-
-    Attributes:
-        name: the key in crane files and JSON.
-        unit: SI, as pint writes it; "" for a pure number; "channel" for the unit of the sensor it acts on.
-        neutral: the value that switches the effect off (all parameters neutral: the model is exactly as it was).
-        lower, upper: the range that is accepted and searched.
-        typical: a value of the size that is met in practice; sets the scale of searches and pictures.
-        text: what it is, in words.
-        shape: True for a parameter that only shapes the law (a time, a Stribeck speed): it has a value, but no neutral one.
-    """
-
-    name: str
-    unit: str
-    neutral: float
-    lower: float
-    upper: float
-    typical: float
-    text: str
-    shape: bool = False
-
-
 class Effect:
     """A physical effect. Subclasses fill in the class variables and define their hooks as static functions.
 
@@ -99,6 +80,8 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     #: parameter values at which a search starts; one line a start
     probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
+    #: of a law that is a curve through knots: its parameters are those of the curve, and its hooks are given (E, at, …), for `curve.value`
+    curve: ClassVar[Curve | None] = None
 
     @classmethod
     def hooks(cls) -> dict[str, Callable[..., object]]:

@@ -8,9 +8,11 @@ written from the registry; `source()` shows it.
 from __future__ import annotations
 
 import linecache
+from types import FunctionType
 from typing import Any
 
 from ..compiled import njit
+from . import curve
 from .base import CHAMBERS, HOOKS, SENSORS, Effect
 from .registry import known, starts
 
@@ -22,7 +24,7 @@ _FORM = {
     "creep": ("c", "k, tau = 0.0, 0.0", "k, tau = {call}", "k, tau"),
     "opening": ("c, U", "", "U = {call}", "U"),
     "supply_drop": ("c, dp", "", "dp = {call}", "dp"),
-    "return_gain": ("c, p_own, p_other, load_side", "g = 1.0", "g *= {call}", "g"),
+    "return_gain": ("c, p_own, p_other, load_side, drop", "g = 1.0", "g *= {call}", "g"),
     "supply_pressure": ("pp, q", "", "pp = {call}", "pp"),
     "tank_pressure": ("pt, q", "", "pt = {call}", "pt"),
     "free_gas": (
@@ -33,7 +35,7 @@ _FORM = {
     ),
     "cylinder_force": ("c, v, pa, pb, la, lb", "F = 0.0", "F += {call}", "F"),
     "series_compliance": ("c", "k = 0.0", "k += {call}", "k"),
-    "joint_torque": ("c, omega", "T = 0.0", "T += {call}", "T"),
+    "joint_torque": ("c, omega, angle", "T = 0.0", "T += {call}", "T"),
     "payload_mass": ("t, m", "", "m = {call}", "m"),
     "tip_force": ("t", "F = 0.0", "F += {call}", "F"),
     "gravity": ("gx, gy", "", "gx, gy = {call}", "gx, gy"),
@@ -44,10 +46,16 @@ _FORM = {
 }
 
 
+_value = njit(curve.value, cache=False)
+
+
 def _call(effect: type[Effect], place: str, hook: str, arguments: str) -> str:
     """Return the text of a call of an effect's hook at the place whose number the text `place` gives."""
     start, count = starts()[effect.name], len(effect.parameters)
     at = f" + {count} * ({place})" if place else ""
+    if effect.curve is not None:
+        given = ("E", f"{start}{at}", arguments, HOOKS[hook].more)
+        return f"{effect.name}_{hook}({', '.join(filter(None, given))})"
     parameters = [f"E[{start + i}{at}]" for i in range(count)]
     return f"{effect.name}_{hook}({', '.join([*parameters, *filter(None, [arguments])])})"
 
@@ -72,10 +80,15 @@ def source(hook: str) -> str:
     return "\n".join([*lines, f"    return {result}", ""])
 
 
+def _compiled(function: Any) -> Any:
+    """Return a hook compiled; the value of a curve, where it asks for one, is compiled too."""
+    if function.__globals__.get("value") is curve.value:
+        function = FunctionType(function.__code__, function.__globals__ | {"value": _value}, function.__name__)
+    return njit(function, cache=False)
+
+
 def _compose(hook: str) -> Any:
-    names: dict[str, Any] = {
-        f"{e.name}_{hook}": njit(e.hooks()[hook], cache=False) for e in known() if hook in e.hooks()
-    }
+    names: dict[str, Any] = {f"{e.name}_{hook}": _compiled(e.hooks()[hook]) for e in known() if hook in e.hooks()}
     text, file = source(hook), f"<composed hook {hook}>"
     linecache.cache[file] = (len(text), None, text.splitlines(True), file)  # so that tracebacks show it
     exec(compile(text, file, "exec"), names)

@@ -23,6 +23,7 @@ BUILT_IN = (
     "seal_friction", "pressure_dependent_friction", "joint_coulomb_friction", "joint_viscous_friction",
     "structural_compliance", "payload_change", "payload_swing", "tip_contact_force", "base_tilt", "end_stop",
     "sensor_bias", "sensor_scale", "sensor_lag", "released_air", "stuck_seal", "spool_creep",
+    "learned_opening", "learned_force", "learned_leakage", "learned_flow", "learned_torque", "learned_supply", "learned_return",
 )  # fmt: skip
 #: packages may offer effects of their own under this entry point group
 ENTRY_POINTS = "crane_exudyn.effects"

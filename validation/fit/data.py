@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.errors import CraneError
+from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import NO_SENSOR
 
@@ -69,6 +70,13 @@ class FitData:
             (int(np.floor((a - start) / self.step + 1e-6)), int(np.ceil((b - start) / self.step - 1e-6)))
             for a, b in known
         ]
+
+    @property
+    def parts(self) -> tuple[FitData, ...]:
+        """The recordings: this one."""
+        return (self,)
+
+    own: ClassVar[tuple[str, ...]] = ()
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -142,6 +150,10 @@ class FitData:
         supply = np.column_stack([np.interp(grid, self.time, c) for c in self.supply.T])
         return replace(self, time=grid, step=step, supply=supply, samples=samples)
 
+    def stepped(self, longest: float) -> FitData:
+        """Return the same data on a grid with a step (s) of at most `longest` that suits its sampling."""
+        return self.with_step(grid_step(self.interval, longest))
+
     def part(self, start: int, end: int) -> FitData:
         """Return the stretch of grid points start … end (inclusive)."""
         kept = []
@@ -150,6 +162,62 @@ class FitData:
             kept.append(Samples(s.channel, s.index[inside] - start, s.fraction[inside], s.values[inside], s.noise))
         cut = slice(start, end + 1)
         return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept))
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Several recordings of one machine that are fitted together: start and clocks are each one's own, and what `own` names."""
+
+    parts: tuple[FitData, ...]
+    own: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """All names."""
+        return ", ".join(p.name for p in self.parts)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of what any of them measured."""
+        return tuple(dict.fromkeys(c for p in self.parts for c in p.channels))
+
+    @property
+    def time(self) -> np.ndarray:
+        """From the first to the last instant of any of them, s."""
+        return np.array([min(p.time[0] for p in self.parts), max(p.time[-1] for p in self.parts)])
+
+    def stepped(self, longest: float) -> Joint:
+        """Return the same recordings, each on a grid that suits its sampling."""
+        return replace(self, parts=tuple(p.stepped(longest) for p in self.parts))
+
+
+Data = FitData | Joint
+
+
+def data_of(recordings: Sequence[Recording], crane: Crane, own: Sequence[str] = ()) -> Data:
+    """Return the data of one recording, or of several that are fitted together, of which parameters `own` differ from one to another.
+
+    Raises:
+        CraneError: as `FitData.of`, or one of `own` is no parameter of the crane that is uncertain.
+    """
+    own = known_parameters(crane, own)
+    parts = tuple(FitData.of(r, crane) for r in recordings)
+    return parts[0] if len(parts) == 1 else Joint(parts, own)
+
+
+def known_parameters(crane: Crane, names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of nominal parameters whose uncertainty the crane states.
+
+    Raises:
+        CraneError: one of them is none.
+    """
+    known = [n for n in crane.values if n in crane.uncertainty]
+    for name in names:
+        if name not in known:
+            raise CraneError(
+                f"--per-recording {name!r}: {crane.name} states no uncertainty of it.{nearest(name, known)}"
+            )
+    return tuple(names)
 
 
 def _blind(recording: Recording, start: float, end: float) -> tuple[tuple[float, float], ...]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -23,9 +24,9 @@ from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import Measurement, sensing_slots
 
 from ..semi_recursive import sensitivity
-from .data import ACCURACY, FitData, Samples
+from .data import ACCURACY, Data, FitData, Samples
 from .model import Model, model_of
-from .variables import Variable, lateness, with_variables
+from .variables import Variable, acts, lateness, with_variables
 
 #: size of a jump between two windows that is taken as one standard deviation, by unit; and that of a pendulum's states
 _JUMP: Mapping[str, float] = {"rad": 3e-3, "m": 3e-3, "rad/s": 2e-2, "m/s": 2e-2, "Pa": 1e5}
@@ -53,10 +54,11 @@ def _guess_of(layout: Layout) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of the grid with the samples that lie in it."""
+    """A stretch of the grid with the samples that lie in it, of one of the recordings."""
 
     start: int
     data: FitData
+    recording: int = 0
 
 
 @dataclass
@@ -108,19 +110,20 @@ def robust(squares: float, number: int) -> tuple[float, float]:
     return min(squares, number) + number * float(np.log1p(excess / number)), 1.0 / (1.0 + excess / number)
 
 
-def cut(data: FitData, seconds: float) -> list[Window]:
-    """Return windows of about `seconds` each; none where the commands are unknown."""
+def cut(data: Data, seconds: float) -> list[Window]:
+    """Return windows of about `seconds` each, one recording after the other; none where the commands are unknown."""
     windows = []
-    for first, last in data.stretches:
-        number = max(1, round((last - first) * data.step / seconds))
-        edges = first + np.round(np.linspace(0, last - first, number + 1)).astype(int)
-        windows += [Window(int(a), data.part(int(a), int(b))) for a, b in pairwise(edges)]
+    for i, part in enumerate(data.parts):
+        for first, last in part.stretches:
+            number = max(1, round((last - first) * part.step / seconds))
+            edges = first + np.round(np.linspace(0, last - first, number + 1)).astype(int)
+            windows += [Window(int(a), part.part(int(a), int(b)), i) for a, b in pairwise(edges)]
     return windows
 
 
 def follows(before: Window, after: Window) -> bool:
     """Whether a window begins where another ends; between them commands may be unknown, and then nothing joins them."""
-    return before.start + len(before.data.time) - 1 == after.start
+    return before.recording == after.recording and before.start + len(before.data.time) - 1 == after.start
 
 
 @dataclass(frozen=True)
@@ -136,23 +139,103 @@ class Columns:
     own: np.ndarray  # which columns are answered with a tangent of their own (a pendulum that the base lacks)
 
 
-def columns_of(crane: Crane, variables: Sequence[Variable], u: np.ndarray, base: Model, data: FitData) -> Columns:
+def columns_of(
+    crane: Crane, variables: Sequence[Variable], u: np.ndarray, base: Model, data: FitData, recording: int = 0
+) -> Columns:
     """Return the perturbed vectors of every variable; the step points into the range that the variable may take."""
     moved, sizes = [], []
     for j, variable in enumerate(variables):
+        if not acts(variable, recording):
+            moved.append(base)
+            sizes.append(1.0)
+            continue
         size = variable.difference if u[j] + variable.difference <= variable.upper else -variable.difference
         shifted = u.copy()
         shifted[j] += size
-        moved.append(model_at(crane, variables, shifted, data, base))
+        moved.append(model_at(crane, variables, shifted, data, base, recording))
         sizes.append(size)
     return pack(base, moved, np.array(sizes))
 
 
 def model_at(
-    crane: Crane, variables: Sequence[Variable], u: np.ndarray, data: FitData, near: Model | None = None
+    crane: Crane,
+    variables: Sequence[Variable],
+    u: np.ndarray,
+    data: FitData,
+    near: Model | None = None,
+    recording: int = 0,
 ) -> Model:
-    """Return the model that the values u of the variables describe; `near` as in `model_of`."""
-    return model_of(with_variables(crane, variables, u), data, lateness(variables, u), near)
+    """Return the model of a recording that the values u of the variables describe; `near` as in `model_of`."""
+    crane = with_variables(crane, variables, u, recording)
+    return model_of(crane, data, lateness(variables, u, recording), near)
+
+
+Probes = Callable[[Model, FitData, int], Columns]
+
+
+def linearised(
+    crane: Crane,
+    data: Data,
+    windows: Sequence[Window],
+    knots: np.ndarray,
+    variables: Sequence[Variable],
+    u: np.ndarray,
+    stiffness: float,
+    probes: Probes | None = None,
+) -> tuple[Linear, np.ndarray]:
+    """Return the linearised fit of all recordings, and the knots with as many states as the model has.
+
+    Args:
+        probes: (model, data, number of the recording) -> columns that come behind those of the variables.
+    """  # fmt: skip
+    found = []
+    for i, part in enumerate(data.parts):
+        mine = [k for k, w in enumerate(windows) if w.recording == i]
+        base = model_at(crane, variables, u, part, recording=i)
+        columns = columns_of(crane, variables, u, base, part, i)
+        if probes is not None:
+            columns = join(columns, probes(base, part, i))
+        states = base.nx if probes is None else max(base.nx, knots.shape[1])
+        knots = with_states(knots, states)
+        found.append(normal_equations([windows[k] for k in mine], knots[mine], base, columns, stiffness))
+    return joined(found), knots
+
+
+def with_states(knots: np.ndarray, nx: int) -> np.ndarray:
+    """Return knots with as many states as a model has: a pendulum begins at rest, hanging."""
+    n = min(nx, knots.shape[1])
+    return knots if knots.shape[1] == nx else np.pad(knots[:, :n], ((0, 0), (0, nx - n)))
+
+
+def joined(parts: Sequence[Linear]) -> Linear:
+    """Return the normal equations of several recordings as one: variables in common, knots one recording after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    nx = len(parts[0].jump)
+    squares, counts = Counter[str](), Counter[str]()
+    for p in parts:
+        squares.update(p.squares)  # type: ignore[arg-type]  # adds up floats as well
+        counts.update(p.counts)
+    apart = [row for p in parts for row in (p.Hxo, np.zeros((1, nx, nx)))][:-1]
+    jumps = [row for p in parts for row in (p.jump_cost, np.zeros(1))][:-1]
+    together = {
+        n: np.concatenate([getattr(p, n) for p in parts]) for n in ("Hxx", "Hxu", "gx", "window_error", "window_cost")
+    }
+    return Linear(
+        Hxo=np.concatenate(apart), jump_cost=np.concatenate(jumps), Huu=np.sum([p.Huu for p in parts], axis=0), gu=np.sum([p.gu for p in parts], axis=0),
+        squares=dict(squares), counts=dict(counts), jump=parts[0].jump, weak=parts[0].weak, volume=sum(p.volume for p in parts),
+        failed=any(p.failed for p in parts), **together,
+    )  # fmt: skip
+
+
+def join(a: Columns, b: Columns) -> Columns:
+    """Return the columns of both, one after the other (both around the same base)."""
+    return Columns(
+        np.concatenate([a.P, b.P]), np.concatenate([a.E, b.E]), np.concatenate([a.W, b.W[1:]]),
+        np.concatenate([a.W_index, np.where(b.W_index > 0, b.W_index + len(a.W) - 1, 0)]),
+        np.concatenate([a.size, b.size]), np.concatenate([a.dynamic, b.dynamic]),
+        np.concatenate([a.own, b.own]),
+    )  # fmt: skip
 
 
 def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:

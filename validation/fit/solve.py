@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,10 +14,10 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
-from .data import ACCURACY, FitData
-from .linear import Columns, Linear, Window, columns_of, follows, model_at, normal_equations
+from .data import ACCURACY, Data, FitData, Joint
+from .linear import Linear, Window, follows, linearised, model_at
 from .model import Model
-from .variables import Variable, lateness, with_variables
+from .variables import Variable, acts, alone, lateness, with_variables
 
 #: lowest pressure of a state, Pa: a void of a few per cent of its chamber is remembered as that
 EMPTIEST = -1e8
@@ -57,7 +57,24 @@ class Fit:
     windows: tuple[Window, ...] = field(repr=False)
     linear: Linear = field(repr=False)
     origin: Crane = field(repr=False)
-    data: FitData = field(repr=False)
+    data: Data = field(repr=False)
+
+    def of(self, recording: int) -> Fit:
+        """Return the fit as one of its recordings sees it: its own parameters, clock and knots; errors stay those of all."""
+        if isinstance(self.data, FitData):
+            return self
+        mine = [k for k, w in enumerate(self.windows) if w.recording == recording]
+        kept = [i for i, v in enumerate(self.variables) if acts(v, recording)]
+        return replace(
+            self, crane=with_variables(self.origin, self.variables, self.u, recording), u=self.u[kept],
+            variables=tuple(alone(self.variables[i]) for i in kept), cov=self.cov[np.ix_(kept, kept)], knots=self.knots[mine],
+            windows=tuple(replace(self.windows[k], recording=0) for k in mine), data=self.data.parts[recording],
+        )  # fmt: skip
+
+    def begun(self, origin: Crane, variables: Sequence[Variable], u: np.ndarray) -> Fit:
+        """Return where a fit of a crane by other variables begins: at these knots, with values u, nothing known of their spread yet."""
+        cov = np.full((len(u), len(u)), math.nan)
+        return replace(self, origin=origin, variables=tuple(variables), u=u, cov=cov)
 
     @property
     def late(self) -> float:
@@ -140,7 +157,7 @@ class _Point:
 
 def fit(
     crane: Crane,
-    data: FitData,
+    data: Data,
     windows: Sequence[Window],
     knots: np.ndarray,
     variables: Sequence[Variable] = (),
@@ -157,9 +174,8 @@ def fit(
     lower = np.array([v.lower for v in variables])
     upper = np.array([v.upper for v in variables])
     u = np.clip(np.zeros(len(variables)) if u is None else np.asarray(u, dtype=float), lower, upper)
-    knots = fitting_knots(knots, model_at(crane, variables, u, data))
-    guess = knots.copy()
-    point = _evaluate(crane, data, windows, knots.copy(), variables, u, stiffness)
+    point = _evaluate(crane, data, windows, knots, variables, u, stiffness)
+    guess = point.knots.copy()
     converged = False
     for _ in range(iterations):
         if point.linear.failed:
@@ -183,17 +199,15 @@ def fit(
 
 def _evaluate(
     crane: Crane,
-    data: FitData,
+    data: Data,
     windows: Sequence[Window],
     knots: np.ndarray,
     variables: Sequence[Variable],
     u: np.ndarray,
     stiffness: float,
 ) -> _Point:
-    base = model_at(crane, variables, u, data)
-    columns: Columns = columns_of(crane, variables, u, base, data)
-    linear = normal_equations(windows, fitting_knots(knots, base), base, columns, stiffness)
-    return _Point(u, fitting_knots(knots, base), linear)
+    linear, knots = linearised(crane, data, windows, knots, variables, u, stiffness)
+    return _Point(u, knots, linear)
 
 
 def _reduced(point: _Point, guess: np.ndarray) -> Reduced | None:
@@ -203,16 +217,6 @@ def _reduced(point: _Point, guess: np.ndarray) -> Reduced | None:
     except LinAlgError:
         point.linear.failed = True
         return None
-
-
-def fitting_knots(knots: np.ndarray, base: Model) -> np.ndarray:
-    """Return knots with as many states as the model has: a pendulum begins at rest, hanging."""
-    if knots.shape[1] == base.nx:
-        return knots
-    wide = np.zeros((len(knots), base.nx))
-    n = min(base.nx, knots.shape[1])
-    wide[:, :n] = knots[:, :n]
-    return wide
 
 
 def _widened(guess: np.ndarray, knots: np.ndarray) -> np.ndarray:
@@ -255,7 +259,7 @@ def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffne
 
 def _finish(
     crane: Crane,
-    data: FitData,
+    data: Data,
     variables: Sequence[Variable],
     windows: Sequence[Window],
     point: _Point,
@@ -285,6 +289,10 @@ def covariance(H: np.ndarray) -> np.ndarray:
 
 def reknot(fit: Fit, windows: Sequence[Window]) -> np.ndarray:
     """Return first states (K, nx) of other windows: those of the fit's own, and where they begin within one of these its run's."""
+    if isinstance(fit.data, Joint):
+        each = range(len(fit.data.parts))
+        own = [[replace(w, recording=0) for w in windows if w.recording == i] for i in each]
+        return np.concatenate([reknot(fit.of(i), own[i]) for i in each])
     begins = np.array([w.data.time[0] for w in fit.windows])
     wanted = np.array([w.data.time[0] for w in windows])
     knots = fit.knots[[int(np.argmin(np.abs(begins - t))) for t in wanted]]

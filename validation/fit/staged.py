@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
-from .data import ACCURACY, FitData, grid_step
-from .linear import Window, cut
+from .data import ACCURACY, Data, FitData
+from .linear import Window, cut, with_states
 from .model import Model, model_of
-from .solve import Fit, fit, fitting_knots, reduce, reknot
+from .solve import Fit, fit, reduce, reknot
 from .start import knots_of
 from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
 
@@ -28,6 +28,8 @@ Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 SHORT, LONG = 0.25, 60.0
 #: share of a direction's prior variance that the data must remove for the direction to be kept in a fit
 INFORMED = 0.2
+#: median error of short windows, in noise units, from which on an unknown load is also begun at these shares of its range
+OFF, STARTS = 2.0, (0.15, 0.5, 0.85)
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ START = (Stage(SHORT, 1.0, 3), Stage(SHORT, 100.0, 4, FINE), WHOLE)
 
 def staged(
     crane: Crane,
-    data: FitData,
+    data: Data,
     variables: Sequence[Variable],
     u: np.ndarray,
     before: Fit | np.ndarray,
@@ -60,7 +62,7 @@ def staged(
     """Return the fit after all stages, from variable values u and the knots of an earlier fit (or knots for the first stage)."""
     result: Fit | None = before if isinstance(before, Fit) else None
     for stage in stages:
-        data = data.with_step(grid_step(data.interval, stage.step))
+        data = data.stepped(stage.step)
         windows = cut(data, stage.seconds)
         knots = before if not isinstance(before, Fit) and result is None else reknot(result, windows)  # type: ignore[arg-type]
         result = fit(crane, data, windows, knots, variables, u, stiffness=stage.stiffness, iterations=stage.iterations)  # type: ignore[arg-type]
@@ -69,9 +71,9 @@ def staged(
     return result
 
 
-def first_knots(crane: Crane, data: FitData, seconds: float = SHORT) -> np.ndarray:
+def first_knots(crane: Crane, data: Data, seconds: float = SHORT) -> np.ndarray:
     """Return guessed first states of windows of that length."""
-    return knots_of(crane, data, cut(data, seconds))
+    return np.concatenate([knots_of(crane, part, cut(part, seconds)) for part in data.parts])
 
 
 def informed_directions(result: Fit) -> list[Variable]:
@@ -80,8 +82,8 @@ def informed_directions(result: Fit) -> list[Variable]:
     The others stay at their nominal values: the data could not move them, so they need not be carried along.
     """
     nominal = [v for v in result.variables if isinstance(v, NominalDirection)]
-    gaussian = [i for i, v in enumerate(nominal) if math.isfinite(v.prior)]
-    free = [v for v in nominal if not math.isfinite(v.prior)]
+    gaussian = [i for i, v in enumerate(nominal) if math.isfinite(v.prior) and v.recording is None]
+    free = [v for i, v in enumerate(nominal) if i not in gaussian]
     reduced = reduce(result.linear, result.knots, result.knots)
     others = [i for i in range(len(nominal)) if i not in gaussian]
     H = reduced.H[np.ix_(gaussian, gaussian)]
@@ -122,7 +124,7 @@ def _states(crane: Crane, data: FitData, model: Model, starts: np.ndarray, simul
     X = np.empty((len(data.time), starts.shape[1]))
     if len(starts) < len(data.stretches):
         begins = [Window(first, data.part(first, last)) for first, last in data.stretches[len(starts) :]]
-        starts = np.concatenate([starts, fitting_knots(knots_of(crane, data, begins), model)])
+        starts = np.concatenate([starts, with_states(knots_of(crane, data, begins), model.nx)])
     for x0, (first, last) in zip(starts, data.stretches, strict=False):
         X[first : last + 1] = simulate(x0, data.time[first : last + 1], model.W[first : last + 1])
         X[last + 1 :] = X[last]
@@ -151,22 +153,45 @@ def start_fitted(crane: Crane, data: FitData) -> Fit:
     return staged(crane, data, (), np.zeros(0), first_knots(crane, data), START)
 
 
+def timings(data: Data) -> list[Variable]:
+    """Return the variables for the lateness of each recording's commands."""
+    if isinstance(data, FitData):
+        return [timing_of(data)]
+    return [replace(timing_of(p), name=f"timing {i + 1}", recording=i) for i, p in enumerate(data.parts)]
+
+
 def timing_of(data: FitData) -> Timing:
     """Return the variable for the commands' lateness: about a quarter of a sampling interval, 2 ms at most."""
     return Timing(min(max(0.25 * data.interval, 0.5e-3), 2e-3))
 
 
-def all_parameters(crane: Crane, data: FitData, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
+def _over_the_range(
+    crane: Crane, data: Data, unknown: Sequence[Variable], knots: np.ndarray, stages: Sequence[Stage]
+) -> Fit:
+    """Return the fit of what is openly unknown, from the file's values, and where these are far off from some over the whole range.
+
+    A window that a load leaves unexplained says little about which way to go; so the load is also begun elsewhere.
+    """
+    found = [staged(crane, data, unknown, np.zeros(len(unknown)), knots, stages)]
+    if float(np.median(found[0].linear.window_error)) > OFF:
+        for share in STARTS:
+            u = [0.0 if isinstance(v, Timing) else v.lower + share * (v.upper - v.lower) for v in unknown]
+            found.append(staged(crane, data, unknown, np.array(u), knots, stages))
+    return min(found, key=lambda f: math.inf if f.linear.failed else f.linear.cost)
+
+
+def all_parameters(crane: Crane, data: Data, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
     """Return the fit of all uncertain nominal parameters in windows: first what is unknown, then what is uncertain as well.
 
     A payload of which only a range is known may be far from the file's value; fitted at once with everything else, many other parameters
     would move a little to do its work, from where the fit comes back slowly.
     """
-    variables: list[Variable] = [*uncertain_parameters(crane), timing_of(data)]
+    clocks = timings(data)
+    variables: list[Variable] = [*uncertain_parameters(crane, data.own, len(data.parts)), *clocks]
     unknown = [v for v in variables if isinstance(v, Timing) or not math.isfinite(v.prior)]
     knots = first_knots(crane, data)
-    if len(unknown) in (1, len(variables)):
+    if len(unknown) == len(clocks):
         return staged(crane, data, variables, np.zeros(len(variables)), knots, stages)
-    first = staged(crane, data, unknown, np.zeros(len(unknown)), knots, stages)
+    first = _over_the_range(crane, data, unknown, knots, stages)
     known = {v.name: float(x) for v, x in zip(unknown, first.u, strict=True)}
     return staged(crane, data, variables, np.array([known.get(v.name, 0.0) for v in variables]), first, stages)

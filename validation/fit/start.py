@@ -48,8 +48,7 @@ def _state(
 
 def _complete(crane: Crane, name: str, pressures: list[float | None], rest: np.ndarray, c: int) -> None:
     """Fill in the pressures of cylinder c that are not measured from those of all chambers at rest."""
-    bore, rod = crane[f"cylinders.{name}.bore"], crane[f"cylinders.{name}.rod"]
-    Aa, Ab = np.pi / 4 * bore**2, np.pi / 4 * (bore**2 - rod**2)
+    Aa, Ab = crane.areas(name)
     a, b = 2 * c, 2 * c + 1
     force = rest[a] * Aa - rest[b] * Ab
     pa, pb = pressures[a], pressures[b]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,10 +17,13 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import Parameter
+from crane_exudyn.effects.curve import Table
 from crane_exudyn.layout import Layout
 
 #: scale of a parameter of which only a range is known: this share of the range
 _RANGE_SHARE = 0.15
+#: standard deviation of an effect's parameter before the data, in typical sizes
+PLAUSIBLE = 3.0
 SUPPLY = ("supply.pump_pressure", "supply.tank_pressure")
 #: share of the pump's pressure that the tank's is kept below
 _TANK_SHARE = 0.9
@@ -40,6 +44,7 @@ class NominalDirection:
     lower: float = -math.inf
     upper: float = math.inf
     difference: float = 1e-4
+    recording: int | None = None  # the one that it belongs to, of several; None: all of them
 
     def moved(self, values: dict[str, float], u: float) -> None:
         """Add the move to `values` (SI by name), in place."""
@@ -49,12 +54,18 @@ class NominalDirection:
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """One parameter of an effect at a place. Where the neutral value is infinite, u is typical / value."""
+    """One parameter of an effect at a place. Where the neutral value is infinite, u is typical / value.
+
+    Attributes:
+        stated: the crane file has the effect: u = 0 is the file's value, known to a third like a rough nominal parameter.
+    """
 
     key: str
     parameter: Parameter
     start: float
     difference: float = 1e-4
+    stated: bool = False
+    recording: ClassVar[None] = None
 
     @property
     def name(self) -> str:
@@ -63,8 +74,10 @@ class EffectParameter:
 
     @property
     def prior(self) -> float:
-        """No Gaussian prior; the range is in the bounds."""
-        return math.inf
+        """Standard deviation of u: what needs many times the size that is met in practice explains nothing; none for what only shapes a law."""
+        if self._about_start:
+            return 1.0
+        return math.inf if self.parameter.shape or self.stated else PLAUSIBLE
 
     @property
     def inverse(self) -> bool:
@@ -74,10 +87,16 @@ class EffectParameter:
     @property
     def scale(self) -> float:
         """Size of the value at which u has moved by one."""
-        return abs(self.parameter.typical - self._origin)
+        return abs(self.start) / 3.0 if self._about_start else abs(self.parameter.typical - self._origin)
+
+    @property
+    def _about_start(self) -> bool:
+        return self.stated and not self.inverse and self.start != 0.0
 
     @property
     def _origin(self) -> float:
+        if self._about_start:
+            return self.start
         return 0.0 if self.inverse or self.parameter.shape else self.parameter.neutral
 
     def to_u(self, value: float) -> float:
@@ -105,7 +124,41 @@ class EffectParameter:
     @property
     def neutral(self) -> float:
         """u at which the effect is off."""
-        return 0.0
+        return self.to_u(self.parameter.neutral) if self._about_start else 0.0
+
+    @property
+    def begin(self) -> float:
+        """u of the starting value."""
+        return self.to_u(self.start)
+
+
+@dataclass(frozen=True)
+class CurveDirection:
+    """A joint move of the values of a curve (`Effect.curve`): value k moves by weights[k] (SI) per unit of u, whose prior deviation is 1.
+
+    `start` are the effect's parameters at u = 0.
+    """
+
+    key: str
+    number: int
+    start: Mapping[str, float]
+    weights: Mapping[str, float]
+    prior: float = 1.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    difference: float = 1e-3
+    begin: float = 0.0
+    recording: ClassVar[None] = None
+
+    @property
+    def name(self) -> str:
+        """ "name@place:curve number"."""
+        return f"{self.key}:curve {self.number}"
+
+    def moved(self, values: dict[str, float], u: float) -> None:
+        """Add the move to the effect's parameters, in place."""
+        for name, weight in self.weights.items():
+            values[name] += weight * u
 
 
 @dataclass(frozen=True)
@@ -122,14 +175,27 @@ class Timing:
     lower: float = -3.0
     upper: float = 3.0
     difference: float = 0.5
+    recording: int | None = None
 
 
-Variable = NominalDirection | EffectParameter | Timing
+EffectVariable = EffectParameter | CurveDirection
+Variable = NominalDirection | EffectVariable | Timing
 
 
-def lateness(variables: Sequence[Variable], u: np.ndarray) -> float:
-    """Return by how many seconds the variables shift the commands."""
-    return sum(v.scale * float(x) for v, x in zip(variables, u, strict=True) if isinstance(v, Timing))
+def acts(variable: Variable, recording: int | None) -> bool:
+    """Whether a variable belongs to one of several recordings (None: to what they share)."""
+    return variable.recording in (None, recording)
+
+
+def alone(variable: Variable) -> Variable:
+    """Return the variable as one of the only recording that there is."""
+    return replace(variable, recording=None) if isinstance(variable, NominalDirection | Timing) else variable
+
+
+def lateness(variables: Sequence[Variable], u: np.ndarray, recording: int | None = None) -> float:
+    """Return by how many seconds the variables shift the commands of a recording."""
+    pairs = zip(variables, u, strict=True)
+    return sum(v.scale * float(x) for v, x in pairs if isinstance(v, Timing) and acts(v, recording))
 
 
 def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
@@ -140,9 +206,20 @@ def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
     return replace(parameter, unit=unit_at(parameter.unit, place, layout), typical=parameter.neutral + telling)
 
 
-def effect_variables(key: str, start: Mapping[str, float], layout: Layout) -> list[EffectParameter]:
-    """Return the variables of the effect "name@place" of a machine with starting values (SI); others start neutral."""
+def stated_effects(crane: Crane) -> list[EffectVariable]:
+    """Return the variables of the effects that a crane file has, held near its values (those of curves have a prior of their own)."""
+    found = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
+    return [replace(v, stated=True) if isinstance(v, EffectParameter) else v for v in found]
+
+
+def effect_variables(key: str, start: Mapping[str, float], layout: Layout) -> list[EffectVariable]:
+    """Return the variables of the effect "name@place" of a machine with starting values (SI); others start neutral.
+
+    Those of a curve are joint moves of its values, smooth ones more than others.
+    """
     effect, place = registry.split_key(key, layout)
+    if effect.curve is not None:
+        return list(curve_variables(key, start, prior_root(effect.curve.table(start))))
     parameters = [at_place(p, place, layout) for p in effect.parameters]
     return [
         EffectParameter(key, p, float(start.get(p.name, p.neutral)), _MOMENT / abs(p.typical) if is_moment(p) else 1e-4)
@@ -150,18 +227,52 @@ def effect_variables(key: str, start: Mapping[str, float], layout: Layout) -> li
     ]
 
 
+def curve_variables(key: str, start: Mapping[str, float], root: np.ndarray) -> list[CurveDirection]:
+    """Return the variables of a curve: column k of `root` (knots, m) is what variable k moves, SI."""
+    return [
+        CurveDirection(key, k, dict(start), {f"y{i + 1}": float(w) for i, w in enumerate(column)})
+        for k, column in enumerate(root.T)
+    ]
+
+
+def prior_root(table: Table, size: float | None = None, length: float = 0.2) -> np.ndarray:
+    """Return B (knots, m) of a curve's prior y = neutral + B u, u standard normal: a line and a smooth departure from it (Matérn 5/2).
+
+    Args:
+        table: knots; a curve that begins in (0, 0) keeps that.
+        size: standard deviation (SI) of either; by default the greatest departure of the curve from the neutral one.
+        length: over which share of the range the departure changes; infinite for the line alone.
+    """
+    x = np.array(table.x)
+    departure = np.abs(np.array(table.y) - [table.over.neutral(v) for v in x]).max()
+    size = size or max(float(departure), abs(table.over.size))
+    t = (x - x[0]) / (x[-1] - x[0])
+    K = np.outer(t, t) if table.over.from_zero else 0.5 * (1.0 + np.outer(2.0 * t - 1.0, 2.0 * t - 1.0))
+    if math.isfinite(length):
+        r = math.sqrt(5.0) * np.abs(np.subtract.outer(t, t)) / length
+        smooth = (1.0 + r + r * r / 3.0) * np.exp(-r)
+        K = K + (smooth - np.outer(smooth[:, 0], smooth[0]) if table.over.from_zero else smooth)
+    values, vectors = np.linalg.eigh(K)
+    kept = values > 1e-9 * values[-1]
+    return size * vectors[:, kept] * np.sqrt(values[kept])
+
+
 def is_moment(parameter: Parameter) -> bool:
     """Whether a parameter is the time of an event, counted from the start of the recording."""
     return parameter.shape and parameter.unit == "s"
 
 
-def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray) -> Crane:
-    """Return the crane that the values u (one each variable) describe."""
+def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray, recording: int | None = None) -> Crane:
+    """Return the crane that the values u (one each variable) describe, as it was in a recording (None: what all share)."""
     values = dict(crane.values)
     effects: dict[str, dict[str, float]] = {}
     for variable, number in zip(variables, u, strict=True):
+        if not acts(variable, recording):
+            continue
         if isinstance(variable, NominalDirection):
             variable.moved(values, float(number))
+        elif isinstance(variable, CurveDirection):
+            variable.moved(effects.setdefault(variable.key, dict(variable.start)), float(number))
         elif isinstance(variable, EffectParameter):
             effects.setdefault(variable.key, {})[variable.parameter.name] = variable.to_value(float(number))
     changed = crane.with_parameters(physical(crane, values))
@@ -190,8 +301,8 @@ def physical(crane: Crane, values: Mapping[str, float]) -> dict[str, float]:
     return kept
 
 
-def uncertain_parameters(crane: Crane) -> list[NominalDirection]:
-    """Return one variable a nominal parameter that is not exactly known, in the order of P."""
+def uncertain_parameters(crane: Crane, own: Sequence[str] = (), recordings: int = 1) -> list[NominalDirection]:
+    """Return one variable a nominal parameter that is not exactly known, in the order of P; of `own`, one a recording."""
     found = []
     for name in (n for n in crane.values if n in crane.uncertainty):
         known, value = crane.uncertainty[name], crane.values[name]
@@ -201,7 +312,12 @@ def uncertain_parameters(crane: Crane) -> list[NominalDirection]:
             scale = _RANGE_SHARE * (known.upper - known.lower)
             low, high = (known.lower - value) / scale, (known.upper - value) / scale
             found.append(NominalDirection(name, {name: scale}, math.inf, low, high))
-    return found
+    if recordings == 1:
+        return found
+    each = [
+        replace(v, name=f"{v.name} {i + 1}", recording=i) for v in found if v.name in own for i in range(recordings)
+    ]
+    return [*(v for v in found if v.name not in own), *each]
 
 
 def principal(directions: Sequence[NominalDirection], basis: np.ndarray) -> list[NominalDirection]:

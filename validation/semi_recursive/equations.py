@@ -680,7 +680,7 @@ def tank_edge(c, pt, P, E, s):
     k, i = first_cylinder(s) + c, VALVE + N_VALVE * c
     u, pa, pb = s.numbers[k, OPENING], s.numbers[k, OIL_A + PRESSURE], s.numbers[k, OIL_B + PRESSURE]
     own, other, edge, side = (pb, pa, P[i + B_TO_TANK], 1) if u > 0.0 else (pa, pb, P[i + A_TO_TANK], 0)
-    gain = hooks.return_gain(E, c, own, other, 1.0 if s.topology[k, LOADED] == side else 0.0)
+    gain = hooks.return_gain(E, c, own, other, 1.0 if s.topology[k, LOADED] == side else 0.0, own - pt)
     return gain * P[i] * edge * abs(u) * root_flow(own - pt, P[LAMINAR])
 
 
@@ -959,7 +959,7 @@ def add_joint_forces(x, w, t, E, s):
         force = complex(disturbance(w, n, s), hooks.tip_force(E, t) + disturbance(w, n + 1, s))
     for i in range(n):
         by = complex(s.numbers[tip, BY + i], s.numbers[tip + 1, BY + i])
-        s.general[JOINTS, i] = dot(by, force) + hooks.joint_torque(E, i, x[n + i]) + disturbance(w, i, s)
+        s.general[JOINTS, i] = dot(by, force) + hooks.joint_torque(E, i, x[n + i], x[i]) + disturbance(w, i, s)
 
 
 @njit

@@ -13,7 +13,7 @@ from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import SENSORS, Effect, Parameter
 from crane_exudyn.layout import Layout
 
-from ..fit.data import FitData
+from ..fit.data import Data
 from ..fit.variables import at_place, is_moment
 
 #: seconds between the moments at which an effect with a time of its own is tried
@@ -31,18 +31,30 @@ class Start:
     two_sided: bool = False
 
 
-def starts(crane: Crane, data: FitData, *, moments: float = _MOMENTS) -> list[Start]:
+def starts(crane: Crane, data: Data, *, moments: float = _MOMENTS) -> list[Start]:
     """Return the starts of every effect at every place that the recording could show and the crane does not have yet."""
     found, lay = [], crane.layout
     for effect in registry.known():
+        if _is_measured(effect, data):
+            continue
         for key, place in zip(effect.keys(lay), effect.on(lay), strict=True):
-            if crane.effect(key) is None and _can_show(effect, place, data, lay):
+            if effect.curve is None and crane.effect(key) is None and _can_show(effect, place, data, lay):
                 first = at_place(effect.parameters[0], place, lay)
                 found += [Start(key, values, _two_sided(effect)) for values in _values(effect, first, data, moments)]
     return found
 
 
-def _can_show(effect: type[Effect], place: str, data: FitData, layout: Layout) -> bool:
+def _is_measured(effect: type[Effect], data: Data) -> bool:
+    """Whether an effect acts on nothing but a supply pressure that every recording tells: what the pump or the tank line does is in it already."""
+    known = {
+        hook
+        for k, hook in enumerate(("supply_pressure", "tank_pressure"))
+        if all(not np.isnan(p.supply[:, k]).any() for p in data.parts)
+    }
+    return bool(effect.hooks()) and set(effect.hooks()) <= known
+
+
+def _can_show(effect: type[Effect], place: str, data: Data, layout: Layout) -> bool:
     """Whether a sensor's effect stands at a sensor that was recorded; other effects always may show."""
     if effect.places != SENSORS or not set(effect.hooks()) <= {"measurement", "lag"}:
         return True
@@ -54,7 +66,7 @@ def _two_sided(effect: type[Effect]) -> bool:
     return math.isfinite(first.neutral) and first.lower < first.neutral
 
 
-def _values(effect: type[Effect], first: Parameter, data: FitData, moments: float) -> list[dict[str, float]]:
+def _values(effect: type[Effect], first: Parameter, data: Data, moments: float) -> list[dict[str, float]]:
     """Return the values to begin from; `first` is the effect's first parameter at its place."""
     if effect.probes:
         return [dict(p) for p in effect.probes]

@@ -15,11 +15,11 @@ from crane_exudyn.vetting import vetted
 
 from ..fit.data import FitData
 from ..fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions
-from ..fit.variables import Variable, effect_variables
+from ..fit.variables import stated_effects
 from ..history import added
-from .candidates import scaled, starts
+from .model import Model, at_bound, fitted, open_loop_error
+from .moves import scaled, starts
 from .screen import screen
-from .weigh import Hypothesis, at_bound, deviations, fitted_values, open_loop_error, weigh
 
 
 def helped(document: Mapping[str, Any]) -> bool:
@@ -35,7 +35,8 @@ def fitted_effect(
     Raises:
         CraneError: no such effect, the crane has it already, or the recording cannot be true.
     """
-    registry.split_key(key, crane.layout)
+    if registry.split_key(key, crane.layout)[0].curve is not None:
+        raise CraneError(f"{key!r} is a curve, which has no typical size to be fitted from. Find it with `patu learn`.")
     if crane.effect(key) is not None:
         raise CraneError(
             f"{crane.name} has {key!r} already. Remove it first, or fit everything anew with `patu improve`."
@@ -43,23 +44,22 @@ def fitted_effect(
     recording = vetted(recording, crane)
     data = FitData.of(recording, crane)
     base = all_parameters(crane, data)
-    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
-    shared = [*informed_directions(base), *own]
+    shared = (*informed_directions(base), *stated_effects(crane))
     begins = [
         scaled(s.start, s.amplitude) for s in screen(base, [s for s in starts(crane, data) if s.key == key], 1.0)[:2]
     ]
     begins = [dict(values)] if values else begins
-    loose = [weigh(crane, data, shared, base, Hypothesis({key: b}), (LOOSE,)) for b in begins]
+    loose = [fitted(crane, data, Model(shared, {key: b}), base, (LOOSE,)) for b in begins]
     if not loose:
         raise CraneError(f"{recording.name} says nothing about {key!r}: no channel shows it.")
     best = max(loose, key=lambda w: w.evidence)
-    done = weigh(crane, data, shared, best.fit, best.hypothesis, (TIGHT, STIFF))
+    done = fitted(crane, data, best.model, best.fit, (TIGHT, STIFF))
     before, _ = open_loop_error(crane, recording)
     after, _ = open_loop_error(done.fit.crane, recording)
-    found, spread = fitted_values(done, key), deviations(done, key)
+    found, spread = done.values(key), done.deviations(key)
     document = {
         "parameters": {n: {"value": v, "std": spread.get(n)} for n, v in found.items()},
-        "evidence": done.evidence, "error_before": before, "error_after": after, "at_bound": at_bound(done, key),
+        "evidence": done.evidence, "error_before": before, "error_after": after, "at_bound": at_bound(done.fit, key),
     }  # fmt: skip
     evidence = {"recording": recording.name, "evidence": done.evidence, "error_before": before, "error_after": after}
     return added(crane, done.fit.crane, **evidence), document

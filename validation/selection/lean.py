@@ -13,43 +13,42 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 
-from ..fit.data import FitData
-from ..fit.linear import columns_of, model_at, normal_equations
+from ..fit.data import Data
+from ..fit.linear import linearised
 from ..fit.solve import Fit, reduce, with_prior
-from ..fit.staged import STIFF, timing_of
-from ..fit.variables import Variable, effect_variables, uncertain_parameters
-from .weigh import Weighed, weigh
+from ..fit.staged import STIFF, timings
+from ..fit.variables import Variable, stated_effects, uncertain_parameters
+from .model import Fitted, Model, fitted
 
-#: log evidence that a parameter must bring to be let go, and at most so many of them
-_WORTH, _MOST = 2.0, 10
+#: log evidence that a parameter must bring to be let go, and at most so many of them at first, and once more
+_WORTH, _MOST, _MORE = 2.0, 10, 4
 
 
-def leaner(crane: Crane, data: FitData, full: Weighed) -> Weighed:
+def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
     """Return the explanation with the fewest moved parameters, or `full` where moving everything is better supported."""
-    own: list[Variable] = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
-    held: list[Variable] = [timing_of(data), *own]
-    bare = weigh(crane, data, held, full.fit, full.hypothesis, (STIFF,))
-    tried = [full, bare]
-    let_go = needed(crane, bare.fit)
-    if let_go:
-        tried.append(weigh(crane, data, [*held, *let_go], full.fit, full.hypothesis, (STIFF,)))
-        more = needed(crane, tried[-1].fit, most=4)
-        if more:
-            again = [*held, *let_go, *more]
-            tried.append(weigh(crane, data, again, tried[-1].fit, full.hypothesis, (STIFF,)))
+    held: list[Variable] = [*timings(data), *stated_effects(crane)]
+    tried = [full, _with(crane, data, full, full.fit, held)]
+    for most in (_MOST, _MORE):
+        let_go = needed(crane, tried[-1].fit, most)
+        if not let_go:
+            break
+        held = [*held, *let_go]
+        tried.append(_with(crane, data, full, tried[-1].fit if most == _MORE else full.fit, held))
     return max(tried, key=lambda w: w.evidence)
+
+
+def _with(crane: Crane, data: Data, full: Fitted, before: Fit, variables: Sequence[Variable]) -> Fitted:
+    return fitted(crane, data, Model(tuple(variables), full.model.effects), before, (STIFF,))
 
 
 def needed(crane: Crane, fit: Fit, most: int = _MOST) -> list[Variable]:
     """Return the nominal parameters whose freedom the linearised fit supports, the most telling first."""
     names = {v.name for v in fit.variables}
-    offered: list[Variable] = [v for v in uncertain_parameters(crane) if v.name not in names]
+    every = uncertain_parameters(crane, fit.data.own, len(fit.data.parts))
+    offered: list[Variable] = [v for v in every if v.name not in names]
     variables = [*fit.variables, *offered]
     u = np.concatenate([fit.u, np.zeros(len(offered))])
-    base = model_at(crane, variables, u, fit.data)
-    linear = normal_equations(
-        fit.windows, fit.knots, base, columns_of(crane, variables, u, base, fit.data), STIFF.stiffness
-    )
+    linear, _ = linearised(crane, fit.data, fit.windows, fit.knots, variables, u, STIFF.stiffness)
     if linear.failed:
         return []
     H, g = with_prior(reduce(linear, fit.knots, fit.knots), variables, u)

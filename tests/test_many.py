@@ -10,22 +10,13 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.effects.base import Parameter
 from crane_exudyn.inputs import SpoolPath
-from validation.fit.variables import EffectParameter, uncertain_parameters
-from validation.improvement import _predicts_better
+from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_parameters
+from validation.improvement import explained
+from validation.selection.criteria import CRITERIA
+from validation.selection.levels import Levels, falls, independent, likelihood
+from validation.selection.many import Many, Taken, _believable, search_many
+from validation.selection.search import Problem
 from validation.semi_recursive.engine import SemiRecursiveEngine
-from validation.stepwise import (
-    PLAUSIBLE,
-    Found,
-    Grown,
-    Plausible,
-    Stated,
-    _believable,
-    _likelihoods,
-    explained,
-    falls,
-    grow,
-    independent,
-)
 
 NOISE = {"z1": 1e-3, "z4": 1e-3, "p1": 3e4, "p2": 2e4, "p3": 2e4, "p4": 2e4}
 #: few parameters are uncertain here, so that the fits are short
@@ -73,30 +64,36 @@ def test_independent_samples_of_white_correlated_and_drifting_errors():
 
 
 def test_an_error_below_the_sensors_noise_counts_no_further():
-    noise, ranges = {"z1": 1.0, "p1": 1.0}, {"z1": 100.0, "p1": 100.0}
-    before = {"z1": 0.1, "p1": 0.02}
-    assert falls(before, {"z1": 0.05, "p1": 0.02}, noise, ranges) == pytest.approx(0.5 * math.log(2.0))
-    assert falls({"z1": 0.01, "p1": 0.02}, {"z1": 0.001, "p1": 0.02}, noise, ranges) == 0.0
+    before = {"z1": 10.0, "p1": 2.0}
+    assert falls(before, {"z1": 5.0, "p1": 2.0}) == pytest.approx(0.5 * math.log(2.0))
+    assert falls({"z1": 1.0, "p1": 2.0}, {"z1": 0.1, "p1": 2.0}) == 0.0
 
 
 def test_priors_hold_an_effect_near_what_the_file_says_or_near_what_is_met_in_practice():
     band = Parameter("upper", "", 0.0, 0.0, 0.8, 0.05, "width")
-    stated, free = Stated("dead_band@lift", band, 0.2), Plausible("dead_band@lift", band, 0.0)
+    stated, free = (
+        EffectParameter("dead_band@lift", band, 0.2, stated=True),
+        EffectParameter("dead_band@lift", band, 0.0),
+    )
     assert (stated.to_u(0.2), stated.to_value(1.0), stated.prior) == (0.0, pytest.approx(0.2 * 4 / 3), 1.0)
     assert (free.to_u(0.05), free.prior) == (1.0, PLAUSIBLE)
-    assert free.to_value(free.to_u(0.3)) == pytest.approx(EffectParameter("dead_band@lift", band, 0.0).to_value(6.0))
+    assert free.to_value(free.to_u(0.3)) == pytest.approx(0.3)
+
+
+def many(crane: Crane, recording: Recording, most: int) -> Many | None:
+    return search_many(Problem.of(crane, [recording], (), 1), most)
 
 
 def test_real_sensors_alone_ask_for_no_effect(crane):
-    assert grow(crane, recorded(crane), most=1) is None
+    assert many(crane, recorded(crane), most=1) is None
 
 
 def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monkeypatch):
-    monkeypatch.setattr("validation.stepwise.TRIED", 4)  # half of the time
+    monkeypatch.setattr("validation.selection.many.CRITERIA", replace(CRITERIA, tried=4))  # half of the time
     truth = crane.with_effect("pressure_compensation@lift", {"dpc": 7e5}).with_effect(
         "seal_friction@lift", {"dFc": 5000.0, "dFs": 5000.0, "vs": 5e-3}
     )
-    found = grow(crane, recorded(truth), most=2)
+    found = many(crane, recorded(truth), most=2)
     assert found is not None
     assert "pressure_compensation@lift" in found.needed
     assert any("friction" in key for key in found.needed)
@@ -108,25 +105,25 @@ def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monke
     assert any(t.startswith("Left, in %") for t in texts)
 
 
-def grown(crane: Crane, predicted: float) -> Grown:
-    """Return a growth by one effect that leaves that error where the model before leaves 0.2 of the range."""
+def grown(crane: Crane, predicted: float) -> Many:
+    """Return a search that took in one effect and leaves that error where the model before leaves 20 times the noise; the range is 100."""
     with_effect = crane.with_effect("dead_band@lift", {"upper": 0.1})
     errors = {"p1": predicted}
-    return Grown(
-        with_effect, (Found("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}, errors, errors),),
-        {"p1": 0.3}, errors, {"dead_band@lift": 40.0}, {"dead_band@lift": {"p1": 0.25}}, {"p1": 0.2}, errors,
+    return Many(
+        with_effect, (Taken("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}),), {"p1": 30.0}, errors,
+        {"dead_band@lift": 40.0}, {"dead_band@lift": {"p1": 25.0}}, {"p1": 20.0}, errors,
         {"dead_band@lift:upper": 0.01, "fluid.oil_bulk_modulus": 5e6}, {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},
-        {"fluid.oil_bulk_modulus": 3.6, "payload.mass": 0.4},
+        {"fluid.oil_bulk_modulus": 3.6, "payload.mass": 0.4}, {"p1": 100.0},
     )  # fmt: skip
 
 
 def test_effects_are_kept_only_if_what_was_not_fitted_is_predicted_better_by_a_tenth(crane):
-    assert _predicts_better(grown(crane, 0.17))
-    assert not _predicts_better(grown(crane, 0.19))
+    assert grown(crane, 17.0).predicts_better
+    assert not grown(crane, 19.0).predicts_better
 
 
 def test_plain_words_say_what_is_demanded_what_is_not_separated_and_what_is_left(crane):
-    text = "\n".join(explained(grown(crane, 0.05)))
+    text = "\n".join(explained(grown(crane, 5.0)))
     assert "Demanded: dead_band@lift" in text
     assert "upper = 0.1 ± 0.01" in text
     assert "p1 25 -> 5 %" in text
@@ -150,13 +147,14 @@ def test_the_last_fit_keeps_parameters_within_what_can_be_believed():
 
 def test_a_channel_that_is_given_up_costs_more_than_it_saves_elsewhere(monkeypatch):
     def fitted(levels: dict[str, float], prior_cost: float = 0.0) -> SimpleNamespace:
-        samples = [SimpleNamespace(channel=c, values=np.zeros(1600)) for c in levels]
-        return SimpleNamespace(levels=levels, data=SimpleNamespace(samples=samples), prior_cost=prior_cost)
+        return SimpleNamespace(levels=levels, prior_cost=prior_cost)
 
-    monkeypatch.setattr("validation.stepwise.levels_of", lambda found, *_, **__: (found.levels, 4.0))
-    noise = {"p1": 1.0, "p2": 1.0}
+    monkeypatch.setattr("validation.selection.levels.levels_of", lambda found, *_, **__: Levels(found.levels, 4.0))
+    monkeypatch.setattr(
+        "validation.selection.levels.window_errors", lambda found, _: {c: [np.zeros(1600)] for c in found.levels}
+    )
     even, uneven = fitted({"p1": 3.0, "p2": 3.0}), fitted({"p1": 2.5, "p2": 12.0})
     strained = fitted({"p1": 3.0, "p2": 3.0}, prior_cost=1e3)
-    likelihood = _likelihoods((even, uneven, strained), noise)
-    assert likelihood[0] > likelihood[1] > likelihood[2]
-    assert likelihood[0] - likelihood[1] == pytest.approx(100.0 * math.log(2.5 * 12.0 / 9.0))
+    found = [likelihood(f, None) for f in (even, uneven, strained)]
+    assert found[0] > found[1] > found[2]
+    assert found[0] - found[1] == pytest.approx(100.0 * math.log(2.5 * 12.0 / 9.0))

@@ -12,10 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..fit.linear import Columns, columns_of, model_at, normal_equations, pack
-from ..fit.model import model_of
-from ..fit.solve import Fit, reduce, with_prior
-from .candidates import Start
+from ..fit.data import FitData
+from ..fit.linear import Columns, linearised, pack
+from ..fit.model import Model, model_of
+from ..fit.solve import Fit, Reduced, reduce, with_prior
+from .criteria import CRITERIA
+from .moves import Start, around, starts
 
 #: amplitudes are sought between these, in units of the start's own values
 _SMALLEST, _LARGEST = 0.02, 20.0
@@ -32,47 +34,52 @@ class Score:
 
 def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     """Return the score of every start at a fit, best first; a start that changes nothing scores 0."""
-    base = model_of(fit.crane, fit.data, fit.late)
-    usable, models = [], []
-    for start in starts:
-        model = model_of(fit.crane.with_effect(start.key, start.values), fit.data, fit.late)
-        usable.append(start)
-        models.append(model)
-    own = columns_of_fit(fit)
-    probes = pack(base, models, np.ones(len(models)))
     room = len(fit.crane.layout.all_states) - fit.knots.shape[1]  # for a pendulum
+
+    def probes(base: Model, data: FitData, recording: int) -> Columns:
+        models = [model_of(base.crane.with_effect(s.key, s.values), data, base.late) for s in starts]
+        return pack(base, models, np.ones(len(models)))
+
     knots = np.pad(fit.knots, ((0, 0), (0, room)))
-    linear = normal_equations(fit.windows, knots, base, join(own, probes), stiffness)
+    linear, knots = linearised(fit.origin, fit.data, fit.windows, knots, fit.variables, fit.u, stiffness, probes)
     if linear.failed:
-        return [Score(s, 0.0, 1.0) for s in usable]
+        return [Score(s, 0.0, 1.0) for s in starts]
     reduced = reduce(linear, knots, knots)
     m = len(fit.u)
     H, g = reduced.H, reduced.g
     H[:m, :m], g[:m] = with_prior_block(fit, H[:m, :m], g[:m])
-    return sorted(_scores(usable, H, g, m), key=lambda s: -s.gain)
+    return sorted(_scores(starts, H, g, m), key=lambda s: -s.gain)
 
 
-def columns_of_fit(fit: Fit) -> Columns:
-    """Return the columns of the fit's own variables around its values."""
-    base = model_at(fit.origin, fit.variables, fit.u, fit.data)
-    return columns_of(fit.origin, fit.variables, fit.u, base, fit.data)
+def screened(fit: Fit, stiffness: float) -> list[Score]:
+    """Return the screen of all starts at a fit, best first; what happens at a moment is looked at more closely around the best one.
+
+    A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins.
+    """
+    found = screen(fit, starts(fit.crane, fit.data), stiffness)
+    best: dict[str, Score] = {}
+    for score in found:
+        if score.gain >= CRITERIA.promise:
+            best.setdefault(score.start.key, score)
+    closer = [start for score in best.values() for start in around(score.start)]
+    return sorted([*found, *screen(fit, closer, stiffness)], key=lambda s: -s.gain) if closer else found
+
+
+def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
+    """Return the best scores: at most two starts of one effect at one place, and none that promises less than `least`, or next to nothing."""
+    chosen: list[Score] = []
+    for score in scores:
+        hopeless = len(chosen) >= 3 and score.gain < CRITERIA.hopeless * scores[0].gain
+        if score.gain < least or len(chosen) == most or hopeless:
+            break
+        if sum(c.start.key == score.start.key for c in chosen) < (2 if score.gain > 0.5 * scores[0].gain else 1):
+            chosen.append(score)
+    return chosen
 
 
 def with_prior_block(fit: Fit, H: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return Hessian and gradient of the fit's own variables with their priors."""
-    from ..fit.solve import Reduced
-
     return with_prior(Reduced(H, g, np.empty(0), np.empty(0)), fit.variables, fit.u)
-
-
-def join(a: Columns, b: Columns) -> Columns:
-    """Return the columns of both, one after the other (both around the same base)."""
-    return Columns(
-        np.concatenate([a.P, b.P]), np.concatenate([a.E, b.E]), np.concatenate([a.W, b.W[1:]]),
-        np.concatenate([a.W_index, np.where(b.W_index > 0, b.W_index + len(a.W) - 1, 0)]),
-        np.concatenate([a.size, b.size]), np.concatenate([a.dynamic, b.dynamic]),
-        np.concatenate([a.own, b.own]),
-    )  # fmt: skip
 
 
 def _scores(starts: Sequence[Start], H: np.ndarray, g: np.ndarray, m: int) -> list[Score]:

@@ -1,0 +1,37 @@
+"""A valve whose opening is a measured curve."""
+
+from .base import CYLINDERS, Effect
+from .curve import Argument, Curve, value
+
+
+class LearnedOpening(Effect):
+    """The opening is a curve over the spool's position, or the flow through both open edges a factor over their pressure drop.
+
+    Signature: speed differs from the expected by a share that depends on the command alone, or on the load alone.
+    """
+
+    name = "learned_opening"
+    places = CYLINDERS
+    curve = Curve(
+        "",
+        (
+            Argument("spool", "", -1.0, 1.0, 0.05, slope=1.0),
+            Argument("pressure_drop", "Pa", 0.0, 100e5, 0.1, level=1.0),
+        ),
+    )
+    parameters = curve.parameters()
+
+    @staticmethod
+    def opening(E, at, U):
+        return value(E, at, U, 1.0) if E[at] > 0.0 and E[at + 1] == 0.0 else U
+
+    @staticmethod
+    def supply_drop(E, at, dp):
+        if E[at] == 0.0 or E[at + 1] == 0.0:
+            return dp
+        factor = value(E, at, dp, 0.0)
+        return factor * abs(factor) * dp  # the flow grows with its root
+
+    @staticmethod
+    def return_gain(E, at, p_own, p_other, load_side, drop):
+        return value(E, at, drop, 0.0) if E[at] > 0.0 and E[at + 1] > 0.0 else 1.0

@@ -1,0 +1,19 @@
+"""A return line that dams up by a measured curve."""
+
+from .base import Effect
+from .curve import Argument, Curve, value
+
+
+class LearnedReturn(Effect):
+    """Tank pressure pt + a curve over the flow returned to tank by all valves.
+
+    Signature: the chamber that drains stands higher while oil flows, for either cylinder's motion, but not in proportion to the flow.
+    """
+
+    name = "learned_return"
+    curve = Curve("Pa", (Argument("flow", "m^3/s", 0.0, 1e-3, 5e5, from_zero=True, magnitude=True),))
+    parameters = curve.parameters()
+
+    @staticmethod
+    def tank_pressure(E, at, pt, q):
+        return pt + value(E, at, q, 0.0) if E[at] > 0.0 and q > 0.0 else pt

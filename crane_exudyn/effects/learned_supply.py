@@ -1,0 +1,19 @@
+"""A pump whose pressure gives way by a measured curve."""
+
+from .base import Effect
+from .curve import Argument, Curve, value
+
+
+class LearnedSupply(Effect):
+    """Supply pressure pp - a curve over the flow drawn from the pump by all valves.
+
+    Signature: motions against a load slow down with the flow, all cylinders alike, but not in proportion.
+    """
+
+    name = "learned_supply"
+    curve = Curve("Pa", (Argument("flow", "m^3/s", 0.0, 1e-3, 10e5, from_zero=True, magnitude=True),))
+    parameters = curve.parameters()
+
+    @staticmethod
+    def supply_pressure(E, at, pp, q):
+        return pp - value(E, at, q, 0.0) if E[at] > 0.0 and q > 0.0 else pp

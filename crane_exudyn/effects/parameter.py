@@ -1,0 +1,29 @@
+"""One parameter of an effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.
+
+    Attributes:
+        name: the key in crane files and JSON.
+        unit: SI, as pint writes it; "" for a pure number; "channel" for the unit of the sensor it acts on.
+        neutral: the value that switches the effect off (all parameters neutral: the model is exactly as it was).
+        lower, upper: the range that is accepted and searched.
+        typical: a value of the size that is met in practice; sets the scale of searches and pictures.
+        text: what it is, in words.
+        shape: True for a parameter that only shapes the law (a time, a Stribeck speed): it has a value, but no neutral one.
+    """
+
+    name: str
+    unit: str
+    neutral: float
+    lower: float
+    upper: float
+    typical: float
+    text: str
+    shape: bool = False

@@ -1,0 +1,133 @@
+"""`patu learn`: laws that nobody wrote."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from crane_exudyn.errors import CraneError
+
+from .options import (
+    DEFAULT_CRANE,
+    AnywayOption,
+    CheckOption,
+    CraneOption,
+    EffectsOption,
+    JobsOption,
+    JsonOption,
+    MapFileOption,
+    MapOption,
+    RecordingsArgument,
+    ReportOption,
+    load_checked,
+    load_crane,
+    load_several,
+    picture,
+)
+from .output import Printer, progress
+from .outputs import Writes, saving
+
+if TYPE_CHECKING:
+    from validation.learning import Learned, LearnedLaw
+
+
+def python_file(path: Path) -> None:
+    """Refuse a file whose name cannot be an effect's."""
+    if path.suffix != ".py" or not path.stem.isidentifier():
+        raise CraneError(
+            f"{path}: the effect gets the file's name. Give letters, digits and underscores, as in my_effect.py."
+        )
+
+
+def command(
+    recordings: RecordingsArgument,
+    check: CheckOption = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file with the laws."), Writes()
+    ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", metavar="EFFECT.py", help="Write the law as an effect of your own."),
+        Writes(python_file),
+    ] = None,
+    crane: CraneOption = DEFAULT_CRANE,
+    effects: EffectsOption = None,
+    mapping: MapOption = None,
+    map_file: MapFileOption = None,
+    anyway: AnywayOption = False,
+    jobs: JobsOption = 2,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the curves."), Writes(picture)
+    ] = None,
+    report: ReportOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Learn a law that the library does not have: in which balance something is missing, where, over what it runs, its curve.
+
+    A curve is given only where the recording went, with its interval, and only if it predicts what was left out. Where the library's
+    effects do as well, or nothing is found, no law is given (exit status 0).
+    """
+    chosen = load_crane(crane, effects)
+    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
+    other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
+    from validation.learning import learn
+
+    with progress("Learn") as done:
+        result = learn(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
+    from crane_exudyn.files import write_text
+    from validation.learned.own_effect import own_effect
+    from validation.learned.report import report_learned
+    from validation.plots import save as save_figure
+
+    printer = Printer(json)
+    tell(printer, result)
+    given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
+    with saving(printer) as save:
+        if result.laws:
+            save(output, result.crane.save, result.crane.to_toml())
+            save(
+                write,
+                lambda path: write_text(path, own_effect(result.laws[0], chosen, result.recording, Path(path).stem)),
+            )
+        elif output is not None or write is not None:
+            print("No law was found: no crane file and no effect were written.", file=sys.stderr)
+        save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())
+        save(plot, lambda path: save_figure(result.plot(), path))
+        save(report, lambda path: report_learned(result, path, given))
+
+
+def tell(printer: Printer, found: Learned) -> None:
+    """Print the laws with their curves, what is tied with them, and the errors."""
+    from validation.learning import sentence
+
+    text = sentence(found)
+    printer.line(f"{text[0].upper()}{text[1:]}.")
+    for law in found.laws:
+        _tell_law(printer, law)
+    for note in found.notes:
+        printer.line(f"note: {note}.")
+    if found.next_manoeuvre:
+        printer.line(f"Next: {found.next_manoeuvre}")
+    if found.check_error_before == found.check_error_before:
+        printer.line(f"On the check recording: error {found.check_error_before:.3g} -> {found.check_error_after:.3g}.")
+    printer.line(f"({found.seconds:.0f} s)")
+
+
+def _tell_law(printer: Printer, law: LearnedLaw) -> None:
+    from crane_exudyn.units import factor_to_si
+    from validation.learned.resembles import READ
+
+    x_unit, y_unit = READ.get(law.unit_over, law.unit_over), READ.get(law.unit, law.unit)
+    fx, fy = factor_to_si(x_unit, law.unit_over), factor_to_si(y_unit, law.unit)
+    acts = "against motion, " if law.against_motion else ""
+    rows = [(float(x / fx), float(y / fy), float(1.96 * s / fy)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
+    printer.table(
+        f"{law.effect}: {acts}known from {law.x[0] / fx:.3g} to {law.x[-1] / fx:.3g} {x_unit} only",
+        (f"{law.over} [{x_unit or '-'}]", f"value [{y_unit or '-'}]", "± (95 %)"),
+        rows,
+    )
+    if law.tied_with:
+        printer.line(f"  this recording cannot tell it from {', or '.join(law.tied_with)}")

@@ -1,0 +1,163 @@
+"""Learning laws: the screen finds smoothness and place, curves are read as simple forms, and a law becomes a user's own effect."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crane_exudyn import Crane, Recording
+from crane_exudyn.drive import spool_on
+from crane_exudyn.effects import registry
+from crane_exudyn.measurement import Measurement
+from validation.history import removed
+from validation.learned.laws import Law, curve_at, knots
+from validation.learned.own_effect import own_effect
+from validation.learned.resembles import resembles
+from validation.learned.screen import best_prior
+from validation.learning import learn
+from validation.semi_recursive.engine import SemiRecursiveEngine
+
+
+def _law(key, over, low, high, against=None):
+    argument = next(a for a in registry.split_key(key)[0].curve.over if a.name == over)
+    seen = np.linspace(low, high, 500)
+    return Law(key, argument, argument.against[0] if against is None else against, knots(seen, argument), seen)
+
+
+FORCE = _law("learned_force@lift", "stroke", 0.2, 0.7)
+
+
+def _read(law, y, share=0.01):
+    unit = registry.split_key(law.key)[0].curve.unit
+    cov = (share * np.abs(y).max()) ** 2 * np.eye(len(y))
+    return resembles(law.x, y, cov, law.over, unit, law.key, law.against)
+
+
+@pytest.mark.parametrize(
+    ("law", "of", "name", "words", "library"),
+    [
+        (
+            FORCE,
+            lambda x: 5e3 * np.exp(-(((x - 0.42) / 0.1) ** 2)),
+            "bump",
+            "5 kN within 0.42 ± 0.1 m of the stroke",
+            "",
+        ),
+        (FORCE, lambda x: 2e3 + 0 * x, "constant", "2 kN", "seal_friction@lift"),
+        (
+            _law("learned_opening@tilt", "spool", -0.6, 0.6),
+            lambda u: np.sign(u) * np.abs(u) ** 1.5,
+            "power",
+            "opening = U^1.5",
+            "",
+        ),
+        (
+            _law("learned_leakage@lift", "pressure_drop", 0.0, 80e5),
+            lambda p: 2e-12 * p,
+            "linear",
+            "0.012 l/min/bar",
+            "internal_leakage@lift",
+        ),
+        (
+            _law("learned_leakage@lift", "pressure_drop", 0.0, 80e5),
+            lambda p: 1e-8 * np.sqrt(p),
+            "square root",
+            "0.19 l/min/√bar",
+            "",
+        ),
+        (
+            _law("learned_flow@p1", "pressure", 0.0, 80e5),
+            lambda p: 1e-11 * np.maximum(p - 50e5, 0.0),
+            "dead zone",
+            "nothing up to 50 bar",
+            "",
+        ),
+        (_law("learned_supply", "flow", 0.0, 1e-3), lambda q: 3e12 * q**2, "power", "the power 2", ""),
+    ],
+)
+def test_a_curve_is_named_by_the_simple_form_that_it_resembles(law, of, name, words, library):
+    found = _read(law, of(law.x))
+    assert (found.name, found.library) == (name, library)
+    assert words in found.text
+
+
+def test_a_curve_that_resembles_nothing_is_not_named():
+    assert _read(FORCE, 3e3 * np.sin(40.0 * FORCE.x), share=1e-3).name == ""
+
+
+def test_the_smoothness_of_a_curve_is_found_from_the_data():
+    rng = np.random.default_rng(1)
+    H = np.eye(len(FORCE.x)) / 100.0**2  # each value seen to 100 N
+    line, bump = 4e3 * (FORCE.x - 0.2), 4e3 * np.exp(-(((FORCE.x - 0.42) / 0.08) ** 2))
+    found = {}
+    for name, y in (("nothing", 0.0 * line), ("line", line), ("bump", bump)):
+        seen = y + 100.0 * rng.standard_normal(len(y))
+        found[name] = best_prior(FORCE, H, H @ seen)
+        assert np.sqrt(np.mean((found[name].y - y) ** 2)) < 150.0
+    assert found["nothing"].gain < 3.0 < 50.0 < found["line"].gain
+    assert np.sqrt(np.mean((found["line"].y - line) ** 2)) < 70.0  # neighbours help
+
+
+def test_a_refined_law_follows_a_narrow_curve_more_closely():
+    bump = lambda x: 4e3 * np.exp(-(((x - 0.42) / 0.06) ** 2))  # noqa: E731
+    finer = FORCE.refined(bump(FORCE.x))
+    fine = np.linspace(0.2, 0.7, 200)
+    errors = [np.abs(curve_at(law.x, bump(law.x), fine, 0.0) - bump(fine)).max() for law in (FORCE, finer)]
+    assert errors[1] < 0.5 * errors[0]
+    assert (finer.x[0], finer.x[-1]) == pytest.approx((FORCE.x[0], FORCE.x[-1]))
+
+
+def _recorded(name, crane, seed):
+    """Return 8 s of both cylinders at 100 Hz, with noise."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 8.0, 2.5e-3)
+    turns = (
+        0.3 * np.clip(2.0 * np.sin(0.7 * seed + 1.6 * time), -1.0, 1.0),
+        0.25 * np.clip(2.0 * np.sin(2.1 * time), -1.0, 1.0),
+    )
+    commands = np.column_stack(turns) * np.minimum(time / 0.3, 1.0)[:, None]
+    engine = SemiRecursiveEngine(crane)
+    inputs = np.column_stack([spool_on(crane, time, time, commands), np.full((len(time), 2), np.nan)])
+    shown = Measurement.of(crane).shown(engine.simulate(engine.static_start(0.25, -0.9), time, inputs), time)
+    channels = {"u1": commands[::4, 0], "u2": commands[::4, 1]}
+    for sensor, y in zip(crane.layout.sensors, shown.T, strict=True):
+        if sensor in NOISE:
+            channels[sensor] = y[::4] + NOISE[sensor] * rng.standard_normal(len(time[::4]))
+    return Recording.from_arrays(name, time[::4], channels)
+
+
+NOISE = {"z1": 1e-3, "z4": 1e-3, **dict.fromkeys(("p1", "p2", "p3", "p4"), 0.3e5)}
+CRANE = replace(Crane.load("patu655"), sensors=NOISE)
+PROGRESSIVE = [-1.0, -0.6, -0.3, -0.15, -0.05, 0.05, 0.15, 0.3, 0.6, 1.0]
+
+
+def test_a_progressive_spool_is_learned_and_read_and_predicts(tmp_path):
+    y = [np.sign(u) * abs(u) ** 1.5 for u in PROGRESSIVE]
+    curve = registry.find("learned_opening").curve
+    machine = CRANE.with_effect("learned_opening@tilt", curve.values("spool", PROGRESSIVE, y))
+    found = learn(CRANE, _recorded("learn", machine, 1), _recorded("check", machine, 2), jobs=1)
+    (law,) = found.laws
+    assert (law.effect, law.over, law.tied_with) == ("learned_opening@tilt", "spool", ())
+    true = [np.sign(u) * abs(u) ** 1.5 for u in law.x]
+    assert np.abs(law.y - true).max() < 0.1 * np.abs(law.y).max()
+    assert law.resembles.startswith("opening = ")
+    assert found.error_after < 1.1 < found.error_before and found.check_error_after < 1.3
+    assert removed(found.crane, law.effect).effects == ()
+    file = tmp_path / "progressive.py"
+    file.write_text(own_effect(law, CRANE, "learn", "progressive"), encoding="utf-8")
+    code = f"from crane_exudyn.effects import registry as r; print(r.load_file(r'{file}')[0].opening(1.0, {law.x[0]}))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert float(said) == pytest.approx(law.y[0], rel=1e-4)
+
+
+def test_a_leak_of_the_library_is_not_learned():
+    machine = CRANE.with_effect("internal_leakage@lift", {"k": 2e-11})
+    found = learn(CRANE, _recorded("learn", machine, 1), jobs=1)
+    assert found.laws == () and found.crane is CRANE
+    assert any("internal_leakage@lift" in note for note in found.notes)
+
+
+def test_nothing_is_learned_from_a_sound_machine():
+    found = learn(CRANE, _recorded("learn", CRANE, 1), jobs=1)
+    assert found.laws == () and found.error_after == found.error_before < 1.1

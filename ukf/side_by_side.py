@@ -1,0 +1,157 @@
+"""Several models side by side: which of them the machine follows now, and an estimate that mixes them by how likely they are.
+
+The interacting multiple model filter (Blom and Bar-Shalom 1988). Every model has an estimator of its own. Between two samples the machine
+may go over from one model to another: it stays with one for `stays` seconds on the average. Every sample is one round:
+
+1. *Interaction.* Each filter begins from the mixture of all beliefs, weighed by how probable it is that the machine was with their
+   model and goes over to its own.
+2. *Prediction and correction*, each with its own model.
+3. *Probabilities* go up and down with the likelihood of each filter's innovations.
+4. *The estimate* is the mixture: its covariance holds what the models differ by.
+
+What a model estimates beyond the states that all have in common (a pendulum, a lagged sensor, an unknown) follows these states as its own
+filter believes that it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.errors import CraneError
+
+from .estimate import Estimate, Recorder
+from .estimator import Estimator
+from .filter import Belief
+from .monitor import ABSENT, USED
+from .signals import Plan
+
+#: s that the machine stays with a model on the average
+STAYS = 20.0
+#: least probability of a model, so that it can come back
+_LEAST = 1e-9
+
+
+class SideBySide:
+    """Estimators of one machine by several models.
+
+    Args:
+        estimators: by the model's name; with the same sensors and engine states of the same machine.
+        stays: seconds that the machine stays with a model on the average.
+
+    Raises:
+        CraneError: fewer than two models, other states or sensors in one, or a time that is not positive.
+    """
+
+    def __init__(self, estimators: Mapping[str, Estimator], stays: float = STAYS) -> None:
+        if len(estimators) < 2:
+            raise CraneError(f"Only one model ({', '.join(estimators)}). Give two or more to run side by side.")
+        if not stays > 0.0:
+            raise CraneError(f"A machine cannot stay {stays:g} s with a model. Give a positive time.")
+        self.names, self.estimators, self.stays = tuple(estimators), list(estimators.values()), float(stays)
+        first = self.estimators[0]
+        self.states = first.crane.layout.states
+        for name, other in zip(self.names, self.estimators, strict=True):
+            if other.crane.layout.states != self.states or other.channel_names != first.channel_names:
+                raise CraneError(
+                    f"{name} is not a model of the same machine as {self.names[0]}: its states or sensors have other names. "
+                    "Give crane files of one machine."
+                )
+
+    def run(self, recording: Any, *, progress: Callable[[float], None] | None = None) -> Estimate:
+        """Return the mixed estimate, over a recording, of the states that all models have; its `models` say how probable each was."""
+        plans = [e.opened(recording) for e in self.estimators]
+        lead, common = plans[0], len(self.states)
+        probability = np.full((lead.time.size, len(plans)), 1.0 / len(plans))
+        recorder = Recorder(self.states, self.estimators[0].channel_names, lead.time, False, False)
+        recorder.start(mixture(probability[0], self._beliefs(common)))
+        for k in range(1, lead.time.size):
+            before = self._interact(probability[k - 1], float(lead.time[k] - lead.time[k - 1]), common)
+            results = [e.on_plan(plan, k) for e, plan in zip(self.estimators, plans, strict=True)]
+            probability[k], likelihood = _weighed(before, _logs(results))
+            best = results[int(probability[k].argmax())]
+            recorder.note(k, mixture(probability[k], self._beliefs(common)), *best[:4], likelihood)
+            if progress is not None and k % 500 == 0:
+                progress(k / lead.time.size)
+        return self._told(recorder, plans, probability)
+
+    def _beliefs(self, count: int) -> list[Belief]:
+        """Return each filter's belief in the states that all have."""
+        return [Belief(e.belief.mean[:count], e.belief.covariance[:count, :count]) for e in self.estimators]
+
+    def _interact(self, probability: np.ndarray, dt: float, count: int) -> np.ndarray:
+        """Let each filter begin from the mixture that leads to its model; return the probabilities (models,) before the sample."""
+        leaves = -np.expm1(-dt / self.stays) / (len(probability) - 1)
+        over = np.full((len(probability), len(probability)), leaves)
+        np.fill_diagonal(over, 1.0 - leaves * (len(probability) - 1))
+        joint = probability[:, None] * over
+        after = joint.sum(axis=0)
+        beliefs = self._beliefs(count)
+        for j, estimator in enumerate(self.estimators):
+            mixed = mixture(joint[:, j] / after[j], beliefs)
+            estimator.believe(followed(estimator.belief, mixed))
+        return np.asarray(after)
+
+    def _told(self, recorder: Recorder, plans: Sequence[Plan], probability: np.ndarray) -> Estimate:
+        events = list(plans[0].events)
+        for name, estimator, plan in zip(self.names, self.estimators, plans, strict=True):
+            own = estimator.events[len(plan.events) :]
+            events += [(time, where, f"{text} (as {name} sees it)") for time, where, text in own]
+        mixed = self.estimators[0].told(recorder, plans[0], events)
+        models = dict(zip(self.names, probability.T, strict=True))
+        return replace(
+            mixed, crane=" | ".join(self.names), method=f"{mixed.method}, models side by side", models=models
+        )
+
+
+def mixture(weights: np.ndarray, beliefs: Sequence[Belief]) -> Belief:
+    """Return mean and covariance of a mixture of beliefs with weights (m,) that sum to one."""
+    mean = np.asarray(sum(w * b.mean for w, b in zip(weights, beliefs, strict=True)))
+    covariance = np.zeros((mean.size, mean.size))
+    for w, b in zip(weights, beliefs, strict=True):
+        away = b.mean - mean
+        covariance += w * (b.covariance + np.outer(away, away))
+    return Belief(mean, covariance)
+
+
+def followed(own: Any, mixed: Belief) -> Belief:
+    """Return a belief whose first states are as in `mixed`; the others follow them by the regression of the `own` belief."""
+    m, P = mixed.mean.size, own.covariance
+    if own.mean.size == m:
+        return mixed
+    scale = np.sqrt(np.diag(P)[:m])
+    slope = np.linalg.solve(P[:m, :m] / np.outer(scale, scale), P[:m, m:] / scale[:, None]).T / scale
+    rest = P[m:, m:] - slope @ P[:m, m:]
+    mean = np.concatenate([mixed.mean, own.mean[m:] + slope @ (mixed.mean - own.mean[:m])])
+    across = mixed.covariance @ slope.T
+    return Belief(mean, np.block([[mixed.covariance, across], [across.T, rest + slope @ across]]))
+
+
+Result = tuple[np.ndarray, np.ndarray, np.ndarray, float, float]
+
+
+def _logs(results: Sequence[Result]) -> np.ndarray:
+    """Return the log-likelihood of a sample by model (m,), of the same sensors for all.
+
+    A sensor that a filter does not believe counts as it would have at its limit; a filter that failed is worth the least of the others.
+    """
+    logs = []
+    for innovation, variance, flags, _, log in results:
+        left = ~np.isnan(innovation) & (flags != USED) & (flags != ABSENT)
+        logs.append(
+            log - 0.5 * float(np.sum(innovation[left] ** 2 / variance[left] + np.log(2.0 * np.pi * variance[left])))
+        )
+    lost = np.array([bool((r[2] == ABSENT).all()) for r in results])
+    found = np.array(logs)
+    if lost.any():
+        found[lost] = 0.0 if lost.all() else found[~lost].min()
+    return found
+
+
+def _weighed(before: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the probabilities (m,) after a sample with log-likelihoods (m,), and that of the sample under all models."""
+    after = np.maximum(before * np.exp(logs - logs.max()), _LEAST)
+    return np.asarray(after / after.sum()), float(logs.max() + np.log(after.sum()))

@@ -1,0 +1,1 @@
+"""Laws that nobody wrote: curves of the learned effects, screened, fitted, judged and read."""

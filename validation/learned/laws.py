@@ -1,0 +1,178 @@
+"""The laws that a recording may show: every learned effect at every place over everything it may run over, with knots where it went."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from crane_exudyn.effects import registry
+from crane_exudyn.effects.curve import KNOTS, NUMBER, Argument, Table, X, Y, value
+from crane_exudyn.layout import Layout
+
+from ..fit.data import ACCURACY
+from ..fit.model import model_of
+from ..fit.solve import Fit
+from ..semi_recursive import kernel
+from ..semi_recursive.engine import SemiRecursiveEngine
+
+#: knots of a curve, and share of the visited instants beyond its outermost ones
+COUNT, BEYOND = 9, 0.002
+#: time between the instants at which the trajectory is looked at, s
+_EVERY = 0.01
+#: a curve is not sought over less than this share of the range that is met in practice
+_LEAST_RANGE = 0.02
+
+
+@dataclass(frozen=True)
+class Law:
+    """A curve of a learned effect "name@place" over an argument.
+
+    Attributes:
+        x: (K,) knots within the visited range, SI.
+        visited: (n,) values of the argument along the recording, sorted.
+        against: whether it acts against motion.
+        count: of nominal curves that it may not fall below: True where physics allows one sign only.
+    """
+
+    key: str
+    over: Argument
+    against: bool
+    x: np.ndarray
+    visited: np.ndarray = field(repr=False)
+
+    @property
+    def neutral(self) -> np.ndarray:
+        """The neutral curve at the knots."""
+        return np.array([self.over.neutral(x) for x in self.x])
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether physics allows the curve one sign only: friction resists, oil leaks and loses pressure the way it flows."""
+        return self.against or self.over.from_zero or self.over.name == "pressure"
+
+    @property
+    def monotone(self) -> bool:
+        """Whether physics lets the curve only rise."""
+        return self.over.from_zero or self.over.name in ("pressure", "spool")
+
+    def curve(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the curve through y at other knots x, at this law's knots."""
+        return curve_at(x, y, self.x, self.over.slope)
+
+    def refined(self, y: np.ndarray) -> Law:
+        """Return the law with as many knots as there may be over the same range, closer where the curve through y (K,) bends."""
+        fine = np.linspace(self.x[0], self.x[-1], 401)
+        bend = np.abs(np.gradient(np.gradient(curve_at(self.x, y, fine, self.over.slope))))
+        spread = np.ones(len(fine)) / len(fine) + 2.0 * np.sqrt(bend) / max(float(np.sqrt(bend).sum()), 1e-300)
+        spread = np.convolve(np.pad(spread, 20, mode="edge"), np.ones(41) / 41.0, mode="valid")
+        passed = np.concatenate([[0.0], np.cumsum(0.5 * (spread[1:] + spread[:-1]))])
+        return replace(self, x=np.interp(np.linspace(0.0, 1.0, KNOTS), passed / passed[-1], fine))
+
+    def values(self, y: np.ndarray) -> dict[str, float]:
+        """Return the effect's parameters of the curve through y (K,) at the knots."""
+        curve = registry.split_key(self.key)[0].curve
+        assert curve is not None
+        return curve.values(self.over.name, self.x.tolist(), y.tolist(), self.against)
+
+    def table(self, y: np.ndarray) -> Table:
+        """Return the table of the curve through y (K,) at the knots."""
+        return Table(self.over, tuple(self.x.tolist()), tuple(y.tolist()), self.against)
+
+
+def curve_at(x: np.ndarray, y: np.ndarray, at: np.ndarray, slope: float) -> np.ndarray:
+    """Return the curve through knots x, y (K,) at `at` (n,), as the engines have it."""
+    E = np.zeros(Y + KNOTS)
+    E[NUMBER], E[X : X + len(x)], E[Y : Y + len(x)] = len(x), x, y
+    return np.array([value(E, 0, float(v), slope) for v in at])
+
+
+def laws_of(fit: Fit) -> list[Law]:
+    """Return every law that could act along a fitted run and that its crane does not have; those over a range that was hardly visited are left out."""
+    found, lay = [], fit.crane.layout
+    visits = visited(fit)
+    for effect in registry.known():
+        for key, place in zip(effect.keys(lay), effect.on(lay), strict=True):
+            if effect.curve is None or fit.crane.effect(key) is not None:
+                continue
+            for over in effect.curve.over:
+                x = np.sort(visits[effect.name, place, over.name])
+                if len(x) and x[-1] - x[0] > _LEAST_RANGE * (over.high - over.low):
+                    found += [Law(key, over, against, knots(x, over), x) for against in over.against]
+    return found
+
+
+def knots(visited: np.ndarray, over: Argument) -> np.ndarray:
+    """Return knots over the visited values: half by their range, half by how often they were met; closer at 0 where a curve begins there."""
+    low, high = np.quantile(visited, [BEYOND, 1.0 - BEYOND])
+    low = 0.0 if over.from_zero else max(low, 0.0) if over.magnitude else low
+    shares = np.linspace(0.0, 1.0, COUNT)
+    if over.from_zero:
+        return high * shares**1.5  # where nothing flows a curve may be steep
+    if over.slope and low < 0.0 < high:
+        each = np.linspace(0.0, 1.0, COUNT // 2 + 2)[1:] ** 1.5
+        return np.concatenate([low * each[::-1], [0.0], high * each])
+    inside = visited[(visited >= low) & (visited <= high)]
+    by_range, by_number = low + (high - low) * shares, np.quantile(inside, shares)
+    return 0.6 * by_range + 0.4 * by_number
+
+
+def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
+    """Return the values (n,) of each argument of each learned effect at each place along a fitted run, where the effect can act."""
+    X, W, time = trajectory(fit)
+    lay = fit.crane.layout
+    t = SemiRecursiveEngine(fit.crane).terms_along(X, W, time)
+    found: dict[tuple[str, str, str], np.ndarray] = {}
+    drawn, returned = np.zeros(len(X)), np.zeros(len(X))
+    for c, place in enumerate(lay.cylinders):
+        a, b, U = 2 * c, 2 * c + 1, W[:, c]
+        p, v = np.maximum(X[:, lay.pressures_of(c)], 0.0), t[f"v_h{c + 1}"]
+        Qa, Qb = t[f"Q{a + 1}"], t[f"Q{b + 1}"]
+        out, into = np.where(U > 0.0, Qa, -Qb), np.where(U > 0.0, Qb, -Qa)
+        drawn, returned = drawn + out, returned + into
+        opened, moves = np.abs(U) > 2e-3, np.abs(v) > 2e-3
+        drops = np.concatenate(
+            [
+                (t["pp"] - np.where(U > 0.0, p[:, 0], p[:, 1]))[opened],
+                (np.where(U > 0.0, p[:, 1], p[:, 0]) - t["pt"])[opened],
+            ]
+        )
+        found["learned_opening", place, "spool"] = U[opened]
+        found["learned_opening", place, "pressure_drop"] = drops[drops > 0.0]
+        found["learned_force", place, "speed"] = np.abs(v)[moves]
+        found["learned_force", place, "stroke"] = t[f"s{c + 1}"]
+        found["learned_force", place, "pressure_drop"] = np.abs(p[:, 0] - p[:, 1])[moves]
+        found["learned_leakage", place, "pressure_drop"] = np.abs(p[:, 0] - p[:, 1])
+        for side, chamber in enumerate(lay.sides[c]):
+            found["learned_flow", chamber, "pressure"] = p[:, side]
+    for i, place in enumerate(lay.joints):
+        rate = np.abs(X[:, lay.velocities][:, i])
+        found["learned_torque", place, "angle"] = X[:, lay.positions][:, i]
+        found["learned_torque", place, "rate"] = rate[rate > 2e-3]
+    found["learned_supply", "", "flow"] = drawn[drawn > 1e-6]
+    found["learned_return", "", "flow"] = returned[returned > 1e-6]
+    return found
+
+
+def trajectory(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return states (n, nx), inputs (n, valves + 2) and times (n,) along a fitted run, window by window."""
+    parts = []
+    for i, data in enumerate(fit.data.parts):
+        own, stride = fit.of(i), max(1, round(_EVERY / data.step))
+        model = model_of(own.crane, data, own.late)
+        for window, x0 in zip(own.windows, own.knots, strict=True):
+            W = model.W[window.start : window.start + len(window.data.time)]
+            time = window.data.time
+            X = kernel.simulate(x0, W, time, data.step, model.P, model.E, model.topology, ACCURACY)[0]
+            parts.append((X[:-1:stride], W[:-1:stride], time[:-1:stride]))
+    X, W, time = (np.concatenate(p) for p in zip(*parts, strict=True))
+    whole = np.isfinite(X).all(axis=1)
+    return X[whole], W[whole], time[whole]
+
+
+def unit_over(law: Law, layout: Layout) -> str:
+    """Return the unit of what a law runs over; on a sliding joint an angle is a way."""
+    place = law.key.partition("@")[2]
+    slides = dict(zip(layout.joints, layout.slides or (False,) * len(layout.joints), strict=True))
+    return law.over.unit.replace("rad", "m") if slides.get(place) else law.over.unit

@@ -1,0 +1,116 @@
+"""A learned law written as a user's own effect: a Python file, ready to edit."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.effects.base import HOOKS
+from crane_exudyn.errors import CraneError
+
+if TYPE_CHECKING:
+    from ..learning import LearnedLaw
+
+#: by effect and argument: the hook, where the curve is looked up, and what the hook returns of its value y
+_HOOKS = {
+    ("learned_opening", "spool"): ("opening", "U", "U + share * (y - U)"),
+    ("learned_opening", "pressure_drop"): ("supply_drop", "dp", "dp * (1.0 + share * (y * abs(y) - 1.0))"),
+    ("learned_force", "speed"): ("cylinder_force", "abs(v)", "-share * y * math.tanh(v / 2e-3)"),
+    ("learned_force", "stroke"): ("cylinder_force", "la", "-share * y * math.tanh(v / 2e-3)"),
+    ("learned_force", "pressure_drop"): ("cylinder_force", "abs(pa - pb)", "-share * y * math.tanh(v / 2e-3)"),
+    ("learned_leakage", "pressure_drop"): ("leakage", "abs(pa - pb)", "-share * math.copysign(y, pa - pb), share * math.copysign(y, pa - pb)"),
+    ("learned_flow", "pressure"): ("leakage", "p", "-share * y"),
+    ("learned_torque", "rate"): ("joint_torque", "abs(omega)", "-share * y * math.tanh(omega / 2e-3)"),
+    ("learned_supply", "flow"): ("supply_pressure", "q", "pp - share * y"),
+    ("learned_return", "flow"): ("tank_pressure", "q", "pt + share * y"),
+}  # fmt: skip
+_GIVEN = {"learned_flow": "p"}
+
+_TEXT = '''"""{title}."""
+
+import math
+
+from numba.extending import register_jitable
+
+from crane_exudyn.effects.base import Effect, Parameter
+
+#: {over} in {unit_over}, and the curve there in {unit}; learned from {recording}
+X = ({x})
+Y = ({y})
+
+
+@register_jitable
+def curve(x):
+    """Return the curve at x: a cubic a stretch, level beyond the ends."""
+    n = len(X)
+    if x <= X[0]:
+        return Y[0]
+    if x >= X[n - 1]:
+        return Y[n - 1]
+    k = 0
+    while x > X[k + 1]:
+        k += 1
+    h = X[k + 1] - X[k]
+    d = (Y[k + 1] - Y[k]) / h
+    left, right = 0.0, 0.0
+    if k > 0:
+        before = X[k] - X[k - 1]
+        left = (h * (Y[k] - Y[k - 1]) / before + before * d) / (h + before)
+    if k < n - 2:
+        after = X[k + 2] - X[k + 1]
+        right = (h * (Y[k + 2] - Y[k + 1]) / after + after * d) / (h + after)
+    t = (x - X[k]) / h
+    return Y[k] + h * t * (left + t * (3.0 * d - 2.0 * left - right + t * (left + right - 2.0 * d)))
+
+
+class {cls}(Effect):
+    """{title}, a curve over the {over}.
+
+    Signature: {signature}
+    """
+
+    name = "{name}"
+    places = ("{place}",)
+    parameters = (Parameter("share", "", 0.0, 0.0, 10.0, 1.0, "1: the curve as it was learned"),)
+
+    @staticmethod
+    def {hook}(share, {given}):
+        y = curve({at})
+        return {result}
+'''
+
+
+def own_effect(law: LearnedLaw, crane: Crane, recording: str, name: str) -> str:
+    """Return the text of a Python file that defines a law as an effect of that name, of which `share` = 1 is the curve as learned."""
+    effect, place = registry.split_key(law.effect)
+    hook, at, result = _of(law)
+    origin = law.law.over.origin
+    at += f" + {crane[f'cylinders.{place}.{origin}']:.6g}" if origin else ""
+    given = _GIVEN.get(effect.name, HOOKS[hook].given)
+    signature = inspect.cleandoc(effect.__doc__ or "").partition("Signature: ")[2]
+    return _TEXT.format(
+        title=f"A {effect.name.replace('_', ' ')} at {place or 'the whole machine'}: {law.resembles or 'a curve'}", over=law.over.replace("_", " "),
+        unit_over=law.unit_over or "1", unit=law.unit or "1", recording=recording, x=_numbers(law.x), y=_numbers(law.y), cls=name.title().replace("_", ""),
+        signature=textwrap.fill(signature, 110, subsequent_indent="    "), name=name, place=place, hook=hook, given=given, at=at, result=result,
+    )  # fmt: skip
+
+
+def _of(law: LearnedLaw) -> tuple[str, str, str]:
+    key = (law.effect.partition("@")[0], law.over)
+    if key not in _HOOKS:
+        raise CraneError(
+            f"{law.effect} over {law.over}: no hook of a user's own effect is given that. Keep it in the crane file, with -o."
+        )
+    hook, at, result = _HOOKS[key]
+    if law.over == "stroke" and not law.against_motion:
+        result = "share * y"
+    return hook, at, result
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{v:.6g}" for v in values)

@@ -1,0 +1,53 @@
+"""The report of what was learned: the answer first, then each curve."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..learning import Learned, LearnedLaw, sentence
+from ..report import Mood, Picture, Section, Table, write_report
+
+_CAPTION = (
+    "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the places that carry it. Outside it is "
+    "not known, and the model goes on level."
+)
+
+
+def report_learned(found: Learned, directory: str | Path, given: Mapping[str, object] | None = None) -> Path:
+    """Write the report and return its path; `given` are more parameters of the run, by name."""
+    text = sentence(found).replace("->", "→")
+    sections: list[Section] = []
+    if found.laws:
+        sections.append(("The curves", [Picture(found.plot(), _CAPTION), *(_knots(law) for law in found.laws)]))
+    tied = [
+        f"{law.effect}: the recording cannot tell it from {', or '.join(law.tied_with)}."
+        for law in found.laws
+        if law.tied_with
+    ]
+    next_one = [f"Next: {found.next_manoeuvre}."] if found.next_manoeuvre else []
+    remarks = [*tied, *next_one, *(f"{n[0].upper()}{n[1:].rstrip('.')}." for n in found.notes)]
+    if remarks:
+        sections.append(("Remarks", remarks))
+    errors = Table(
+        ("", "before", "after"),
+        [("learned from", found.error_before, found.error_after), ("only predicted", found.check_error_before, found.check_error_after)],
+        note="Open-loop RMS in units of the sensors' noise.",
+    )  # fmt: skip
+    sections.append(("Errors", [errors]))
+    parameters = {"crane": found.given.name, "recording": found.recording} | dict(given or {})
+    mood: Mood = "good" if found.laws else "neutral"
+    return write_report(
+        directory,
+        f"Learned from {found.recording}",
+        f"{text[0].upper()}{text[1:]}.",
+        sections,
+        parameters=parameters,
+        mood=mood,
+    )
+
+
+def _knots(law: LearnedLaw) -> Table:
+    rows = [(float(x), float(y), float(1.96 * s)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
+    note = f"{law.effect} over {law.over.replace('_', ' ')}" + (f": {law.resembles}" if law.resembles else "")
+    return Table((f"{law.over} [{law.unit_over or '-'}]", f"value [{law.unit or '-'}]", "± (95 %)"), rows, note=note)

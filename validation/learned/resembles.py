@@ -1,0 +1,163 @@
+"""What a curve resembles: simple forms fitted to its knots with their covariance, told in engineering units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from crane_exudyn.effects.curve import Argument
+from crane_exudyn.units import factor_to_si
+
+#: SI unit -> the one that people read
+READ = {
+    "Pa": "bar",
+    "N": "kN",
+    "m^3/s": "l/min",
+    "rad": "deg",
+    "rad/s": "deg/s",
+    "N*m": "N*m",
+    "m": "m",
+    "m/s": "m/s",
+    "": "",
+}
+#: a form is named if it leaves no more than so many standard errors (RMS over the knots), or that share of the curve's greatest departure
+_ERRORS, _SHARE = 2.0, 0.08
+
+
+@dataclass(frozen=True)
+class Form:
+    """A simple form f(x; p): its name, the law, starting values from (x, y), and its words from parameters in read units."""
+
+    name: str
+    law: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    starts: Callable[[np.ndarray, np.ndarray], Sequence[Sequence[float]]]
+    words: Callable[[np.ndarray, np.ndarray, str, str], str]
+
+
+@dataclass(frozen=True)
+class Resemblance:
+    """The form that a curve resembles, in words; values of its parameters in SI; the effect of the library that is this law, or ""."""
+
+    name: str
+    text: str
+    parameters: tuple[float, ...] = ()
+    library: str = ""
+    law: Callable[[np.ndarray], np.ndarray] | None = field(default=None, repr=False)
+
+
+def _greatest(y: np.ndarray) -> float:
+    return float(y[np.argmax(np.abs(y))])
+
+
+def _softplus(x: np.ndarray) -> np.ndarray:
+    return np.maximum(x, 0.0)
+
+
+FORMS = (
+    Form("constant", lambda x, p: np.full_like(x, p[0]), lambda x, y: [[float(np.mean(y))]], lambda p, s, u, v: f"{p[0]:.3g} {u} throughout"),
+    Form("linear", lambda x, p: p[0] * x, lambda x, y: [[float(x @ y / (x @ x))]], lambda p, s, u, v: f"{p[0]:.3g} {_per(u, v)}"),
+    Form("square root", lambda x, p: p[0] * np.sign(x) * np.sqrt(np.abs(x)), lambda x, y: [[_greatest(y) / math.sqrt(float(np.abs(x).max()))]],
+         lambda p, s, u, v: f"{p[0]:.3g} {_per(u, f'√{v}' if v else '')}"),
+    Form("power", lambda x, p: p[0] * np.sign(x) * np.abs(x) ** p[1], lambda x, y: [[_greatest(y) / float(np.abs(x).max()) ** n, n] for n in (0.5, 1.5, 2.0)],
+         lambda p, s, u, v: f"{p[0]:.3g} {u} times the power {p[1]:.3g}{_of(v)}"),
+    Form("dead zone", lambda x, p: p[0] * (_softplus(x - abs(p[1])) - _softplus(-x - abs(p[1]))),
+         lambda x, y: [[_greatest(y) / float(np.abs(x).max()) / (1.0 - a), a * float(np.abs(x).max())] for a in (0.1, 0.4, 0.7)],
+         lambda p, s, u, v: f"nothing up to {abs(p[1]):.3g} {v}, then {p[0]:.3g} {_per(u, v)}"),
+    Form("saturation", lambda x, p: p[0] * np.tanh(x / p[1]), lambda x, y: [[_greatest(y), a * float(np.abs(x).max())] for a in (0.1, 0.4)],
+         lambda p, s, u, v: f"rises to {p[0]:.3g} {u} within {abs(p[1]):.3g} {v}"),
+    Form("bump", lambda x, p: p[0] * np.exp(-(((x - p[1]) / p[2]) ** 2)),
+         lambda x, y: [[_greatest(y), float(x[np.argmax(np.abs(y))]), a * float(np.ptp(x))] for a in (0.1, 0.3)],
+         lambda p, s, u, v: f"{p[0]:.3g} {u} within {p[1]:.3g} ± {abs(p[2]):.2g} {v}"),
+    Form("Stribeck", lambda x, p: p[0] + p[1] * np.exp(-np.abs(x / p[2])), lambda x, y: [[float(y[-1]), float(y[0] - y[-1]), 0.15 * float(np.ptp(x))]],
+         lambda p, s, u, v: f"{p[0]:.3g} {u}, and {p[1]:.3g} {u} more at rest that are gone at {abs(p[2]):.3g} {v}"),
+)  # fmt: skip
+
+
+def _per(unit: str, other: str) -> str:
+    return f"{unit or '1'}/{other}" if other else unit
+
+
+def _of(unit: str) -> str:
+    return f" of {unit}" if unit else ""
+
+
+def resembles(
+    x: np.ndarray,
+    y: np.ndarray,
+    cov: np.ndarray,
+    over: Argument,
+    unit: str,
+    key: str,
+    against: bool,
+    where: np.ndarray | None = None,
+) -> Resemblance:
+    """Return what a curve y (K,) with covariance (K, K) at knots x (K,) resembles, in SI; a Resemblance without name if nothing.
+
+    The forms compete by BIC. A curve over the spool is described as a whole, one over the pressure drop of a valve by its factor.
+    """
+    fx, fy = factor_to_si(READ.get(over.unit, over.unit), over.unit), factor_to_si(READ.get(unit, unit), unit)
+    X, Y, spread = x / fx, y / fy, _whitener(cov / fy**2, y / fy)
+    best: tuple[float, Form, np.ndarray, float] | None = None
+    for form in FORMS:
+        for start in form.starts(X, Y):
+            solved = least_squares(
+                lambda p, f=form: spread @ (f.law(X, p) - Y),
+                start,
+                x_scale=np.maximum(np.abs(start), 1e-3),
+                max_nfev=200,
+            )
+            bic = 2.0 * solved.cost + len(start) * math.log(len(X))
+            if np.isfinite(bic) and (best is None or bic < best[0]):
+                best = bic, form, solved.x, 2.0 * solved.cost
+    if best is None:
+        return Resemblance("", "")
+    _, form, p, squares = best
+    left = np.abs(form.law(X, p) - Y).max()
+    departure = np.abs(Y - [over.neutral(v * fx) / fy for v in X]).max()
+    if math.sqrt(squares / len(X)) > _ERRORS and left > _SHARE * departure:
+        return Resemblance("", "")
+    words = form.words(p, spread, READ.get(unit, unit), READ.get(over.unit, over.unit)).replace("  ", " ").strip()
+    text = _told(form, p, words, over, key)
+    law = lambda s: form.law(np.asarray(s) / fx, p) * fy  # noqa: E731
+    return Resemblance(form.name, text, tuple(p), _library(form, key, over, against), law)
+
+
+def _whitener(cov: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return W with W cov W' = 1; what a curve cannot be trusted for (1 % of its size) is added."""
+    values, vectors = np.linalg.eigh(cov + (0.01 * np.abs(y).max()) ** 2 * np.eye(len(y)))
+    return vectors.T / np.sqrt(values)[:, None]
+
+
+def _told(form: Form, p: np.ndarray, words: str, over: Argument, key: str) -> str:
+    if over.name == "spool" and form.name == "power":
+        factor = "" if abs(p[0] - 1.0) < 0.05 else f"{p[0]:.3g} "
+        return f"opening = {factor}U^{p[1]:.3g}"
+    if form.name == "bump":
+        return f"{words} of the {over.name.replace('_', ' ')}"
+    return f"{form.name}: {words}"
+
+
+def _library(form: Form, key: str, over: Argument, against: bool) -> str:
+    """Return the effect of the library whose law a form is, with its place; "" if there is none."""
+    name, _, place = key.partition("@")
+    known = {
+        ("learned_leakage", "linear"): "internal_leakage", ("learned_flow", "linear"): "external_leakage",
+        ("learned_supply", "linear"): "pump_droop", ("learned_return", "linear"): "return_back_pressure",
+        ("learned_opening", "dead zone"): "dead_band",
+    }  # fmt: skip
+    if (name, over.name) == ("learned_torque", "rate"):
+        known |= {
+            ("learned_torque", "linear"): "joint_viscous_friction",
+            ("learned_torque", "constant"): "joint_coulomb_friction",
+        }
+    if name == "learned_force" and against:
+        known |= {
+            "pressure_drop": {("learned_force", "linear"): "pressure_dependent_friction"},
+            "speed": {("learned_force", "constant"): "seal_friction", ("learned_force", "Stribeck"): "seal_friction"},
+        }.get(over.name, {("learned_force", "constant"): "seal_friction"})
+    found = known.get((name, form.name), "")
+    return f"{found}@{place}" if found and place else found

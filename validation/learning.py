@@ -1,0 +1,423 @@
+"""Laws that nobody wrote: in which balance a machine lacks something, where, over what it runs, and its curve."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.recording import Recording
+
+from .diagnosis import several
+from .fit.data import Data, data_of
+from .fit.evidence import log_evidence
+from .fit.solve import Fit
+from .fit.staged import LOOSE, STIFF, TIGHT, Stage, all_parameters, informed_directions
+from .fit.variables import NominalDirection, Variable, effect_variables, stated_effects
+from .history import added
+from .learned.fits import Explained, Part, explain, left_out_gain
+from .learned.laws import Law, laws_of, unit_over
+from .learned.resembles import Resemblance, resembles
+from .learned.screen import allowed
+from .learned.screen import screened as screened_laws
+from .selection.criteria import CRITERIA
+from .selection.lean import needed
+from .selection.manoeuvre import best_manoeuvre
+from .selection.model import excess, plausible, run_error, together, unmoving
+from .selection.moves import scaled
+from .selection.screen import likely, screened
+from .selection.search import Progress, in_parallel, silent
+
+#: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to the end
+LOOSELY, FITTED, CARRIED = 4, 3, 2
+#: laws are sifted in loosely joined windows with so many iterations
+SIFT = Stage(LOOSE.seconds, LOOSE.stiffness, 3)
+#: laws beside each other
+MOST = 2
+#: length of the blocks of time that are left out in turn, s
+BLOCK = 1.5
+#: share of what a law gains where it was fitted that it must gain where it was not
+PREDICTED = 0.4
+#: standard deviations by which a curve may fall below what physics allows
+ASTRAY = 3.0
+
+
+@dataclass(frozen=True)
+class LearnedLaw:
+    """One law that was learned.
+
+    Attributes:
+        effect: "learned_force@lift"; over, unit_over, unit: what the curve runs over, in SI.
+        x, y, std: (K,) knots within the visited range, the curve there and its standard deviation.
+        against_motion: whether it acts against motion.
+        resembles: in words, "" if it resembles nothing simple; tied_with: what this recording cannot tell from it.
+        evidence: log evidence that it brings.
+        visited: (n,) values of the argument along the recording.
+    """
+
+    effect: str
+    over: str
+    unit_over: str
+    unit: str
+    x: np.ndarray
+    y: np.ndarray
+    std: np.ndarray
+    against_motion: bool
+    resembles: str
+    tied_with: tuple[str, ...]
+    evidence: float
+    law: Law = field(repr=False)
+    form: Resemblance = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON of learn."""
+        keys = ("effect", "over", "unit_over", "unit", "resembles", "against_motion", "evidence")
+        lists = {k: getattr(self, k).tolist() for k in ("x", "y", "std")}
+        return {k: getattr(self, k) for k in keys} | lists | {"tied_with": list(self.tied_with)}
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What was learned from a recording; `crane` has the laws, or is the one given where none was found."""
+
+    recording: str
+    crane: Crane
+    given: Crane
+    laws: tuple[LearnedLaw, ...] = ()
+    effects: tuple[str, ...] = ()
+    next_manoeuvre: str = ""
+    notes: tuple[str, ...] = ()
+    error_before: float = math.nan
+    error_after: float = math.nan
+    check_error_before: float = math.nan
+    check_error_after: float = math.nan
+    evidence: float = 0.0
+    seconds: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON of learn."""
+        keys = (
+            "effects",
+            "next_manoeuvre",
+            "notes",
+            "error_before",
+            "error_after",
+            "check_error_before",
+            "check_error_after",
+            "seconds",
+        )
+        return {"laws": [law.to_dict() for law in self.laws]} | {k: getattr(self, k) for k in keys}
+
+    def __repr__(self) -> str:
+        return f"<Learned from {self.recording}: {sentence(self)}>"
+
+    def plot(self) -> Any:
+        """Return a figure: each curve with its interval, and where the recording went."""
+        from .learned.plots import figure
+
+        return figure(self)
+
+
+def sentence(found: Learned) -> str:
+    """Return what was learned in one sentence."""
+    if not found.laws:
+        return "no law found"
+    told = (
+        f"{law.effect} over {law.over.replace('_', ' ')}" + (f" ({law.resembles})" if law.resembles else "")
+        for law in found.laws
+    )
+    return f"{' and '.join(told)}: error {found.error_before:.3g} -> {found.error_after:.3g} noise units"
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What all steps of one search share."""
+
+    crane: Crane
+    data: Data
+    jobs: int
+    base: Fit  # all uncertain parameters fitted in loosely joined windows
+    shared: Sequence[Variable]
+
+    def explain(self, tried: Sequence[tuple[tuple[Part, ...], Fit]], stages: Sequence[Any]) -> list[Explained]:
+        """Return explanations fitted, best first."""
+        tasks = [(explain, self.crane, self.data, self.shared, before, parts, stages) for parts, before in tried]
+        found = in_parallel(self.jobs, tasks)
+        return sorted((e for e in found if math.isfinite(e.evidence)), key=lambda e: -e.evidence)
+
+
+def learn(
+    crane: Crane,
+    recordings: Recording | Sequence[Recording],
+    check: Recording | None = None,
+    *,
+    jobs: int = 2,
+    progress: Progress = silent,
+) -> Learned:
+    """Return the laws that recordings show and that neither the crane nor the library has; none where the library's do as well.
+
+    Args:
+        crane: effects that it has stay, and are fitted along.
+        recordings: commands and sensors, of one run or of several of one machine.
+        check: another recording of the same machine, which is only predicted.
+        jobs: processes to use.
+        progress: called with a text and the share that is done.
+
+    Raises:
+        CraneError: the recording cannot support it.
+    """
+    from .fitness import check_all
+
+    began = time.perf_counter()
+    learned = several(recordings)
+    notes = check_all(learned, check, crane)
+    progress("fitting the nominal parameters", 0.05)
+    data = data_of(learned, crane)
+    base = all_parameters(crane, data)
+    search = _Search(crane, data, jobs, base, [*informed_directions(base), *stated_effects(crane)])
+    nothing = search.explain([((), base)], (TIGHT, STIFF))
+    best, rivals = _searched(search, nothing[0], progress, notes)
+    progress("weighing", 0.85)
+    result = _concluded(search, nothing[0], best, rivals, learned, check, notes)
+    return replace(result, seconds=time.perf_counter() - began)
+
+
+def _searched(
+    search: _Search, nothing: Explained, progress: Progress, notes: list[str]
+) -> tuple[Explained, list[Explained]]:
+    """Return the best explanation of effects and laws, and all that were carried to the end with it, best first."""
+    best, rivals = nothing, []
+    for step in range(MOST):
+        if best.weighed.good:
+            break
+        progress("looking for another" if step else "screening all laws", 0.2 + 0.35 * step)
+        found = _grown(search, best, search.base if not step else best.fit, progress)
+        chosen = _chosen(found, best)
+        if chosen is None or (step and not _repairs(chosen, best)):
+            break
+        if len(chosen.laws) > len(best.laws) and not _predicts(search, best, chosen, notes):
+            break
+        best, rivals = chosen, found
+    if best.laws and not (_repairs(best, nothing) and plausible(best.fit)):
+        names = " and ".join(_name(p) for p in best.parts)
+        notes.append(f"{names} would be the best, but leaves too much, or moves parameters too far")
+        return nothing, []
+    return best, rivals
+
+
+def _chosen(found: Sequence[Explained], best: Explained) -> Explained | None:
+    """Return the best of the explanations that bring the proof; one with a law must bring it against those without a further one as well."""
+    proven = [e for e in found if e.evidence > best.evidence + CRITERIA.proof and _sound(e)]
+    plain = next((e for e in proven if len(e.laws) == len(best.laws)), None)
+    if plain is not None and plain.evidence > proven[0].evidence - CRITERIA.proof:
+        return plain
+    return proven[0] if proven else None
+
+
+def _repairs(after: Explained, before: Explained) -> bool:
+    """Whether an explanation leaves hardly more than noise, or less than half of the excess error of the one before."""
+    left, was = (excess(e.weighed.level) for e in (after, before))
+    return after.weighed.good or left < CRITERIA.left * was
+
+
+def _grown(search: _Search, best: Explained, before: Fit, progress: Progress) -> list[Explained]:
+    """Return explanations with one part more, fitted to the end, best first."""
+    if best.parts:
+        before = explain(search.crane, search.data, search.shared, before, best.parts, (LOOSE,)).fit
+    tried = [((*best.parts, part), before) for part in _promising(search, before)]
+    progress("fitting the likely ones", 0.35)
+    found = search.explain(tried, (SIFT,))
+    plain, curved = ([e for e in found if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
+    least = found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
+    near = [e for e in curved if e.evidence > least][:CARRIED]
+    near = [e if plausible(e.fit) else _anew(search, e) for e in near]
+    progress("carrying the leading ones to the end", 0.5)
+    return search.explain([(e.parts, e.fit) for e in (*near, *plain[:1])], (TIGHT, STIFF))
+
+
+def _anew(search: _Search, e: Explained) -> Explained:
+    """Return an explanation fitted anew from the crane as given with its parts as they were found, where that does no worse.
+
+    Parameters that did a law's work before it was there come back slowly.
+    """
+    keys = {p.key for p in e.parts}
+    held = unmoving(search.crane)
+    for acting in (a for a in e.fit.crane.effects if a.key in keys):
+        held = held.with_effect(acting.key, acting.parameters)
+    fit = all_parameters(held, search.data)
+    own = [i for i, v in enumerate(e.fit.variables) if getattr(v, "key", "") in keys]
+    variables = (*fit.variables, *(e.fit.variables[i] for i in own))
+    before = replace(fit, variables=variables, u=np.concatenate([fit.u, e.fit.u[own]]))
+    found = explain(search.crane, search.data, search.shared, before, e.parts, (LOOSE,))
+    return found if found.evidence > e.evidence else e
+
+
+def _promising(search: _Search, fit: Fit) -> list[Part]:
+    """Return the laws and the effects of the library that a screen at a fit finds most promising.
+
+    Parameters that have moved further than they may do a law's work and hide it: then the crane as given is screened too.
+    """
+    laws, effects = _screened(search, fit)
+    if fit is search.base and not plausible(fit):
+        nominal = all_parameters(unmoving(search.crane), search.data)
+        known = {v.name: u for v, u in zip(nominal.variables, nominal.u, strict=True)}
+        u = np.array([known.get(v.name, 0.0) for v in fit.variables])
+        unmoved = nominal.begun(search.crane, fit.variables, u)
+        more, others = _screened(search, unmoved)
+        laws, effects = _merged(laws, more), _merged(effects, others)
+    return [*laws[:LOOSELY], *effects[:FITTED]]
+
+
+def _merged(first: Sequence[Part], second: Sequence[Part]) -> list[Part]:
+    """Return both lists in turn, the first of each name."""
+    found: dict[str, Part] = {}
+    for pair in zip_longest(first, second):
+        for part in filter(None, pair):
+            found.setdefault(_name(part), part)
+    return list(found.values())
+
+
+def _screened(search: _Search, fit: Fit) -> tuple[list[Part], list[Part]]:
+    """Return laws and effects of the library that could act beside a fit, the most promising first."""
+    found = screened_laws(fit, laws_of(fit), LOOSE.stiffness)
+    least = max(CRITERIA.proof, CRITERIA.hopeless * found[0].gain) if found else CRITERIA.proof
+    laws = [Part.of(f) for f in found if allowed(f) and f.gain > least]
+    effects = []
+    for score in likely(screened(fit, LOOSE.stiffness), FITTED, CRITERIA.promise):
+        key = score.start.key
+        variables = tuple(effect_variables(key, scaled(score.start, score.amplitude), search.crane.layout))
+        effects.append(Part(key, variables, np.array([v.begin for v in variables])))
+    return laws, effects
+
+
+def _sound(e: Explained) -> bool:
+    """Whether all curves have the sign that physics asks of them."""
+    for part in e.laws:
+        assert part.law is not None
+        y, cov = e.curve(part)
+        astray = (part.law.neutral - y) - ASTRAY * np.sqrt(np.maximum(np.diag(cov), 0.0))
+        if part.law.one_sided and (astray > 0.1 * np.abs(y - part.law.neutral).max()).any():
+            return False
+    return True
+
+
+def _predicts(search: _Search, before: Explained, after: Explained, notes: list[str]) -> bool:
+    """Whether a law gains on blocks of time that were left out what it should, and leaves little enough."""
+    outside, inside = left_out_gain(search.crane, search.shared, before, after, BLOCK)
+    if outside > PREDICTED * inside:
+        return True
+    law = after.laws[-1]
+    notes.append(
+        f"{law.key} would gain {inside:.0f} units of log-likelihood where it was fitted, but {outside:.0f} on blocks left out: it does not predict"
+    )
+    return False
+
+
+def _refined(search: _Search, best: Explained) -> Explained:
+    """Return the explanation with more knots where its curves bend; itself where that is no better supported."""
+    parts = [p if p.found is None else Part.of(p.found.refined(best.curve(p)[0])) for p in best.parts]
+    keys = {p.key for p in best.laws}
+    shared = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in keys]
+    before = replace(best.fit, variables=tuple(best.fit.variables[i] for i in shared), u=best.fit.u[shared])
+    found = explain(search.crane, search.data, search.shared, before, parts, (STIFF,))
+    return found if found.evidence > best.evidence else best
+
+
+def _lean(search: _Search, best: Explained) -> Explained:
+    """Return the explanation with the fewest moved parameters, or the one with all where that is better supported."""
+    held: list[Variable] = [v for v in search.shared if not isinstance(v, NominalDirection)]
+    bare = explain(search.crane, search.data, held, best.fit, best.parts, (STIFF,))
+    tried, let_go = [best, bare], needed(search.crane, bare.fit)
+    if let_go:
+        tried.append(explain(search.crane, search.data, [*held, *let_go], best.fit, best.parts, (STIFF,)))
+    return max(tried, key=lambda e: e.evidence)
+
+
+def _concluded(
+    search: _Search, nothing: Explained, best: Explained, rivals: Sequence[Explained], recordings: Sequence[Recording],
+    check: Recording | None, notes: list[str],
+) -> Learned:  # fmt: skip
+    """Return what was learned, with errors on both recordings; nothing, where the check recording says otherwise."""
+    given = Learned(search.data.name, search.crane, search.crane)
+    unchanged = _with_errors(given, nothing, recordings, check, search.jobs)
+    if not best.laws:
+        if best.parts:
+            names = ", ".join(p.key for p in best.parts)
+            notes.append(f"effects of the library do as well: {names}. Go on with `patu diagnose`")
+        return replace(unchanged, notes=tuple(notes))
+    lean = _lean(search, _refined(search, best))
+    kept = {"recording": search.data.name, "evidence": lean.evidence - nothing.evidence}
+    learned = replace(given, crane=added(search.crane, lean.fit.crane, **kept))
+    learned = _with_errors(learned, lean, recordings, check, search.jobs, unchanged)
+    after, before = learned.check_error_after, learned.check_error_before
+    if after > CRITERIA.misled and excess(after) > CRITERIA.left * excess(before):
+        names = " and ".join(_name(p) for p in best.parts)
+        notes.append(f"{names} explains the recording, but not the check recording (error {before:.3g} -> {after:.3g})")
+        return replace(unchanged, notes=tuple(notes))
+    ties = [e for e in rivals if e is not best and e.evidence > best.evidence - CRITERIA.tie and _sound(e)]
+    noise = {s.channel: s.noise for p in search.data.parts for s in p.samples}
+    telling = best_manoeuvre(best.fit.crane, ties[0].fit.crane, noise, search.data.channels) if ties else ""
+    laws = tuple(_told(search, lean, p, _names(best, ties), lean.evidence - nothing.evidence) for p in lean.laws)
+    effects = tuple(p.key for p in lean.parts if p.law is None)
+    return replace(learned, laws=laws, effects=effects, next_manoeuvre=telling, notes=tuple(notes))
+
+
+def _names(best: Explained, ties: Sequence[Explained]) -> tuple[str, ...]:
+    """Return what is tied, the parts in which it differs from the best: "learned_force@lift over speed" or an effect of the library."""
+    own = {_name(p) for p in best.parts}
+    return tuple(" + ".join(n for n in map(_name, e.parts) if n not in own) for e in ties)
+
+
+def _name(part: Part) -> str:
+    if part.law is None:
+        return part.key
+    kind = (
+        ""
+        if len(part.law.over.against) < 2 or part.law.against == part.law.over.against[0]
+        else (" against motion" if part.law.against else " as a spring")
+    )
+    return f"{part.key} over {part.law.over.name}{kind}"
+
+
+def _told(search: _Search, e: Explained, part: Part, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
+    law = part.law
+    assert law is not None
+    curve = registry.split_key(law.key)[0].curve
+    assert curve is not None
+    y, cov = e.curve(part)
+    form = resembles(law.x, y, cov, law.over, curve.unit, law.key, law.against)
+    text = form.text + (f", which is {form.library}" if form.library else "")
+    return LearnedLaw(
+        law.key, law.over.name, unit_over(law, search.crane.layout), curve.unit, law.x, y, np.sqrt(np.maximum(np.diag(cov), 0.0)),
+        law.against, text, tied, evidence, law, form,
+    )  # fmt: skip
+
+
+def _with_errors(
+    found: Learned,
+    e: Explained,
+    recordings: Sequence[Recording],
+    check: Recording | None,
+    jobs: int,
+    before: Learned | None = None,
+) -> Learned:
+    """Add open-loop errors of its crane on all recordings; those of the crane as given are the same, or those of `before`."""
+    tasks: list[tuple[Any, ...]] = [
+        (run_error, found.crane, r, None if found.crane is found.given else e.fit.of(i)) for i, r in enumerate(recordings)
+    ]
+    tasks += [(run_error, found.crane, check, None)] if check is not None else []
+    errors = in_parallel(jobs, tasks)
+    error = together(recordings, errors[: len(recordings)])
+    checked = errors[-1] if check is not None else math.nan
+    first = before or replace(found, error_before=error, check_error_before=checked)
+    return replace(
+        found, error_before=first.error_before, error_after=error,
+        check_error_before=first.check_error_before, check_error_after=checked,
+    )  # fmt: skip

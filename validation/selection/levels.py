@@ -1,0 +1,107 @@
+"""The error levels of a model that is wrong: one for each channel, and how many independent samples its errors are worth.
+
+Where something is always left, the level of a channel is the model's error and not the sensor's alone, and samples count as many times as they are
+independent: errors of a wrong model drift, and taken as white noise they would prove anything. When only noise is left, the levels are one, and so is
+the factor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..fit.data import Data, FitData
+from ..fit.solve import Fit
+from ..fit.staged import residuals
+
+#: errors are taken as independent at the latest after so many seconds, in windows, and in a run over the whole recording, which drifts
+APART, DRIFT = 0.25, 1.0
+Errors = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Error levels by channel in units of the sensors' noise, and the factor on them at which samples weigh what the independent ones are worth."""
+
+    of: Errors
+    factor: float = 1.0
+
+    def raised(self, data: Data) -> Data:
+        """Return data with sensors' noise with these levels instead."""
+        if isinstance(data, FitData):
+            return self._raised(data)
+        return replace(data, parts=tuple(self._raised(p) for p in data.parts))
+
+    def _raised(self, part: FitData) -> FitData:
+        samples = (replace(s, noise=s.noise * self.factor * self.of[s.channel]) for s in part.samples)
+        return replace(part, samples=tuple(samples))
+
+
+def independent(r: np.ndarray) -> float:
+    """Return how many independent samples the residuals r (n,) are worth: n over the sum of their autocorrelation.
+
+    The sum runs to the first lag without positive correlation, which is careful with errors that ring.
+    """
+    n, power = len(r), float(r @ r)
+    if n < 2 or power == 0.0:
+        return float(n)
+    spectrum = np.abs(np.fft.rfft(r, 2 * n)) ** 2
+    rho = np.fft.irfft(spectrum)[:n] / power
+    ends = np.flatnonzero(rho <= 0.0)
+    return n / (1.0 + 2.0 * float(rho[1 : int(ends[0]) if len(ends) else n].sum()))
+
+
+def levels_of(found: Fit, data: Data, most: Errors | None = None, apart: float = APART) -> Levels:
+    """Return the error levels that a fit leaves.
+
+    A level is the channel's RMS error, at least its sensor's noise and at most `most` where that is given: a channel that a better model fits worse than
+    the one before must not be given up. The factor is the root of how many samples make an independent one, on the average of
+    the channels: one for each would weigh down just those channels that show best what is missing.
+
+    Args:
+        found: a fit to the data, whatever levels it was fitted with.
+        data: the same data with the sensors' noise.
+        most: levels of the model before.
+        apart: samples so many seconds from one another are independent.
+    """
+    errors = window_errors(found, data)
+    levels = {c: max(1.0, float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))) for c, parts in errors.items()}
+    if most is not None:
+        levels = {c: min(level, max(1.0, most[c])) for c, level in levels.items()}
+    interval = max(p.interval for p in data.parts)
+    each = [r for parts in errors.values() for r in parts]
+    worth = [len(r) / max(independent(r), len(r) * interval / apart) for r in each]
+    return Levels(levels, math.sqrt(float(np.mean(worth))))
+
+
+def window_errors(found: Fit, data: Data) -> dict[str, list[np.ndarray]]:
+    """Return by channel and recording the errors of all windows of a fit, one after the other, in units of the sensors' noise."""
+    errors: dict[str, list[np.ndarray]] = {}
+    for i, part in enumerate(data.parts):
+        fit, own = found.of(i), dict[str, list[np.ndarray]]()
+        noise = {s.channel: s.noise for s in part.samples}
+        for window, x0 in zip(fit.windows, fit.knots, strict=True):
+            left = residuals(fit.crane, window.data, x0, fit.late)
+            for s in window.data.samples:
+                own.setdefault(s.channel, []).append(left[s.channel][1] * s.noise / noise[s.channel])
+        for c, pieces in own.items():
+            errors.setdefault(c, []).append(np.concatenate(pieces))
+    return errors
+
+
+def falls(before: Errors, after: Errors) -> float:
+    """Return the mean over channels of the log of the error's fall; below its sensor's noise an error no longer counts."""
+    return float(np.mean([math.log(max(before[c], 1.0) / max(after[c], 1.0)) for c in before]))
+
+
+def likelihood(found: Fit, data: Data) -> float:
+    """Return the log-likelihood of a fit, each channel's level at its most likely value, with the log prior, up to a constant.
+
+    A channel that is given up costs the log of its level.
+    """
+    levels = levels_of(found, data, apart=DRIFT)
+    counts = {c: sum(len(r) for r in parts) for c, parts in window_errors(found, data).items()}
+    return -sum(n / levels.factor**2 * math.log(levels.of[c]) for c, n in counts.items()) - found.prior_cost

@@ -1,0 +1,296 @@
+"""Models of a machine, how they are fitted to recordings, and what they are worth.
+
+A model is the crane as given with effects added and with variables that may move. Its score is the log evidence (`fit.evidence`) under the error
+model of the round: the data's noise levels, the same for all models of a round.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.errors import CraneError
+from crane_exudyn.layout import Layout
+from crane_exudyn.recording import Recording
+
+from ..fit.data import Data, FitData
+from ..fit.evidence import log_evidence
+from ..fit.solve import Fit
+from ..fit.staged import FINE, START, Stage, first_knots, residuals, rms, staged, timing_of
+from ..fit.variables import (
+    CurveDirection,
+    EffectParameter,
+    EffectVariable,
+    NominalDirection,
+    Variable,
+    effect_variables,
+    uncertain_parameters,
+)
+from .criteria import CRITERIA
+
+#: a standard deviation of that many typical sizes means that the data say nothing
+UNDETERMINED = 1e3
+#: a long run is so many times worse than short windows only if its start went astray
+ASTRAY = 1.3
+
+
+@dataclass(frozen=True)
+class Model:
+    """What might be: effects with parameter values (SI) to start from, beside variables that all models of a search share."""
+
+    variables: tuple[Variable, ...]
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The effects' names with their places."""
+        return tuple(self.effects)
+
+    def own(self, layout: Layout) -> list[EffectVariable]:
+        """Return the variables of its effects."""
+        return [v for key, values in self.effects.items() for v in effect_variables(key, values, layout)]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to recordings.
+
+    Attributes:
+        fit: the last stage of the fit; loose: the first one, from which further effects are looked for where much is left.
+        evidence: log marginal likelihood, up to a constant of the recordings and the stage.
+    """
+
+    model: Model
+    fit: Fit
+    evidence: float
+    loose: Fit = field(repr=False)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Its effects."""
+        return self.model.keys
+
+    @cached_property
+    def level(self) -> float:
+        """RMS error in noise units in which unexplained stretches count by their logarithm only."""
+        linear = self.fit.linear
+        return math.inf if linear.failed else math.sqrt(linear.cost / max(1, sum(linear.counts.values())))
+
+    @cached_property
+    def bad(self) -> np.ndarray:
+        """Which windows stay unexplained, (K,) bool."""
+        return unexplained(self.fit)
+
+    @property
+    def strain(self) -> float:
+        """Half the sum of squares of the moves of nominal parameters, in standard uncertainties: their log prior, up to a sign."""
+        return 0.5 * float(np.square(_moves(self.fit)).sum())
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the moved parameters, taken together, are what their stated uncertainties allow."""
+        return plausible(self.fit)
+
+    @property
+    def good(self) -> bool:
+        """Whether it leaves hardly more than noise, its parameters within their uncertainty."""
+        return self.level < CRITERIA.level and float(self.bad.mean()) <= CRITERIA.share and self.plausible
+
+    @property
+    def far(self) -> tuple[str, ...]:
+        """Nominal parameters that moved by more than `Criteria.far` standard uncertainties."""
+        given, found = self.fit.origin, self.fit.crane
+        known = given.uncertainty
+        return tuple(
+            n for n in known if n in given.values and math.isfinite(known[n].std)
+            and abs(found.values[n] - given.values[n]) > CRITERIA.far * known[n].std
+        )  # fmt: skip
+
+    @property
+    def strained(self) -> bool:
+        """Whether parameters have moved further than they may, together or several of them."""
+        return not self.plausible or len(self.far) >= CRITERIA.several
+
+    @property
+    def idle(self) -> set[str]:
+        """Effects whose parameters cannot be told from their neutral values."""
+        return {key for key in self.keys if self._at_neutral(key)}
+
+    def _at_neutral(self, key: str) -> bool:
+        values, spread = self.values(key), self.deviations(key)
+        acting = [p for p in registry.split_key(key)[0].parameters if not p.shape]
+        return all(
+            math.isinf(values[p.name])
+            or (
+                math.isinf(spread[p.name])
+                if math.isinf(p.neutral)
+                else abs(values[p.name] - p.neutral) < CRITERIA.told_apart * spread[p.name]
+            )
+            for p in acting
+        )
+
+    def values(self, key: str) -> dict[str, float]:
+        """Return the fitted parameters (SI) of one effect."""
+        return parameters_of(self.fit.crane, key)
+
+    def deviations(self, key: str) -> dict[str, float]:
+        """Return the standard deviation (SI) of each fitted parameter of an effect; infinite where the data do not determine it."""
+        found = {
+            v.parameter.name: deviation(v, float(u), math.sqrt(max(float(spread), 0.0)))
+            for v, u, spread in zip(self.fit.variables, self.fit.u, np.diag(self.fit.cov), strict=True)
+            if isinstance(v, EffectParameter) and v.key == key
+        }
+        return found | _curve_deviations(self.fit, key)
+
+
+def _moves(fit: Fit) -> np.ndarray:
+    pairs = zip(fit.variables, fit.u, strict=True)
+    return np.array([u / v.prior for v, u in pairs if math.isfinite(v.prior) and not isinstance(v, EffectVariable)])
+
+
+def plausible(fit: Fit) -> bool:
+    """Whether the parameters that a fit moved, taken together, are what their stated uncertainties allow."""
+    moves = _moves(fit)
+    return not len(moves) or float(np.square(moves).sum()) < float(chi2.isf(CRITERIA.implausible, len(moves)))
+
+
+def at_bound(fit: Fit, key: str) -> list[str]:
+    """Return the parameters of an effect that a fit has driven to an end of their range (the neutral end, and what only shapes a law, excepted)."""
+    hit = []
+    for v, u in zip(fit.variables, fit.u, strict=True):
+        if isinstance(v, EffectParameter) and v.key == key and not v.parameter.shape:
+            ends = [e for e in (v.lower, v.upper) if math.isfinite(e) and abs(e - v.neutral) > 1e-12]
+            if any(abs(u - e) < 1e-3 * max(1.0, abs(e)) for e in ends):
+                hit.append(v.parameter.name)
+    return hit
+
+
+def parameters_of(crane: Crane, key: str) -> dict[str, float]:
+    """Return the parameters (SI) of an effect that a crane has."""
+    acting = crane.effect(key)
+    if acting is None:
+        raise CraneError(f"{crane.name} has no effect {key!r}.")
+    return dict(acting.parameters)
+
+
+def _curve_deviations(fit: Fit, key: str) -> dict[str, float]:
+    """Return the standard deviation (SI) of each value of a curve; none for another effect."""
+    at = [i for i, v in enumerate(fit.variables) if isinstance(v, CurveDirection) and v.key == key]
+    names = sorted({n for i in at for n in fit.variables[i].weights}, key=lambda n: int(n[1:]))  # type: ignore[union-attr]
+    root = np.array([[fit.variables[i].weights[n] for i in at] for n in names])  # type: ignore[union-attr]
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", root, fit.cov[np.ix_(at, at)], root), 0.0)) if names else []
+    return {n: float(s) for n, s in zip(names, spread, strict=True)}
+
+
+def deviation(variable: EffectParameter, u: float, spread: float) -> float:
+    """Return the standard deviation (SI) of an effect's parameter whose u has that one; infinite where the data do not determine it."""
+    if variable.inverse:
+        return variable.parameter.typical / u**2 * spread if u > 2.0 * spread else math.inf
+    return variable.scale * spread if spread < UNDETERMINED else math.inf
+
+
+def unexplained(fit: Fit) -> np.ndarray:
+    """Return (K,) whether a window's error is above 1.3, or four standard errors where samples are few."""
+    counts = np.array([sum(len(s.values) for s in w.data.samples) for w in fit.windows])
+    return fit.linear.window_error > np.maximum(CRITERIA.explained, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(counts, 1)))
+
+
+def values_of(fit: Fit) -> dict[str, float]:
+    """Return u by the names of a fit's variables."""
+    return {v.name: float(x) for v, x in zip(fit.variables, fit.u, strict=True)}
+
+
+def fitted(crane: Crane, data: Data, model: Model, before: Fit, stages: Sequence[Stage]) -> Fitted:
+    """Return a model fitted through the stages, from the knots (and where it has them the values) of an earlier fit."""
+    own = model.own(crane.layout)
+    known = values_of(before)
+    u = [known.get(v.name, begin(v, before, {} if own else known)) for v in (*model.variables, *own)]
+    fits = [staged(crane, data, [*model.variables, *own], np.array(u), before, stages[:1])]
+    for stage in stages[1:]:
+        fits.append(staged(crane, data, fits[-1].variables, fits[-1].u, fits[-1], (stage,)))
+    return Fitted(model, fits[-1], log_evidence(fits[-1]), fits[0])
+
+
+def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
+    """Return where a variable begins that an earlier fit did not have: a joint direction of parameters where that fit moved them one by one.
+
+    Beside a new effect parameters begin unmoved (nothing is known of them): they may have moved to do its work.
+    """
+    if isinstance(variable, EffectVariable):
+        return variable.begin
+    if not isinstance(variable, NominalDirection) or not set(variable.weights) <= set(known):
+        return 0.0
+    scale = {
+        v.name: v.weights[v.name] for v in before.variables if isinstance(v, NominalDirection) and v.name in v.weights
+    }
+    return sum(weight / scale[name] * known[name] for name, weight in variable.weights.items())
+
+
+def best_of_each(found: Sequence[Fitted]) -> list[Fitted]:
+    """Return the fits, best first, only the best of those with the same effects."""
+    seen: dict[frozenset[str], Fitted] = {}
+    for w in sorted(found, key=lambda w: -w.evidence):
+        seen.setdefault(frozenset(w.keys), w)
+    return list(seen.values())
+
+
+def open_loop_error(
+    crane: Crane, recording: Recording, knots: Fit | None = None, own: Sequence[str] = ()
+) -> tuple[float, Fit]:
+    """Return the RMS error over all samples, in noise units, of an open-loop run of which only the start is fitted, and that fit.
+
+    The start is the first state, and by how little the recorded commands come late; parameters `own` are each recording's.
+
+    Args:
+        crane: the crane as it is.
+        recording: what it is held against.
+        knots: a fit of this crane to this recording, from which to start; guessed from the measurements if there is none.
+        own: nominal parameters that are fitted with the start, where no fit is given.
+    """
+    data = FitData.of(recording, crane)
+    variables: list[Variable] = [timing_of(data)]
+    if knots is None:
+        variables += [v for v in uncertain_parameters(crane) if v.name in own]
+        fit = staged(crane, data, variables, np.zeros(len(variables)), first_knots(crane, data), START)
+    else:
+        fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, START[-1:])
+    every = FitData.of(recording, crane, rate=math.inf, step=FINE)
+    return rms(residuals(fit.crane, every, fit.starts, fit.late)), fit
+
+
+def run_error(crane: Crane, recording: Recording, knots: Fit | None, own: Sequence[str] = ()) -> float:
+    """Return the open-loop error; where a run from the knots of a fit is far worse than the fit, its start is looked for anew as well."""
+    error = open_loop_error(crane, recording, knots, own)[0]
+    if knots is None or error < ASTRAY * knots.error:
+        return error
+    return min(error, open_loop_error(crane, recording)[0])
+
+
+def together(recordings: Sequence[Recording], errors: Sequence[float]) -> float:
+    """Return the RMS over all samples of recordings whose own RMS is given."""
+    counts = [sum(len(r[c]) for c in r.sensors) for r in recordings]
+    return math.sqrt(sum(n * e**2 for n, e in zip(counts, errors, strict=True)) / sum(counts))
+
+
+def excess(error: float) -> float:
+    """Return by how much a squared error exceeds what noise makes."""
+    return max(error**2 - 1.0, 0.0)
+
+
+def with_effects(crane: Crane, effects: Mapping[str, Mapping[str, float]]) -> Crane:
+    """Return a crane with effects set."""
+    for key, values in effects.items():
+        crane = crane.with_effect(key, values)
+    return crane
+
+
+def unmoving(crane: Crane) -> Crane:
+    """Return the crane with all its parameters known exactly."""
+    return replace(crane, uncertainty={})

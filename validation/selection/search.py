@@ -1,0 +1,364 @@
+"""One search: models grow by moves, round by round, until no move brings what it must.
+
+A round goes on from a beam of models. All moves are screened linearly, the likeliest are fitted (from their parent, and from the machine as given
+where parameters may do their work), the leading ones are carried to the end, and the best one is gone on from. What came in beside others is also
+looked at alone, and what parameters help is looked for at its other places. The path of a search holds all that was fitted; what it means is said by
+`verdict`, which changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
+from crane_exudyn.recording import Recording
+
+from ..fit.data import Data, data_of
+from ..fit.evidence import log_evidence
+from ..fit.solve import Fit
+from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, Stage, all_parameters, informed_directions, timings
+from ..fit.variables import Variable, stated_effects
+from ..workers import results_of
+from .criteria import CRITERIA
+from .lean import leaner
+from .model import (
+    Fitted,
+    Model,
+    best_of_each,
+    excess,
+    fitted,
+    parameters_of,
+    plausible,
+    run_error,
+    together,
+    unmoving,
+    with_effects,
+)
+from .moves import scaled, starts
+from .screen import likely, screened
+
+Progress = Callable[[str, float], None]
+
+
+def silent(text: str, share: float) -> None:
+    """Tell nobody of the progress."""
+
+
+Stages = Sequence[Stage]
+
+
+@dataclass(frozen=True)
+class Move:
+    """A model to be fitted, from the knots (and values) of an earlier fit."""
+
+    model: Model
+    before: Fit
+
+
+@dataclass(frozen=True)
+class Round:
+    """What was fitted in a round: with the first stages, best first, and to the end, best first; open-loop errors by effects where they decide."""
+
+    tried: tuple[Fitted, ...]
+    done: tuple[Fitted, ...]
+    errors: Mapping[frozenset[str], float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Path:
+    """All that a search fitted.
+
+    Attributes:
+        given: the crane as it is; parameters: with its uncertain parameters moved; fewest: with the fewest of them that do, where that was needed.
+        left_out: errors on blocks that were left out, before and after, of a model that leaves something, by its effects.
+    """
+
+    problem: Problem
+    given: Fitted
+    parameters: Fitted
+    fewest: Fitted
+    rounds: tuple[Round, ...] = ()
+    left_out: Mapping[frozenset[str], tuple[float, float]] = field(default_factory=dict)
+
+    @cached_property
+    def bare(self) -> float:
+        """Evidence of the better model without effects."""
+        return max(self.given.evidence, self.parameters.evidence)
+
+    @property
+    def strained(self) -> bool:
+        """Whether parameters without effects have moved so far that they may do an effect's work, in short windows, or as the whole explanation."""
+        return not plausible(self.problem.base) or (self.parameters.good and self.fewest.strained)
+
+    @cached_property
+    def weighed(self) -> tuple[Fitted, ...]:
+        """Models with effects that were fitted to the end and justify each of their effects, best first."""
+        done = best_of_each([w for r in self.rounds for w in r.done])
+        alone = {frozenset(w.keys): w.evidence for w in done}
+        return tuple(w for w in done if len(w.keys) == 1 or self._justified(w, alone, done))
+
+    def _justified(self, w: Fitted, alone: Mapping[frozenset[str], float], done: Sequence[Fitted]) -> bool:
+        """Whether each effect of several acts, brings evidence, and together they take away most of what fewer leave."""
+        fewer = [v for v in done if len(v.keys) < len(w.keys)]
+        least = max([self.bare, *(e for keys, e in alone.items() if keys < frozenset(w.keys))])
+        if w.idle or w.evidence < least + CRITERIA.proof:
+            return False
+        best = max(fewer, key=lambda v: v.evidence, default=self.parameters)
+        if best.good:
+            errors = {keys: e for r in self.rounds for keys, e in r.errors.items()}
+            after, before = (errors.get(frozenset(v.keys), math.inf) for v in (w, best))
+            return math.isfinite(after) and excess(after) < CRITERIA.left * excess(before)
+        return w.good or w.level**2 - 1.0 < CRITERIA.left * (best.level**2 - 1.0)
+
+    @property
+    def best(self) -> Fitted | None:
+        """The best model with effects."""
+        return self.weighed[0] if self.weighed else None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is searched: a crane, its recordings, and the variables that all models share.
+
+    Attributes:
+        nominal: the crane as it is, in loosely joined windows; base: the same with all uncertain parameters free.
+    """
+
+    crane: Crane
+    recordings: tuple[Recording, ...]
+    data: Data
+    jobs: int
+    nominal: Fit = field(repr=False)
+    base: Fit = field(repr=False)
+    shared: tuple[Variable, ...]
+
+    @classmethod
+    def of(cls, crane: Crane, recordings: Sequence[Recording], own: Sequence[str], jobs: int) -> Problem:
+        """Return the problem, nominal parameters fitted in loosely joined windows."""
+        data = data_of(recordings, crane, own)
+        nominal, base = all_parameters(unmoving(crane), data), all_parameters(crane, data)
+        shared = (*informed_directions(base), *stated_effects(crane))
+        return cls(crane, tuple(recordings), data, jobs, nominal, base, shared)
+
+    def run(self, moves: Sequence[Move], stages: Stages) -> list[Fitted]:
+        """Return the moves fitted, on as many processes as may be used, best first."""
+        found = in_parallel(self.jobs, [(fitted, self.crane, self.data, m.model, m.before, stages) for m in moves])
+        return sorted((w for w in found if math.isfinite(w.evidence)), key=lambda w: -w.evidence)
+
+    def errors(self, fits: Sequence[Fit]) -> list[list[float]]:
+        """Return by fit and recording the open-loop errors of cranes as they were fitted."""
+        n = len(self.recordings)
+        own = [fit.of(i) for fit in fits for i in range(n)]
+        found = in_parallel(self.jobs, [(run_error, f.crane, self.recordings[k % n], f) for k, f in enumerate(own)])
+        return [found[n * k : n * (k + 1)] for k in range(len(fits))]
+
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Fit:
+        """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined windows."""
+        return all_parameters(unmoving(with_effects(self.crane, effects)), self.data)
+
+    def unmoved(self, fit: Fit, model: Model) -> Fit:
+        """Return a fit of the crane as given with effects, in which all uncertain parameters may move from where the crane states them."""
+        known = {v.name: u for v, u in zip(fit.variables, fit.u, strict=True)}
+        own = model.own(self.crane.layout)
+        variables = (*self.base.variables, *own)
+        u = [known.get(v.name, 0.0) for v in self.base.variables] + [v.begin for v in own]
+        return fit.begun(self.crane, variables, np.array(u))
+
+
+def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """Return the results of tasks (function, *arguments) from worker processes that know the user's own effects."""
+    if jobs == 1 or len(tasks) < 2:
+        return [function(*arguments) for function, *arguments in tasks]
+    return list(results_of(tasks, min(jobs, len(tasks))))
+
+
+def search(problem: Problem, most: int, progress: Progress = silent) -> Path:
+    """Return the path to the best model with at most so many effects."""
+    path = _begun(problem)
+    while True:
+        progress("looking for effects", 0.2 + 0.6 * min(len(path.rounds) / most, 1.0))
+        found = _round(path, most)
+        if found is None:
+            return _judged(path)
+        before, path = path.best, replace(path, rounds=(*path.rounds, found))
+        after = path.best
+        if before is not None and (after is None or after.evidence < before.evidence + CRITERIA.proof):
+            return _judged(path)
+
+
+def _begun(problem: Problem) -> Path:
+    """Return the path before its first round: the crane as it is, and with its parameters moved."""
+    crane, data = problem.crane, problem.data
+    given = fitted(crane, data, Model(tuple(timings(data))), problem.nominal, (TIGHT, STIFF))
+    parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
+    parameters = replace(parameters, loose=problem.base)
+    fewest = leaner(crane, data, parameters) if parameters.good and not given.good else parameters
+    return Path(problem, replace(given, loose=problem.nominal), parameters, fewest)
+
+
+def _round(path: Path, most: int) -> Round | None:
+    """Return what a round fitted; None where no move promises anything."""
+    problem, parents = path.problem, _beam(path, most)
+    moves = [m for parent in parents for m in _additions(path, parent)]
+    if not moves:
+        return None
+    near = bool(parents[0].good and parents[0].keys)  # the cost is quadratic at once: no walk from loose to stiff
+    tried = best_of_each(problem.run(moves, (STIFF,) if near else (LOOSE,)))
+    done = tried if near else problem.run([Move(w.model, w.fit) for w in _leading(parents, tried)], (TIGHT, STIFF))
+    done = _relocated(path, done) if not path.rounds else done
+    done = _further(path, done)
+    done = best_of_each([*done, *_dropped(path, done, near)])
+    return Round(tuple(tried), tuple(done), _deciding(path, done))
+
+
+def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]:
+    """Return open-loop errors where a model leaves hardly more than noise and further effects bring evidence: they must show there as well.
+
+    Moved parameters can make up for a further effect, but not for nothing: their prior charges for it, and the screen knows that.
+    """
+    singles = [w for w in best_of_each([*(w for r in path.rounds for w in r.done), *done]) if len(w.keys) == 1]
+    first = singles[0] if singles else None
+    if first is None or not first.good:
+        return {}
+    more = [w for w in done if len(w.keys) > 1 and w.evidence > first.evidence + CRITERIA.proof and not w.idle]
+    if not more:
+        return {}
+    errors = path.problem.errors([w.fit for w in (first, *more)])
+    return {
+        frozenset(w.keys): together(path.problem.recordings, e) for w, e in zip((first, *more), errors, strict=True)
+    }
+
+
+def _beam(path: Path, most: int) -> Sequence[Fitted]:
+    """Return the models that a round goes on from, the leading one first: the best alone if it leaves hardly more than noise."""
+    best = path.best
+    if not path.rounds:
+        return [path.parameters]
+    if best is None or (path.parameters.good and best.evidence < path.bare + CRITERIA.proof):
+        return []
+    if len(path.rounds) == 1 and most > 1 and not (best.good or path.parameters.good):
+        return path.rounds[0].tried[: CRITERIA.beam]
+    return [best] if len(best.keys) < most else []
+
+
+def _additions(path: Path, parent: Fitted) -> list[Move]:
+    """Return the likeliest effects beside a model, as the screen sees them from where it stands, and from the machine as given."""
+    problem, near = path.problem, bool(parent.good and parent.keys)
+    fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
+    most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
+    found = [
+        (s, fit) for s in likely(screened(fit, stiffness), most, CRITERIA.proof if parent.good else CRITERIA.promise)
+    ]
+    if not parent.plausible if parent.keys else path.strained:
+        effects = {k: parameters_of(fit.crane, k) for k in parent.keys}
+        held = problem.with_effects(effects) if effects else problem.nominal
+        held = problem.unmoved(held, Model(problem.shared, effects))
+        keys = {s.start.key for s, _ in found}
+        more = likely(screened(held, LOOSE.stiffness), CRITERIA.as_given + len(keys), CRITERIA.promise)
+        found += [(s, held) for s in more if s.start.key not in keys][: CRITERIA.as_given]
+    own = {k: parameters_of(fit.crane, k) for k in parent.keys}
+    return [
+        Move(Model(problem.shared, own | {s.start.key: scaled(s.start, s.amplitude)}), before) for s, before in found
+    ]
+
+
+def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]:
+    """Return the fits to be carried to the end: the best, a third if it is near, and the one that parameters help least if they help the best too much."""
+    if not tried:
+        return []
+    best = tried[0].evidence
+    near = max(100.0, CRITERIA.near * (best - log_evidence(parents[0].loose)))
+    leading = list(tried[: CRITERIA.finished])
+    if not parents[0].keys:
+        leading += [w for w in tried[CRITERIA.finished : CRITERIA.finished + 1] if w.evidence > best - near]
+    elif not leading[0].plausible:
+        calmest = min(
+            (w for w in tried if set(parents[0].keys) <= set(w.keys)), key=lambda w: w.strain, default=leading[0]
+        )
+        leading += [calmest] if all(calmest is not w for w in leading) else []
+    return leading
+
+
+def _relocated(path: Path, done: list[Fitted]) -> list[Fitted]:
+    """Return the fits with the leading effect at its other places added, where moved parameters help it.
+
+    An effect at the wrong place explains much of a recording if parameters may help, and they can hide the right place from the screen.
+    """
+    if not done or done[0].strain < CRITERIA.helped:
+        return done
+    problem, tried = path.problem, {key for w in done for key in w.keys}
+    effect, _ = registry.split_key(done[0].keys[0])
+    lay = problem.crane.layout
+    found = [s for s in starts(problem.crane, problem.data) if s.key in set(effect.keys(lay)) - tried]
+    moves = [Move(Model(problem.shared, {s.key: s.values}), problem.base) for s in found]
+    leading = best_of_each(problem.run(moves, (LOOSE,)))[:1]
+    return best_of_each([*done, *problem.run([Move(w.model, w.fit) for w in leading], (TIGHT, STIFF))])
+
+
+def _further(path: Path, done: Sequence[Fitted]) -> list[Fitted]:
+    """Return the fits, the leading ones taken further where they are not at their end.
+
+    Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given with the effects as they
+    were found, and as one long run: what is slow does not show in short windows. Where it had not converged, it goes on.
+    """
+    problem, tasks = path.problem, list[tuple[Any, ...]]()
+    for w in sorted(done, key=lambda w: w.strain - w.evidence)[: CRITERIA.further]:  # rather what parameters help less
+        hopeless = len(w.keys) > 1 and w.level > CRITERIA.left_level
+        if w.good or hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
+            continue
+        if not w.plausible:
+            tasks.append((_anew, problem, Model(w.model.variables, {k: w.values(k) for k in w.keys})))
+        elif not w.fit.converged:
+            tasks.append((fitted, problem.crane, problem.data, w.model, w.fit, (STIFF, STIFF)))
+    return best_of_each([*done, *(w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))])
+
+
+def _anew(problem: Problem, model: Model) -> Fitted:
+    return fitted(problem.crane, problem.data, model, problem.with_effects(model.effects), (WHOLE, STIFF))
+
+
+def _dropped(path: Path, done: Sequence[Fitted], near: bool) -> list[Fitted]:
+    """Return models of several effects fitted without one of them: one that does nothing, or beside which the others have not been seen alone.
+
+    What came in beside another may be the one that is missing, and the first a makeshift; or have only led the fit to the better minimum.
+    """
+    known = {frozenset(w.keys) for r in path.rounds for w in r.done} | {frozenset(w.keys) for w in done}
+    moves: dict[frozenset[str], Move] = {}
+    for w in (w for w in done if len(w.keys) > 1):
+        for key in w.keys:
+            rest = {k: w.values(k) for k in w.keys if k != key}
+            if key in w.idle or not (near or frozenset(rest) in known):
+                moves.setdefault(frozenset(rest), Move(Model(w.model.variables, rest), w.fit))
+    return path.problem.run(list(moves.values()), (TIGHT, STIFF))
+
+
+def _judged(path: Path) -> Path:
+    """Return the path with errors on blocks that were left out, where the best model repairs something and leaves something."""
+    best = path.best
+    if best is None or best.good or not best.plausible or best.evidence < path.bare + CRITERIA.proof:
+        return path
+    if best.level > CRITERIA.misled:
+        return path
+    return replace(path, left_out={frozenset(best.keys): left_out(path.problem, best)})
+
+
+def left_out(problem: Problem, w: Fitted) -> tuple[float, float]:
+    """Return the errors, of the crane as given and of a model fitted to the first part of each recording, on the rest."""
+    spans = [(float(p.time[0]), float(p.time[-1])) for p in problem.data.parts]
+    parts = [
+        (r.window(a, a + CRITERIA.learned * (b - a)), r.window(a + CRITERIA.learned * (b - a), b))
+        for r, (a, b) in zip(problem.recordings, spans, strict=True)
+    ]
+    data = data_of([first for first, _ in parts], problem.crane, problem.data.own)
+    found = fitted(problem.crane, data, Model(w.model.variables, {k: w.values(k) for k in w.keys}), w.fit, (STIFF,))
+    rest = [last for _, last in parts]
+    cranes = [problem.crane] * len(rest) + [found.fit.of(i).crane for i in range(len(rest))]
+    errors = in_parallel(problem.jobs, [(run_error, c, rest[k % len(rest)], None) for k, c in enumerate(cranes)])
+    return together(rest, errors[: len(rest)]), together(rest, errors[len(rest) :])

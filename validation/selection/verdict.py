@@ -1,0 +1,100 @@
+"""What the path of a search means: a pure function of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from crane_exudyn.effects import registry
+
+from ..fit.data import FitData
+from ..fit.model import spool_path
+from .criteria import CRITERIA
+from .model import Fitted, at_bound, excess
+from .search import Path, Problem
+
+Kind = Literal["adequate", "parameters", "effect", "tied", "unknown"]
+#: share of what an effect does to the commands that a shift of their clock may leave, and how finely shifts are tried
+_CLOCK, _SHIFTS = 0.1, 20
+#: hooks that act on commands before the spool follows them
+_BEFORE_THE_SPOOL = {"command", "delay", "backlash", "creep"}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is missing: kind, the model that says so, what is tied with it, and remarks."""
+
+    kind: Kind
+    chosen: Fitted
+    ties: tuple[Fitted, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def verdict_of(path: Path) -> Verdict:
+    """Return the verdict on a path."""
+    best, moved = path.best, path.parameters
+    enough = path.given.good or moved.good
+    proven = best is not None and best.evidence > path.bare + CRITERIA.proof
+    if enough and not (proven and best is not None and not within_clocks(path.problem, best)):
+        at_once = _at_once(path) if path.fewest.strained else None
+        if at_once is not None:
+            return Verdict("tied", at_once, (path.fewest,), _bounds(at_once))
+        adequate = path.given.good and moved.evidence < path.given.evidence + CRITERIA.proof
+        return Verdict("adequate", path.given) if adequate else Verdict("parameters", path.fewest)
+    if best is None or not explains(path, best):
+        return Verdict("unknown", path.given)
+    ties = tuple(
+        w for w in path.weighed[1:]
+        if w.evidence > best.evidence - CRITERIA.tie and len(w.keys) <= len(best.keys)
+    )  # fmt: skip
+    nearly = "what comes first predicts what it was not fitted to, but its law is not quite the machine's"
+    notes = () if best.good or _repairs(path, best) else (nearly,)
+    return Verdict("tied" if ties else "effect", best, ties, (*notes, *_bounds(best)))
+
+
+def explains(path: Path, w: Fitted) -> bool:
+    """Whether effects explain the recordings: hardly more than noise left, or nearly all that was wrong repaired, here or where they were not fitted."""
+    if w.evidence < path.parameters.evidence + CRITERIA.proof or not w.plausible:
+        return False
+    return w.good or _repairs(path, w) or _predicts(path, w)
+
+
+def _repairs(path: Path, w: Fitted) -> bool:
+    wrong = max(1, int(path.parameters.bad.sum()))
+    return w.level < CRITERIA.left_level and 1.0 - w.bad.sum() / wrong >= CRITERIA.repaired
+
+
+def _predicts(path: Path, w: Fitted) -> bool:
+    before, after = path.left_out.get(frozenset(w.keys), (1.0, np.inf))
+    return after < CRITERIA.left_level and excess(after) < CRITERIA.left_of_rest * excess(before)
+
+
+def _at_once(path: Path) -> Fitted | None:
+    """Return the best effect that explains at once what parameters explain only by several far moves."""
+    single = (w for w in path.weighed if len(w.keys) == 1 and w.good and len(w.far) < CRITERIA.several)
+    return next((w for w in single if not w.idle and w.evidence > path.parameters.evidence - CRITERIA.tie), None)
+
+
+def _bounds(w: Fitted) -> tuple[str, ...]:
+    return tuple(f"{k}: {p} is at an end of its range" for k in w.keys for p in at_bound(w.fit, k))
+
+
+def within_clocks(problem: Problem, w: Fitted) -> bool:
+    """Whether all that the effects do is what commands do that come less than a sampling interval later: when in it they came is not recorded."""
+    if not all(set(registry.split_key(k)[0].hooks()) <= _BEFORE_THE_SPOOL for k in w.keys):
+        return False
+    return all(_is_a_shift(problem, w, i, part) for i, part in enumerate(problem.data.parts))
+
+
+def _is_a_shift(problem: Problem, w: Fitted, recording: int, data: FitData) -> bool:
+    fit = w.fit.of(recording)
+    plain = fit.crane
+    for key in w.keys:
+        plain = plain.without_effect(key)
+    interval = float(np.median(np.diff(data.command_time)))
+    acting, without = (spool_path(c, data, fit.late) for c in (fit.crane, plain))
+    shifted = [spool_path(plain, data, fit.late + share * interval) for share in np.linspace(0.0, 1.0, _SHIFTS + 1)]
+    left = np.min([np.square(acting - s).sum(axis=0) for s in shifted], axis=0)
+    return bool(np.all(left <= _CLOCK**2 * np.square(acting - without).sum(axis=0)))
