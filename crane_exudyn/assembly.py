@@ -23,7 +23,8 @@ EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": 
 _COMMAND_LIMIT = 1.05
 #: share of repeated times up to which the repeated samples are left out with a remark
 _MOST_REPEATED = 0.1
-#: a pause of all channels beyond so many seconds, and so many times longer than usual, splits a recording; beyond a day the clock is wrong
+#: a pause of all channels beyond so many seconds, and so many times longer than usual, splits a recording; beyond a day
+#: the clock is wrong
 _SPLIT, _SPLIT_RATIO, _DAY = 10.0, 100.0, 86400.0
 
 
@@ -78,7 +79,8 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column], layout:
         if n == "time" or n in channels
     }
     return {
-        "name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes), "columns": read_from,
+        "name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes),
+        "columns": read_from,
         "layout": layout,
     }  # fmt: skip
 
@@ -142,7 +144,8 @@ def _mapped_unit(path: Path, header: str, own: str | None, column: Column) -> st
         return column.unit
     if own is not None and given is not None and own != given:
         raise CraneError(
-            f"{path}, column {header}: the file says [{own}], {column.said} says [{given}]. Leave the unit of {column.said} out, or mend one."
+            f"{path}, column {header}: the file says [{own}], {column.said} says [{given}]. Leave the unit of "
+            f"{column.said} out, or mend one."
         )
     return own if given is None else given
 
@@ -155,7 +158,8 @@ def _clock_of(
     if clock is None:
         headers = [c.header for c in table.columns]
         raise CraneError(
-            f"{path}: there is no column time[s], found {', '.join(headers[:8])}. Add it, or give its name: --map time=Zeit[s]."
+            f"{path}: there is no column time[s], found {', '.join(headers[:8])}. Add it, or give its name: --map "
+            "time=Zeit[s]."
         )
     return clock
 
@@ -168,20 +172,23 @@ def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table:
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         raise CraneError(
-            f"{path}, {table.place(bad[0])}, column {column.header}: the time is missing or not finite. Fill it in, or delete the line."
+            f"{path}, {table.place(bad[0])}, column {column.header}: the time is missing or not finite. Fill it in, or "
+            "delete the line."
         )
     back = np.flatnonzero(np.diff(time) < 0.0)
     if len(back):
         row = int(back[0]) + 1
         raise CraneError(
-            f"{path}, {table.place(row)}, column {column.header}: time {time[row]:.6g} s goes back from {time[row - 1]:.6g} s, "
+            f"{path}, {table.place(row)}, column {column.header}: time {time[row]:.6g} s goes back from "
+            f"{time[row - 1]:.6g} s, "
             "expected increasing times. Sort the samples."
         )
     leaps = np.flatnonzero(np.diff(time) > _DAY)
     if len(leaps):
         row = int(leaps[0]) + 1
         raise CraneError(
-            f"{path}, {table.place(row)}, column {column.header}: time leaps from {time[row - 1]:.6g} s to {time[row]:.6g} s, "
+            f"{path}, {table.place(row)}, column {column.header}: time leaps from {time[row - 1]:.6g} s to "
+            f"{time[row]:.6g} s, "
             "expected a clock that goes on. Mend the clock or its unit, or delete the lines on one side of the leap."
         )
     time.setflags(write=False)
@@ -203,7 +210,8 @@ def _longest_stretch(channels: dict[str, Channel]) -> tuple[dict[str, Channel], 
         n: Channel(c.time[inside[n]], c.values[inside[n]], c.unit) for n, c in channels.items() if inside[n].any()
     }
     return chosen, [
-        f"pauses of more than {_SPLIT:g} s split the recording into {len(stretches)} stretches: the one from {kept[0]:.6g} to {kept[-1]:.6g} s "
+        f"pauses of more than {_SPLIT:g} s split the recording into {len(stretches)} stretches: the one from "
+        f"{kept[0]:.6g} to {kept[-1]:.6g} s "
         f"is used, not {words}. Cut the file there to use them as recordings of their own"
     ]
 
@@ -217,7 +225,8 @@ def _first_of_stamp(path: Path, header: str, time: np.ndarray, rows: np.ndarray,
     if again.sum() > _MOST_REPEATED * len(rows):
         row = int(rows[again][0])
         raise CraneError(
-            f"{path}, {table.place(row)}, column {header}: time {time[row]:.6g} s is repeated, as {again.sum()} of {len(rows)} "
+            f"{path}, {table.place(row)}, column {header}: time {time[row]:.6g} s is repeated, as {again.sum()} of "
+            f"{len(rows)} "
             "times are, expected increasing times. Delete repeated samples, or give the time with more digits."
         )
     return np.asarray(rows[~again])
@@ -260,7 +269,8 @@ def _channel(
     infinite = np.flatnonzero(np.isinf(values))
     if len(infinite):
         raise CraneError(
-            f"{path}, {table.place(infinite[0])}, column {raw.header}: found an infinite value. Leave it empty if it is missing."
+            f"{path}, {table.place(infinite[0])}, column {raw.header}: found an infinite value. Leave it empty if it "
+            "is missing."
         )
     if name in layout.commands:
         voltage = layout.voltages[layout.commands.index(name)]
@@ -277,5 +287,6 @@ def _check_command(path: Path, raw: RawColumn, values: np.ndarray, table: RawTab
     beyond = np.flatnonzero(np.abs(np.nan_to_num(values)) > _COMMAND_LIMIT)
     if len(beyond):
         raise CraneError(
-            f"{path}, {table.place(beyond[0])}, column {raw.header}: found the command {values[beyond[0]]:g}, expected -1 to 1. {mend}"
+            f"{path}, {table.place(beyond[0])}, column {raw.header}: found the command {values[beyond[0]]:g}, expected "
+            f"-1 to 1. {mend}"
         )

@@ -20,7 +20,9 @@ BEYOND: Mapping[str, float] = MappingProxyType(
 
 @cache
 def of(layout: Layout) -> Mapping[str, str]:
-    """Return all channels that a recording of a machine may have, in their order, and their SI units ("" is a pure number)."""
+    """Return all channels that a recording of a machine may have, in their order, and their SI units ("" is a pure
+    number).
+    """
     return MappingProxyType(
         dict.fromkeys(layout.commands, "")
         | dict.fromkeys(layout.voltages, "V")
@@ -31,7 +33,9 @@ def of(layout: Layout) -> Mapping[str, str]:
 
 
 def unseen(layout: Layout) -> dict[str, str]:
-    """Return what no sensor measures, but simulations and estimates hold, and its SI units: angle and rate of a payload on a pendulum."""
+    """Return what no sensor measures, but simulations and estimates hold, and its SI units: angle and rate of a payload
+    on a pendulum.
+    """
     return {name: layout.unit_of(name) for name in layout.added}
 
 
@@ -79,12 +83,16 @@ class Channel:
         return max(_GAP_RATIO * float(np.median(steps)), _GAP) if len(steps) else np.inf
 
     def gaps(self) -> np.ndarray:
-        """Return the gaps (g, 2) in s: last sample before and first sample after each pause that is far longer than usual."""
+        """Return the gaps (g, 2) in s: last sample before and first sample after each pause that is far longer than
+        usual.
+        """
         before = np.flatnonzero(np.diff(self.time) > self.longest_pause)
         return np.column_stack([self.time[before], self.time[before + 1]])
 
     def held_until(self, instants: np.ndarray) -> Channel:
-        """Return the channel with one more sample just before each of some of its instants (g,), which still shows the value before it."""
+        """Return the channel with one more sample just before each of some of its instants (g,), which still shows the
+        value before it.
+        """
         after = np.searchsorted(self.time, instants)
         time = np.insert(self.time, after, self.time[after] - JUST_BEFORE)
         return Channel(time, np.insert(self.values, after, self.values[after - 1]), self.unit)

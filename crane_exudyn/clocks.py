@@ -9,7 +9,8 @@ import numpy as np
 
 from .consistency import Figures, Grid, flow_misfits
 
-#: s: lateness that is tried, coarsely and finely; and drifts in s per s, and steps by which the best of them is looked at more closely
+#: s: lateness that is tried, coarsely and finely; and drifts in s per s, and steps by which the best of them is looked
+#: at more closely
 _COARSE, _FINE = np.arange(-3.0, 3.01, 0.1), np.arange(-0.1, 0.101, 0.02)
 _DRIFTS, _FINE_DRIFTS = (
     np.array([-0.05, -0.03, -0.02, -0.01, -0.005, 0.005, 0.01, 0.02, 0.03, 0.05]),
@@ -17,7 +18,8 @@ _DRIFTS, _FINE_DRIFTS = (
 )
 #: misfit of flows that the best machine has; what counts as following
 _BEST, _FOLLOWS = 0.003, 0.25
-#: logs by which another clock must be better, and by which clocks of their own must be better for the valves than one for all
+#: logs by which another clock must be better, and by which clocks of their own must be better for the valves than one
+#: for all
 _BETTER, _APART = 1.0, 0.7
 
 
@@ -26,7 +28,8 @@ class Clock:
     """How late the machine acts on its commands, by their stamps.
 
     Attributes:
-        late: (cylinders,) s by which each piston follows its commands beyond what its spool takes; negative: before them. NaN where nothing tells.
+        late: (cylinders,) s by which each piston follows its commands beyond what its spool takes; negative: before
+            them. NaN where nothing tells.
         drift: by how much more in each second.
     """
 
@@ -54,7 +57,9 @@ def clock_of(machine: Figures, grid: Grid) -> Clock | None:
 
 
 def _late(machine: Figures, grid: Grid, stands: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return how late each piston that is seen (s,) follows: all alike, unless they follow far better each with its own lateness."""
+    """Return how late each piston that is seen (s,) follows: all alike, unless they follow far better each with its own
+    lateness.
+    """
     if (stands - math.log(_BEST)).sum() < _BETTER:  # no room for anything better
         return np.zeros(len(seen))
     tried, logs = _COARSE, _seen_logs(machine, grid, _COARSE, seen)

@@ -1,9 +1,9 @@
 """numba's njit, with its cache kept per state of the sources.
 
 numba looks only at the file of the compiled function when it decides whether its cache is still good, not at the files
-of the functions called from there. Here every change of a source that compiled code may come from, and every set of user
-effects, gets a cache folder of its own, so that a stale kernel cannot be run. A change in one package leaves the cache of the
-others alone, except that all build on crane_exudyn.
+of the functions called from there. Here every change of a source that compiled code may come from, and every set of
+user effects, gets a cache folder of its own, so that a stale kernel cannot be run. A change in one package leaves the
+cache of the others alone, except that all build on crane_exudyn.
 
 Whoever waits for a compilation is told of it, through the logger of this package.
 """
@@ -38,7 +38,8 @@ _TOLD_AFTER = 1.0
 def _base() -> Path:
     """Return the folder of all compiled code; one for this run alone where the usual one cannot be written.
 
-    numba would then look for a place of its own beside the sources, where compiled code of other sets of effects stands.
+    numba would then look for a place of its own beside the sources, where compiled code of other sets of effects
+    stands.
     """
     usual = os.environ.get("CRANE_EXUDYN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     base = Path(usual) / "crane-exudyn"
@@ -47,7 +48,8 @@ def _base() -> Path:
         tempfile.TemporaryFile(dir=base).close()
     except OSError as problem:
         print(
-            f"{base}: compiled code cannot be kept there ({problem.strerror}); it is compiled for this run alone. Set CRANE_EXUDYN_CACHE to "
+            f"{base}: compiled code cannot be kept there ({problem.strerror}); it is compiled for this run alone. Set "
+            "CRANE_EXUDYN_CACHE to "
             "a folder that can be written.",
             file=sys.stderr,
         )
@@ -81,7 +83,9 @@ registry.freeze()
 
 
 class Announcement(event.Listener):
-    """Says once, as a warning of the logger `crane_exudyn`, that functions are being compiled; code from the cache is not."""
+    """Says once, as a warning of the logger `crane_exudyn`, that functions are being compiled; code from the cache is
+    not.
+    """
 
     def __init__(self, after: float = _TOLD_AFTER) -> None:
         self._after = after
@@ -120,5 +124,7 @@ def njit(*args: Any, **options: Any) -> Callable[..., Any]:
 
 
 def part(function: Callable[..., Any]) -> Callable[..., Any]:
-    """numba.njit for what makes no arrays: it need not count references to those it is given, which would take much of its time."""
+    """numba.njit for what makes no arrays: it need not count references to those it is given, which would take much of
+    its time.
+    """
     return njit(function, _nrt=False)

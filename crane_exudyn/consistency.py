@@ -1,8 +1,9 @@
-"""How far the channels of a recording agree with each other on a crane: balances of oil, of moments, of lengths and of rates.
+"""How far the channels of a recording agree with each other on a crane: balances of oil, of moments, of lengths and of
+rates.
 
-Only what every machine has is asked, and only roughly: which way and about how far a piston moves while its valve is open, how oil that is
-shut in gives way, what the weights ask of the cylinders. So a machine that leaks, sticks or carries another load still agrees with
-itself; channels that are exchanged, turned round or in another unit do not.
+Only what every machine has is asked, and only roughly: which way and about how far a piston moves while its valve is
+open, how oil that is shut in gives way, what the weights ask of the cylinders. So a machine that leaks, sticks or
+carries another load still agrees with itself; channels that are exchanged, turned round or in another unit do not.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from .recording import Recording
 from .signals import noise_std, sampling_rate
 from .statics import static_start, vapour_pressure
 
-#: s: step of the common grid, what of a recording is looked at, width of the smoothing, what a window spans, and what a load's change takes
+#: s: step of the common grid, what of a recording is looked at, width of the smoothing, what a window spans, and what a
+#: load's change takes
 STEP, LONGEST, SMOOTH, SPAN, LOAD_SPAN = 0.02, 60.0, 0.16, 0.4, 1.2
 #: windows begin every so many steps of the grid; the statics are solved at so many poses
 _EVERY, _POSES = 5, 40
@@ -42,7 +44,8 @@ _CLEAR = 4.0
 PLAY = 0.03
 #: a value so many times the usual range away from it is a spike
 _SPIKE = 3.0
-#: misfit of each kind of balance that a worn machine may have, and that still counts as closed: effects act on some more than on others
+#: misfit of each kind of balance that a worn machine may have, and that still counts as closed: effects act on some
+#: more than on others
 WORN: Mapping[str, float] = {
     "flow": 0.06,
     "trapped": 0.2,
@@ -53,7 +56,16 @@ WORN: Mapping[str, float] = {
     "sum": 0.05,
     "reach": 0.05,
 }
-CLOSES: Mapping[str, float] = {"flow": 0.6, "trapped": 0.6, "held": 1.0, "moment": 0.5, "length": 0.5, "rate": 0.3, "sum": 0.3, "reach": 0.2}  # fmt: skip
+CLOSES: Mapping[str, float] = {
+    "flow": 0.6,
+    "trapped": 0.6,
+    "held": 1.0,
+    "moment": 0.5,
+    "length": 0.5,
+    "rate": 0.3,
+    "sum": 0.3,
+    "reach": 0.2,
+}
 
 Channels = Mapping[str, np.ndarray]
 
@@ -132,9 +144,12 @@ class Figures:
     def __init__(self, crane: Crane) -> None:
         self.crane, self.layout = crane, crane.layout
         self.cylinders = {
-            c: {w: crane[f"cylinders.{c}.{w}"] for w in ("empty_length", "chamber_range", "hose_volume_piston", "hose_volume_rod")}
+            c: {
+                w: crane[f"cylinders.{c}.{w}"]
+                for w in ("empty_length", "chamber_range", "hose_volume_piston", "hose_volume_rod")
+            }
             for c in crane.layout.cylinders
-        }  # fmt: skip
+        }
         oil, hose = crane["fluid.oil_bulk_modulus"], crane["fluid.hose_bulk_modulus"]
         self.softness = (1.0 / oil, 1.0 / oil + 1.0 / hose)
         self.floor = vapour_pressure(crane)
@@ -148,7 +163,9 @@ class Figures:
         return self.crane.areas(self.layout.cylinders[c])
 
     def volumes(self, c: int, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return how much oil (m³/Pa) a pressure presses into a cylinder's chambers, and their hoses, at its lengths (N,)."""
+        """Return how much oil (m³/Pa) a pressure presses into a cylinder's chambers, and their hoses, at its lengths
+        (N,).
+        """
         size, (a, b) = self.cylinders[self.layout.cylinders[c]], self.areas(c)
         stroke = np.clip(length - size["empty_length"], 0.0, size["chamber_range"])
         oil, hose = self.softness
@@ -171,7 +188,9 @@ class Figures:
         return np.asarray((lengths > low - PLAY) & (lengths < high + PLAY))
 
     def holding(self, z: np.ndarray) -> np.ndarray:
-        """Return the forces (2, K, cylinders) in N that hold the machine near z (K, n), with the least and the greatest payload; NaN where none do."""
+        """Return the forces (2, K, cylinders) in N that hold the machine near z (K, n), with the least and the greatest
+        payload; NaN where none do.
+        """
         near = np.round(z / _NEAR) * _NEAR
         for pose in near:
             if pose.tobytes() not in self._forces:
@@ -200,7 +219,9 @@ class Figures:
 
 
 def _payloads(crane: Crane) -> tuple[float, float]:
-    """Return the least and the greatest payload in kg that the crane file allows for; its own where it gives no uncertainty."""
+    """Return the least and the greatest payload in kg that the crane file allows for; its own where it gives no
+    uncertainty.
+    """
     mass, known = crane["payload.mass"], crane.uncertainty.get("payload.mass", Uncertainty(0.0))
     low, high = max(known.lower, mass - 3.0 * known.std, 0.0), min(known.upper, mass + 3.0 * known.std)
     return low, high if math.isfinite(high) else mass
@@ -227,7 +248,9 @@ def motions(machine: Figures, grid: Grid) -> Misfits:
 
 
 def positions(machine: Figures, grid: Grid) -> np.ndarray:
-    """Return coordinates (N, n) from those that were measured, angles each against its parent or against the ground; NaN without."""
+    """Return coordinates (N, n) from those that were measured, angles each against its parent or against the ground;
+    NaN without.
+    """
     lay, ch, found = machine.layout, grid.channels, {}
     for name in lay.coordinates:
         carriers, against_ground = lay.carriers(name), ch.get(f"{name}_abs")
@@ -290,7 +313,8 @@ def reach(machine: Figures, grid: Grid) -> Misfits:
 
 
 def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarray, spool: np.ndarray) -> Misfits:
-    """What flows into a chamber moves its piston and presses its oil, X + C = Y in m; with the valve closed the first presses the second.
+    """What flows into a chamber moves its piston and presses its oil, X + C = Y in m; with the valve closed the first
+    presses the second.
 
     Slow motion with the valve closed is leakage, so that only its changes from one span to the next count there.
     """
@@ -342,14 +366,18 @@ def _valve(machine: Figures, ch: Channels, c: int, side: int, spool: np.ndarray)
 
 
 def _noise_of_length(machine: Figures, grid: Grid, c: int, length: np.ndarray) -> float:
-    """Return the noise in m of a length that follows from coordinates: an angle's lever arm of a metre would be much, a third is usual."""
+    """Return the noise in m of a length that follows from coordinates: an angle's lever arm of a metre would be much, a
+    third is usual.
+    """
     driven = machine.layout.driven[c]
     arm = 0.3 if machine.layout.unit_of(driven) == "rad" else 1.0
     return arm * max((grid.noise[n] for n in (driven, f"{driven}_abs") if n in grid.noise), default=0.0)
 
 
 def loads(machine: Figures, grid: Grid) -> Misfits:
-    """Return how far what the cylinders hold is from what the weights ask for, with some payload; and its changes while the valve is closed."""
+    """Return how far what the cylinders hold is from what the weights ask for, with some payload; and its changes while
+    the valve is closed.
+    """
     lay, out, ch, z = machine.layout, Misfits(), grid.channels, positions(machine, grid)
     spools = _spools(machine, grid, ch)
     if not np.isfinite(z).all():
@@ -369,7 +397,9 @@ def loads(machine: Figures, grid: Grid) -> Misfits:
 
 
 def _held_between(machine: Figures, ch: Channels, c: int, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return between which forces (K,) a cylinder's pressures hold at some instants; one that was not measured lies between nothing and the pump's."""
+    """Return between which forces (K,) a cylinder's pressures hold at some instants; one that was not measured lies
+    between nothing and the pump's.
+    """
     pump, (a, b) = machine.crane["supply.pump_pressure"], machine.areas(c)
     low, high = np.zeros(len(at)), np.zeros(len(at))
     for name, area in zip(machine.layout.sides[c], (a, -b), strict=True):
@@ -390,7 +420,9 @@ def _between(force: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
 def _load_changes(
     machine: Figures, grid: Grid, ch: Channels, c: int, asked: np.ndarray, at: np.ndarray, spool: np.ndarray
 ) -> Misfit:
-    """Return how far a closed cylinder's force fails to follow its load; a chamber that was not measured gives way with the other."""
+    """Return how far a closed cylinder's force fails to follow its load; a chamber that was not measured gives way with
+    the other.
+    """
     a, b = machine.areas(c)
     names = machine.layout.sides[c]
     measured = [smooth(ch[n]) if n in ch else None for n in names]
@@ -405,7 +437,8 @@ def _load_changes(
 
 
 def flow_misfits(machine: Figures, grid: Grid, lateness: np.ndarray) -> np.ndarray | None:
-    """Return how far each cylinder's flows are off (L, cylinders) if the commands acted at `grid.time - lateness` (L, N); None without commands.
+    """Return how far each cylinder's flows are off (L, cylinders) if the commands acted at `grid.time - lateness` (L,
+    N); None without commands.
 
     NaN for a cylinder of which nothing moves or is measured.
     """

@@ -72,9 +72,11 @@ class Initial:
 
 @dataclass(frozen=True)
 class Crane:
-    """A crane: its machine, numbers by name in SI, valve calibration, start, sensors, uncertainties, effects, and what was done to it.
+    """A crane: its machine, numbers by name in SI, valve calibration, start, sensors, uncertainties, effects, and what
+    was done to it.
 
-    Immutable; `with_parameters`, `with_effect` and their kin return changed copies. `crane["payload.mass"]` gives a number.
+    Immutable; `with_parameters`, `with_effect` and their kin return changed copies. `crane["payload.mass"]` gives a
+    number.
     """
 
     name: str
@@ -88,7 +90,8 @@ class Crane:
     sources: Mapping[str, str] = field(default_factory=dict)
     effects: tuple[Acting, ...] = ()
     history: tuple[Mapping[str, Any], ...] = ()
-    #: functions f(mbs, plant, number) that add Exudyn objects of one's own to machine `number` of a plant; see `with_objects`
+    #: functions f(mbs, plant, number) that add Exudyn objects of one's own to machine `number` of a plant; see
+    #: `with_objects`
     objects: tuple[Callable[..., None], ...] = field(default=(), repr=False)
     #: of the file that it was read from; what is written keeps its comments and units
     text: str = field(default="", repr=False, compare=False)
@@ -205,9 +208,11 @@ class Crane:
         return next((e for e in self.effects if e.key == key), None)
 
     def with_objects(self, *functions: Callable[..., None]) -> Crane:
-        """Return a copy to which functions f(mbs, plant, number) add objects of one's own, such as a spring to ground or a contact.
+        """Return a copy to which functions f(mbs, plant, number) add objects of one's own, such as a spring to ground
+        or a contact.
 
-        They are part of every Exudyn system of the crane, also of a batch; `plant.marker("E", number)` gives a marker at a named point.
+        They are part of every Exudyn system of the crane, also of a batch; `plant.marker("E", number)` gives a marker
+        at a named point.
         """
         return replace(self, objects=(*self.objects, *functions))
 
@@ -217,7 +222,10 @@ class Crane:
 
     def __repr__(self) -> str:
         effects = ", ".join(e.key for e in self.effects) or "no effects"
-        return f"<Crane {self.name}: {effects}; payload {self['payload.mass']:g} kg, pump {self['supply.pump_pressure'] / 1e5:g} bar>"
+        return (
+            f"<Crane {self.name}: {effects}; payload {self['payload.mass']:g} kg, pump "
+            f"{self['supply.pump_pressure'] / 1e5:g} bar>"
+        )
 
 
 def built_in() -> list[str]:

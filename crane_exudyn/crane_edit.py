@@ -1,4 +1,6 @@
-"""A crane written into the text of the file that it was read from: comments, units and order stay, only what differs is changed."""
+"""A crane written into the text of the file that it was read from: comments, units and order stay, only what differs is
+changed.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ _PLAIN = re.compile(r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*(.*)", re.DOTALL)
 
 
 def edited(text: str, before: Crane, crane: Crane) -> str:
-    """Return the text of a crane file that was read as `before`, changed so that it reads as `crane`, whose machine is the same."""
+    """Return the text of a crane file that was read as `before`, changed so that it reads as `crane`, whose machine is
+    the same.
+    """
     document = tomlkit.parse(text)
     for key in ("name", "description"):
         if getattr(crane, key) != getattr(before, key):

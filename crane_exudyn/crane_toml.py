@@ -23,13 +23,16 @@ if TYPE_CHECKING:
     from .crane import Crane, Initial, Uncertainty, Voltage
 
 _SECTIONS = (
-    "name", "description", "gravity", "independent", "bodies", "payload", "joint", "joints", "cylinders", "valves", "fluid", "supply",
+    "name", "description", "gravity", "independent", "bodies", "payload", "joint", "joints", "cylinders", "valves",
+    "fluid", "supply",
     "initial", "sensors", "uncertainty", "sources", "effect", "history",
 )  # fmt: skip
 
 
 def from_document(document: Mapping[str, Any], where: str, text: str = "") -> Crane:
-    """Return the crane that a parsed TOML document describes; `where` names the file in errors, `text` is the file's."""
+    """Return the crane that a parsed TOML document describes; `where` names the file in errors, `text` is the
+    file's.
+    """
     from .crane import Crane, check
 
     for key in document:
@@ -135,7 +138,8 @@ def _initial(table: Mapping[str, Any], layout: Layout, where: str) -> Initial:
     each = pressure if isinstance(pressure, list) else [pressure] * len(layout.cylinders)
     if len(each) != len(layout.cylinders):
         raise CraneError(
-            f"{where}: initial.less_loaded_pressure = {pressure!r} should be one pressure, or one for each of {', '.join(layout.cylinders)}."
+            f"{where}: initial.less_loaded_pressure = {pressure!r} should be one pressure, or one for each of "
+            f"{', '.join(layout.cylinders)}."
         )
     units = {name: layout.unit_of(name) for name in layout.coordinates}
     numbers = _read(table, units, f"{where}: initial")
@@ -220,7 +224,8 @@ def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
     for key in table:
         if key not in ("name", "place", "parameters"):
             raise CraneError(
-                f"{where}: effect {table['name']!r}: unknown key {key!r}.{nearest(key, ['name', 'place', 'parameters'])}"
+                f"{where}: effect {table['name']!r}: unknown key "
+                f"{key!r}.{nearest(key, ['name', 'place', 'parameters'])}"
             )
     place = str(table.get("place", ""))
     try:
@@ -287,7 +292,9 @@ def unit_at(unit: str, place: str, layout: Layout) -> str:
 
 
 def to_text(crane: Crane) -> str:
-    """Return a crane as TOML text: the text that it was read from with what differs, or one section after the other, in SI."""
+    """Return a crane as TOML text: the text that it was read from with what differs, or one section after the other, in
+    SI.
+    """
     if crane.text:
         from .crane_edit import edited
 

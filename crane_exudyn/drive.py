@@ -15,8 +15,8 @@ _STEP, _RATIO = 0.02, 4.0
 def with_steps(time: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return commands in which steps stay steps: time (n + k,), commands (n + k, valves), linear between the points.
 
-    A ramp shows in many samples, a step in one: joining the two samples around a step by a line would begin it up to a sampling
-    interval early. A command that jumps is held until the sample that shows the new value.
+    A ramp shows in many samples, a step in one: joining the two samples around a step by a line would begin it up to a
+    sampling interval early. A command that jumps is held until the sample that shows the new value.
     """
     change = np.abs(np.diff(commands, axis=0))
     around = np.maximum(np.pad(change[:-1], ((1, 0), (0, 0))), np.pad(change[1:], ((0, 1), (0, 0))))
@@ -38,7 +38,8 @@ def spool_on(
     late: float = 0.0,
     valve: int | None = None,
 ) -> np.ndarray:
-    """Return spool positions (N, valves) on a grid (N,), exact for commands (n, valves) that are linear between their own samples.
+    """Return spool positions (N, valves) on a grid (N,), exact for commands (n, valves) that are linear between their
+    own samples.
 
     Args:
         late: seconds by which the commands come after their stamps `time` (n,).

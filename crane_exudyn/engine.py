@@ -87,7 +87,8 @@ class ExudynEngine:
         names = self.crane.layout.inputs
         if w.shape not in ((2, len(names)), (2, len(x), len(names))):
             raise CraneError(
-                f"propagate: inputs have shape {w.shape}, expected (2, {len(names)}) or (2, {len(x)}, {len(names)}): [{' '.join(names)}] at the "
+                f"propagate: inputs have shape {w.shape}, expected (2, {len(names)}) or (2, {len(x)}, {len(names)}): "
+                f"[{' '.join(names)}] at the "
                 "start and the end of the step."
             )
         rows = np.zeros((2, len(x), len(self.crane.layout.all_inputs)))
@@ -151,7 +152,8 @@ class ExudynEngine:
 
         Returns:
             "mass": (nq, nq), "force": (nq,) applied forces, "joint": rows of G v, "joint_jacobian": G (rows, nq),
-            "pressure_rates": (chambers,); and what it was given: "q", "v", "a" (nq,) redundant coordinates and their rates, "dp".
+            "pressure_rates": (chambers,); and what it was given: "q", "v", "a" (nq,) redundant coordinates and their
+                rates, "dp".
         """
         return self._system(1).inspect(np.asarray(state, dtype=float), np.asarray(w, dtype=float), time)
 
@@ -181,7 +183,8 @@ class ExudynEngine:
         """Take one step; a crane that cannot take it, or whose error would be too large, goes on alone in parts of it.
 
         Args:
-            x: (n, nx);  w0, w1: (n, .) inputs and disturbances at start and end;  P, E: (n, .), or None for the crane's own.
+            x: (n, nx);  w0, w1: (n, .) inputs and disturbances at start and end;  P, E: (n, .), or None for the crane's
+                own.
         """
         system = self._system(len(x))
         out, beyond = system.step(x, w0, w1, h, time, P, E, self.accuracy)
@@ -209,7 +212,9 @@ class ExudynEngine:
         P: np.ndarray | None = None,
         E: np.ndarray | None = None,
     ) -> tuple[np.ndarray, int]:
-        """Return the state (1, nx) of one crane after a step, and how often the next is halved; this one begins with parts halved `level` times."""
+        """Return the state (1, nx) of one crane after a step, and how often the next is halved; this one begins with
+        parts halved `level` times.
+        """
         system, done = self._system(1), 0.0
         while done < 1.0:
             part = 0.5**level
@@ -269,13 +274,15 @@ class ExudynEngine:
 def _check_grid(names: tuple[str, ...], t: np.ndarray, w: np.ndarray, step: float) -> None:
     if t.ndim != 1 or t.size < 1 or w.shape != (t.size, len(names)):
         raise CraneError(
-            f"simulate: time has shape {t.shape} and inputs {w.shape}, expected (N,) and (N, {len(names)}) with [{' '.join(names)}]."
+            f"simulate: time has shape {t.shape} and inputs {w.shape}, expected (N,) and (N, {len(names)}) with "
+            f"[{' '.join(names)}]."
         )
     back = np.flatnonzero(~(np.diff(t) > 0.0))
     if back.size:
         k = int(back[0])
         raise CraneError(
-            f"simulate: time does not increase from sample {k} ({t[k]:g} s) to sample {k + 1} ({t[k + 1]:g} s). Sort the "
+            f"simulate: time does not increase from sample {k} ({t[k]:g} s) to sample {k + 1} ({t[k + 1]:g} s). Sort "
+            "the "
             "samples and remove repeated ones."
         )
     if not step > 0.0:
@@ -311,7 +318,8 @@ class _System:
         found, own = len(self.mbs.systemData.GetODE2Coordinates()), self._push.size
         if found != own:
             raise CraneError(
-                f"{crane.name}: objects of one's own add {found - own} coordinates to a machine's {own // size}. In the engine's systems they may "
+                f"{crane.name}: objects of one's own add {found - own} coordinates to a machine's {own // size}. In "
+                "the engine's systems they may "
                 "push and pull bodies, but not move themselves. Use `build` and Exudyn's own solver for such a model."
             )
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
@@ -344,7 +352,9 @@ class _System:
         E: np.ndarray | None,
         allowed: float,
     ) -> tuple[np.ndarray, int]:
-        """Return (states, first crane beyond its stroke or -1); `status` and `errors` say crane by crane how the step went."""
+        """Return (states, first crane beyond its stroke or -1); `status` and `errors` say crane by crane how the step
+        went.
+        """
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
         if self._has_objects:
@@ -369,7 +379,9 @@ class _System:
         )
 
     def _measure_push(self, inertia: np.ndarray, x: np.ndarray, w: np.ndarray, time: float) -> None:
-        """Fill the forces of objects of one's own at states x: what Exudyn assembles beyond the machine's own forces."""
+        """Fill the forces of objects of one's own at states x: what Exudyn assembles beyond the machine's own
+        forces.
+        """
         plant, own = self.plant, np.empty_like(self._q)
         trapezoidal.forces_at(plant.topology, plant.P, plant.E, time, inertia, x, w, self._q, self._v, self._p, own)
         self._a[:], self._dp[:], plant.inputs[...] = 0.0, 0.0, w
@@ -378,7 +390,9 @@ class _System:
         self._push[...] = total - own
 
     def _set_parameters(self, P: np.ndarray | None, E: np.ndarray | None, start: float, end: float) -> np.ndarray:
-        """Bring the cranes' numbers up to date for the end of a step; return the masses (n, bodies + 1, 4) at its start."""
+        """Bring the cranes' numbers up to date for the end of a step; return the masses (n, bodies + 1, 4) at its
+        start.
+        """
         plant = self.plant
         if P is None and E is None and not self._varied and self._payload_is(start) and self._payload_is(end):
             return plant.inertia

@@ -1,7 +1,7 @@
 """Which effect's law gives no number where a run has failed.
 
-A law is tried when its file is loaded, but not at every state that a crane may come to. Steps do not look for NaN in each of its
-results; only when a run has failed are the effects tried one by one at the state of the failure.
+A law is tried when its file is loaded, but not at every state that a crane may come to. Steps do not look for NaN in
+each of its results; only when a run has failed are the effects tried one by one at the state of the failure.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ def where_start_failed(crane: Crane, state: np.ndarray) -> CraneError | None:
 
 
 def without_numbers(crane: Crane, finite: Callable[[Crane], bool]) -> list[str]:
-    """Return the effects "name@place" without which `finite` would hold, or with which alone it does not; none where it holds."""
+    """Return the effects "name@place" without which `finite` would hold, or with which alone it does not; none where it
+    holds.
+    """
     if finite(crane):
         return []
     alone = [e.key for e in crane.effects if not finite(replace(crane, effects=(e,)))]

@@ -19,7 +19,8 @@ _listener: ContextVar[list[Path] | None] = ContextVar("files that were written",
 def replacing(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; move it over `path` only if the block ends well.
 
-    An interrupted or failing block leaves whatever stood at `path` as it was. A link stays a link: its target is replaced.
+    An interrupted or failing block leaves whatever stood at `path` as it was. A link stays a link: its target is
+    replaced.
 
     Raises:
         CraneError: the file cannot be written, for example for lack of room; the message names it.

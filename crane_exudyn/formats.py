@@ -4,8 +4,8 @@ How names and units are found:
 
 - CSV: the header `name[unit]`.
 - MATLAB (v5 and v7.3): one vector a channel, named as the channel. Its unit stands in `units.NAME` (a struct) or in
-  `NAME_unit`; its times in `NAME_time`, or in `time` for all. Or one struct a channel, with `values` (or `data`), `unit`
-  (or `units`) and, if it has its own clock, `time` in s. All of it may lie in one struct of any name.
+  `NAME_unit`; its times in `NAME_time`, or in `time` for all. Or one struct a channel, with `values` (or `data`),
+  `unit` (or `units`) and, if it has its own clock, `time` in s. All of it may lie in one struct of any name.
 - Parquet: columns `name[unit]`, or the unit in the field's metadata under `unit`. Time stamps count from the first.
 - MDF4: channel name and unit as stored, each with the clock of its group. Needs the optional asammdf.
 """
@@ -101,7 +101,9 @@ def _read_mat73(path: Path, _: Collection[str]) -> RawTable:
 
 
 def _hdf5_group(group: Any, depth: int = 0) -> dict[str, Any]:
-    """Return what a group holds: arrays, text, groups as dicts; `Unread` for links that lead nowhere, and what is no number."""
+    """Return what a group holds: arrays, text, groups as dicts; `Unread` for links that lead nowhere, and what is no
+    number.
+    """
     return {name: _hdf5_item(group, name, depth) for name in group if not name.startswith("#")}  # # is MATLAB's own
 
 
@@ -120,7 +122,9 @@ def _hdf5_item(group: Any, name: str, depth: int) -> Any:
 
 
 def _hdf5_dataset(item: Any) -> Any:
-    """Return the numbers of a data set, or its text; `Unread` for what is neither, or no vector, or larger than any recording."""
+    """Return the numbers of a data set, or its text; `Unread` for what is neither, or no vector, or larger than any
+    recording.
+    """
     if item.dtype.fields is not None:
         return Unread("is compound")
     if item.attrs.get("MATLAB_class") == b"char" and item.dtype.kind in "iu" and item.size <= _LONGEST_TEXT:
@@ -167,7 +171,9 @@ def _why(value: Any) -> str:
 
 
 def _unwrap(variables: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the content of the one struct that holds everything beside what stands there, or `variables` where there is no such struct."""
+    """Return the content of the one struct that holds everything beside what stands there, or `variables` where there
+    is no such struct.
+    """
     structs = {k: v for k, v in variables.items() if isinstance(v, Mapping) and not _is_channel(v)}
     others = [v for v in variables.values() if _is_channel(v) or _is_vector(v)]
     if len(structs) != 1 or others:
@@ -267,7 +273,8 @@ def _read_mdf(path: Path, wanted: Collection[str]) -> RawTable:
         mdf = importlib.import_module("asammdf").MDF
     except ImportError:
         raise CraneError(
-            f'{path}: reading MDF files needs asammdf, which is not installed. Install it: pip install "crane-exudyn[mdf]"'
+            f"{path}: reading MDF files needs asammdf, which is not installed. Install it: pip install "
+            '"crane-exudyn[mdf]"'
         ) from None
     signals, others = _mdf_content(mdf, path, wanted)
     clocks: dict[bytes, RawColumn] = {}
@@ -343,7 +350,8 @@ def write_table(path: str | Path, columns: Mapping[str, np.ndarray], digits: int
 
 
 def data_frame(time: np.ndarray, columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Any:
-    """Return columns (n,) over time (n,) in s as a pandas DataFrame; SI, the unit of each column stands in `attrs["units"]`.
+    """Return columns (n,) over time (n,) in s as a pandas DataFrame; SI, the unit of each column stands in
+    `attrs["units"]`.
 
     Raises:
         CraneError: pandas is not installed.
@@ -419,7 +427,9 @@ def _write_parquet(path: Path, columns: Mapping[str, np.ndarray], digits: int | 
 
 
 def _write_mat(path: Path, columns: Mapping[str, np.ndarray], digits: int | None) -> None:
-    """Write one vector a column and the struct `units`; MATLAB's names have no dots, so payload.mass is payload_mass."""
+    """Write one vector a column and the struct `units`; MATLAB's names have no dots, so payload.mass is
+    payload_mass.
+    """
     from scipy.io import savemat
 
     content: dict[str, Any] = {}

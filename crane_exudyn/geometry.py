@@ -1,8 +1,9 @@
-"""Planar geometry of a machine: bodies, joints, loops and cylinders, from the independent coordinates on, and its velocities.
+"""Planar geometry of a machine: bodies, joints, loops and cylinders, from the independent coordinates on, and its
+velocities.
 
-Frames: x forward, y up, angles counter-clockwise. A body's frame has its own pin where its carrier's pin is; on a prismatic joint it is
-parallel to its carrier's, away from the pin by the coordinate along the joint's direction. The two dependent bodies of a loop close
-the triangle B-C-D of their pins, C on one side of the line from B to D. ::
+Frames: x forward, y up, angles counter-clockwise. A body's frame has its own pin where its carrier's pin is; on a
+prismatic joint it is parallel to its carrier's, away from the pin by the coordinate along the joint's direction. The
+two dependent bodies of a loop close the triangle B-C-D of their pins, C on one side of the line from B to D. ::
 
                 C                     B: pin of the first dependent body on its carrier
               o   o                   C: pin between both dependent bodies
@@ -10,9 +11,9 @@ the triangle B-C-D of their pins, C on one side of the line from B to D. ::
             o       o
             B       D
 
-`topology` is `Machine.topology`, P the vector of nominal parameters. A body's reference point is given by the columns COM_X, COM_Y
-of a table `inertia` (bodies, 4): its centre of mass in its own frame, or zeros for its origin. Redundant coordinates q and
-velocities v hold x, y of the reference point and the angle of each body.
+`topology` is `Machine.topology`, P the vector of nominal parameters. A body's reference point is given by the columns
+COM_X, COM_Y of a table `inertia` (bodies, 4): its centre of mass in its own frame, or zeros for its origin. Redundant
+coordinates q and velocities v hold x, y of the reference point and the angle of each body.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ from .machine import (
 
 #: columns of a table of masses: mass, centre of mass in the body's frame, inertia about it
 MASS, COM_X, COM_Y, INERTIA = range(4)
-#: The table of arms holds vectors from a body's reference point to a point of it, in the fixed frame (from the origin, on the ground).
+#: The table of arms holds vectors from a body's reference point to a point of it, in the fixed frame (from the origin,
+#: on the ground).
 #: A row a body: its own pin, the pin on its carrier, the direction in which it slides and how far it has slid.
 #: Then a row a loop: the pin of the second dependent body where it is cut, and that on the body that the loop ends on.
 #: Then a row a cylinder: base and rod end. The last row: the payload's point, and from there the pendulum's rod.
@@ -163,7 +165,8 @@ def turn_frames(topology, q, arms):
 
 @part
 def fill_arms(topology, P, inertia, q, arms):
-    """Fill the table of arms (but for the pendulum's rod) for redundant coordinates q, which may violate the joints a little.
+    """Fill the table of arms (but for the pendulum's rod) for redundant coordinates q, which may violate the joints a
+    little.
 
     Cosines and sines of the frames must be those of q.
     """
@@ -213,7 +216,9 @@ def point_velocity(v, body, arms, row, column):
 
 @part
 def close_position(topology, P, inertia, z, arms, q):
-    """Fill arms and the bodies' part of q for the independent coordinates in z; return -1 or the loop that cannot be closed."""
+    """Fill arms and the bodies' part of q for the independent coordinates in z; return -1 or the loop that cannot be
+    closed.
+    """
     failed = fill_frames(topology, P, z, arms)
     if failed >= 0:
         return failed
@@ -250,9 +255,10 @@ def line_rate(topology, arms, v, lines, c):
 def chain(topology, arms, unit, v, g, x):
     """Fill the bodies' part of x with the solution of G x = g for given independent parts.
 
-    G is the Jacobian of the joint equations: two rows a body (its pin against its carrier's; sliding: across the direction, and the
-    carrier's angle against its own), then two rows a loop. With a unit rate x is a column of the null space, with g the correction of
-    violated joints, with velocities the part of the accelerations that comes from them.
+    G is the Jacobian of the joint equations: two rows a body (its pin against its carrier's; sliding: across the
+    direction, and the carrier's angle against its own), then two rows a loop. With a unit rate x is a column of the
+    null space, with g the correction of violated joints, with velocities the part of the accelerations that comes from
+    them.
 
     Args:
         unit: number of the independent coordinate whose rate is 1, the others' being 0; -1 for none.
@@ -295,7 +301,9 @@ def sliding_rate(topology, arms, v, b):
 
 @part
 def carried(x, v, body, arms, row, column):
-    """Return velocity (or, with velocities v, acceleration) of the point at the end of an arm of a body (-1: the ground)."""
+    """Return velocity (or, with velocities v, acceleration) of the point at the end of an arm of a body (-1: the
+    ground).
+    """
     if body < 0:
         return 0.0, 0.0
     rate, squared, rx, ry = x[3 * body + 2], square(v, body), arms[row, column], arms[row, column + 1]
@@ -332,7 +340,9 @@ def _chain_loop(topology, arms, v, first, g, x, bx, by):
 
 @part
 def _stand(topology, P, z, origins, arms, q, v, lines):
-    """Fill arms and lines for the machine at rest at the independent coordinates z (n, …); return -1 or the loop that cannot be closed."""
+    """Fill arms and lines for the machine at rest at the independent coordinates z (n, …); return -1 or the loop that
+    cannot be closed.
+    """
     failed = close_position(topology, P, origins, z, arms, q)
     if failed < 0:
         v[:] = 0.0
@@ -350,7 +360,8 @@ def _tables(topology):
 
 @njit
 def cylinder_length(topology, P, z, c, row):
-    """Return the pin-to-pin length (m) of cylinder c at the independent coordinates z (n, …), and fill row[:n] with its derivative.
+    """Return the pin-to-pin length (m) of cylinder c at the independent coordinates z (n, …), and fill row[:n] with its
+    derivative.
 
     NaN where a loop cannot be closed.
     """
@@ -367,7 +378,9 @@ def cylinder_length(topology, P, z, c, row):
 
 @njit
 def _poses(topology, P, places, Z, points, angles, lengths, length_rates):
-    """Fill the arrays of a Pose for every row of Z; return (row, loop) of the first loop that cannot be closed, or (-1, -1)."""
+    """Fill the arrays of a Pose for every row of Z; return (row, loop) of the first loop that cannot be closed, or (-1,
+    -1).
+    """
     origins, arms, q, v, lines = _tables(topology)
     none = np.empty(0)
     for k in range(Z.shape[0]):
@@ -395,7 +408,9 @@ def _lengths(topology, P, Z, out):
 
 
 def cylinder_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:
-    """Return pin-to-pin lengths in m (m, cylinders) at independent coordinates z (m, n), NaN where a loop cannot be closed."""
+    """Return pin-to-pin lengths in m (m, cylinders) at independent coordinates z (m, n), NaN where a loop cannot be
+    closed.
+    """
     out = np.empty((len(z), len(crane.layout.cylinders)))
     _lengths(crane.machine.topology, crane.parameter_vector(), np.ascontiguousarray(z, float), out)
     return out
@@ -462,6 +477,8 @@ def unreachable(crane: Crane, z: np.ndarray, where: str = "") -> CraneError:
     first, second = machine.carriers[machine.carriers[closing.carrier].carrier], machine.carriers[closing.carrier]
     pins = "-".join((first.name, second.name, closing.name))
     return CraneError(
-        f"{crane.name}{where}: the pose {told(crane.layout, z)} cannot be reached: {first.body} and {second.body} are too short or too long "
-        f"to close the loop over the joints {pins}. Choose a pose nearer to the middle of its range, or correct the points of these joints in the crane file."
+        f"{crane.name}{where}: the pose {told(crane.layout, z)} cannot be reached: {first.body} and {second.body} are "
+        "too short or too long "
+        f"to close the loop over the joints {pins}. Choose a pose nearer to the middle of its range, or correct the "
+        "points of these joints in the crane file."
     )

@@ -1,9 +1,10 @@
-"""Hydraulics of one machine: port flows, chambers, pressure rates (34) and cylinder forces (18), with the effects' hooks.
+"""Hydraulics of one machine: port flows, chambers, pressure rates (34) and cylinder forces (18), with the effects'
+hooks.
 
-Compiled functions of numbers; the piston side of cylinder c is chamber 2c, its rod side 2c + 1. `topology` says which chamber carries
-the load; P and E are the flat vectors of nominal and of effect parameters; w is [spools, pp, pt] and behind it the disturbances in the
-order of `Layout.disturbances`; `lines` is the table of the cylinders' lengths and rates of `geometry`. `mechanism.py` puts these functions
-into Exudyn as user functions.
+Compiled functions of numbers; the piston side of cylinder c is chamber 2c, its rod side 2c + 1. `topology` says which
+chamber carries the load; P and E are the flat vectors of nominal and of effect parameters; w is [spools, pp, pt] and
+behind it the disturbances in the order of `Layout.disturbances`; `lines` is the table of the cylinders' lengths and
+rates of `geometry`. `mechanism.py` puts these functions into Exudyn as user functions.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ COEFFICIENT, LAG, PUMP_A, PUMP_B, A_TANK, B_TANK = range(6)
 OIL, WALL, HOSE, VAPOUR, LAMINAR = range(5)
 AIR, REFERENCE = SUPPLY + 2, SUPPLY + 3
 
-#: rows of a table (N_BALANCES, chambers): dN/dt in m^3/s, the amounts of oil N in m^3, by the cylinder's length dN/ds in
-#: m^2 and by pressure dN/dy in m^3/Pa; and behind them the flows in (m^3/s), the pressures (Pa) and the pistons' speeds (m/s)
+#: rows of a table (N_BALANCES, chambers): dN/dt in m^3/s, the amounts of oil N in m^3, by the cylinder's length dN/ds
+#: in
+#: m^2 and by pressure dN/dy in m^3/Pa; and behind them the flows in (m^3/s), the pressures (Pa) and the pistons' speeds
+#: (m/s)
 GAIN, AMOUNT, DRAW, SLOPE, INTO, REAL, SPEED, N_BALANCES = range(8)
 
 #: the loop between supply pressure and flow is solved to this fraction of the pressure
@@ -69,7 +72,8 @@ def flow_disturbances(n):
 def port_flows(topology, P, E, c, spool, pp, pt, pa, pb):
     """Return (Q_a, Q_b, drawn, returned) of one valve in m^3/s, (15) at its two open edges.
 
-    Q_a counts into the piston side, Q_b out of the rod side, as in (34); drawn comes from the pump, returned goes to tank.
+    Q_a counts into the piston side, Q_b out of the rod side, as in (34); drawn comes from the pump, returned goes to
+    tank.
     """
     opening = hooks.opening(E, c, spool)
     v, laminar = VALVE + N_VALVE * c, P[FLUID + LAMINAR]
@@ -103,8 +107,8 @@ def _mismatch(topology, P, E, w, p, of_tank, start, other, trial):
 def _solve_supply(topology, P, E, w, p, of_tank, start, other):
     """Return the pressure without mismatch, by the Illinois method; `start` itself where no effect acts on it.
 
-    More pump pressure means more flow drawn (more tank pressure less flow returned), so the mismatch falls with the trial
-    pressure and its root lies between the first two trials.
+    More pump pressure means more flow drawn (more tank pressure less flow returned), so the mismatch falls with the
+    trial pressure and its root lies between the first two trials.
     """
     a, fa = start, _mismatch(topology, P, E, w, p, of_tank, start, other, start)
     if fa == 0.0:
@@ -126,7 +130,9 @@ def _solve_supply(topology, P, E, w, p, of_tank, start, other):
 
 @part
 def supply_loop(topology, P, E, w, p):
-    """Return (pp, pt) in Pa that agree with the flows that they cause; the set pressures where no effect acts on them."""
+    """Return (pp, pt) in Pa that agree with the flows that they cause; the set pressures where no effect acts on
+    them.
+    """
     pp, pt = supplies(P, w, p.size // 2)
     return _solve_supply(topology, P, E, w, p, False, pp, pt), _solve_supply(topology, P, E, w, p, True, pt, pp)
 
@@ -147,7 +153,9 @@ def vapour_pressure(P):
 
 @part
 def real_pressures(P, y, p):
-    """Fill p (chambers,) with the pressures in the chambers: those of the state, y, or vapour pressure where there is a void."""
+    """Fill p (chambers,) with the pressures in the chambers: those of the state, y, or vapour pressure where there is a
+    void.
+    """
     for j in range(y.size):
         p[j] = max(y[j], vapour_pressure(P))
 
@@ -176,7 +184,9 @@ def fillings(P, E, c, s, ya, yb):
 
 @part
 def chambers(P, E, c, s, ya, yb):
-    """Return (l_a, l_b, V_a, V_b, B_a, B_b) of cylinder c at pin-to-pin length s, (14) and (41): V dp = B dN / density."""
+    """Return (l_a, l_b, V_a, V_b, B_a, B_b) of cylinder c at pin-to-pin length s, (14) and (41): V dp = B dN /
+    density.
+    """
     k = CYLINDER + N_CYLINDER * c
     area_a, area_b = areas(P, c)
     la, lb = lengths(P, E, c, s, ya, yb)
@@ -187,7 +197,8 @@ def chambers(P, E, c, s, ya, yb):
 
 @part
 def changed_amounts(P, E, c, balances, ya, yb, ds, dya, dyb):
-    """Return the amounts (m^3) in both chambers of cylinder c after small changes of length (m) and pressures (Pa), linearly.
+    """Return the amounts (m^3) in both chambers of cylinder c after small changes of length (m) and pressures (Pa),
+    linearly.
 
     `balances` is the table of `chamber_balances` before the changes, at the state's pressures ya, yb.
     """
@@ -204,10 +215,11 @@ def changed_amounts(P, E, c, balances, ya, yb, ds, dya, dyb):
 
 @part
 def settled_pressures(P, E, c, s, amount_a, amount_b, ya, yb):
-    """Return (ya, yb) at which the chambers of cylinder c hold given amounts (m^3) at pin-to-pin length s; ya, yb: a guess.
+    """Return (ya, yb) at which the chambers of cylinder c hold given amounts (m^3) at pin-to-pin length s; ya, yb: a
+    guess.
 
-    With a spring in series the lengths depend on the force of the pressures. That force is found by Newton's method: more of it
-    makes more length and so less pressure.
+    With a spring in series the lengths depend on the force of the pressures. That force is found by Newton's method:
+    more of it makes more length and so less pressure.
     """
     k = CYLINDER + N_CYLINDER * c
     area_a, area_b = areas(P, c)
@@ -258,7 +270,9 @@ def flows_in(topology, P, E, w, p, into):
 
 @part
 def _ports(topology, P, E, w, p, pp, pt, into):
-    """Fill into (chambers,) with the flows of the valves; return what they draw from the pump and return to tank, m^3/s."""
+    """Fill into (chambers,) with the flows of the valves; return what they draw from the pump and return to tank,
+    m^3/s.
+    """
     drawn, returned = 0.0, 0.0
     for c in range(p.size // 2):
         qa, qb, more, back = port_flows(topology, P, E, c, w[c], pp, pt, p[2 * c], p[2 * c + 1])
@@ -331,7 +345,9 @@ def all_pressure_rates(topology, P, E, w, lines, y, out):
 
 @part
 def settle(P, E, lines, amounts, guess, y):
-    """Fill y (chambers,) with the state's pressures at which the chambers hold given amounts (m^3); guess (chambers,) in Pa."""
+    """Fill y (chambers,) with the state's pressures at which the chambers hold given amounts (m^3); guess (chambers,)
+    in Pa.
+    """
     for c in range(lines.shape[0]):
         a, b = 2 * c, 2 * c + 1
         y[a], y[b] = settled_pressures(P, E, c, lines[c, LENGTH], amounts[a], amounts[b], guess[a], guess[b])
@@ -348,8 +364,8 @@ def friction_force(P, c, speed):
 def extra_force(P, E, c, s, v, ya, yb):
     """Return what the cylinder's force has beyond that of the state's pressures ya, yb, in N.
 
-    Minus friction (19), plus the effects' forces; air on the rod's cross-section; and where a chamber has a void, its vapour
-    pressure instead of the state's.
+    Minus friction (19), plus the effects' forces; air on the rod's cross-section; and where a chamber has a void, its
+    vapour pressure instead of the state's.
 
     Args:
         s: pin-to-pin length in m.

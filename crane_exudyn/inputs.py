@@ -23,7 +23,9 @@ from .parameters import N_VALVE, VALVE
 
 
 class Valve(NamedTuple):
-    """What a valve does to its command: delay in s, width of its play, time constant in s, the share of the travel that creeps and its time constant."""
+    """What a valve does to its command: delay in s, width of its play, time constant in s, the share of the travel that
+    creeps and its time constant.
+    """
 
     delay: float
     width: float
@@ -131,7 +133,8 @@ class SpoolPath:
         t, u = np.asarray(time, dtype=float), np.asarray(commands, dtype=float)
         if t.ndim != 1 or u.shape != (t.size, len(self._valves)):
             raise CraneError(
-                f"spool path: time {t.shape} and commands {u.shape} do not match; expected (n,) and (n, {len(self._valves)})."
+                f"spool path: time {t.shape} and commands {u.shape} do not match; expected (n,) and (n, "
+                f"{len(self._valves)})."
             )
         self._check(t, u)
         changed = self._changed(u)
@@ -141,7 +144,8 @@ class SpoolPath:
         return out
 
     def step(self, time: float, command: np.ndarray) -> np.ndarray:
-        """Return the spool positions (valves,) at `time` when the command there is `command`; for live use, sample by sample.
+        """Return the spool positions (valves,) at `time` when the command there is `command`; for live use, sample by
+        sample.
 
         The first call sets the spools to rest at that command.
         """
@@ -181,14 +185,16 @@ class SpoolPath:
         if bad.size:
             k, c = bad[0]
             raise CraneError(
-                f"{self._crane.name}: the {self._names[c]} command at t = {t[k]:g} s is {u[k, c]:g}, expected a number from -1 to "
+                f"{self._crane.name}: the {self._names[c]} command at t = {t[k]:g} s is {u[k, c]:g}, expected a number "
+                "from -1 to "
                 "1. Scale the commands, or calibrate the valve voltages (valves.*.voltage in the crane file)."
             )
         back = np.flatnonzero(~(np.diff(t) > 0.0))
         if back.size:
             k = int(back[0])
             raise CraneError(
-                f"{self._crane.name}: command times do not increase at {t[k + 1]:g} s (before: {t[k]:g} s). Sort them and remove "
+                f"{self._crane.name}: command times do not increase at {t[k + 1]:g} s (before: {t[k]:g} s). Sort them "
+                "and remove "
                 "repeated ones."
             )
 
@@ -253,8 +259,8 @@ _BEYOND = ((14.5, 15.5, 0.2), (16.0, 17.0, -0.2))
 def paper_cycle(time: np.ndarray, valves: int = 2) -> np.ndarray:
     """Return the commands (n, valves) of the paper's working cycle at `time` (s): 25 s, lift then tilt, up and down.
 
-    U1 = +0.5 for 2-5 s and -0.5 for 18-21 s; U2 = +0.35 for 7-10 s and -0.35 for 12-14 s; times are the paper's. Further valves open a
-    little between, all at once.
+    U1 = +0.5 for 2-5 s and -0.5 for 18-21 s; U2 = +0.35 for 7-10 s and -0.35 for 12-14 s; times are the paper's.
+    Further valves open a little between, all at once.
     """
     t = np.asarray(time, dtype=float)
     out = np.zeros((*t.shape, valves))

@@ -14,8 +14,12 @@ from . import sensors
 MOST_COORDINATES = 6
 #: kinds of places at which effects act, and how many places compiled code keeps for each
 MOST = {
-    "": 1, "cylinders": MOST_COORDINATES, "chambers": 2 * MOST_COORDINATES, "joints": MOST_COORDINATES, "sensors": 3 * MOST_COORDINATES
-}  # fmt: skip
+    "": 1,
+    "cylinders": MOST_COORDINATES,
+    "chambers": 2 * MOST_COORDINATES,
+    "joints": MOST_COORDINATES,
+    "sensors": 3 * MOST_COORDINATES,
+}
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,9 @@ class Layout:
         }[kind]
 
     def place_number(self, kind: str, place: str) -> int:
-        """Return the number by which compiled code knows a place. Raises ValueError for one that the machine does not have."""
+        """Return the number by which compiled code knows a place. Raises ValueError for one that the machine does not
+        have.
+        """
         if kind == "sensors" and place in self.chambers:
             return MOST_COORDINATES + self.chambers.index(place)
         return self.places(kind).index(place)
@@ -193,7 +199,9 @@ class Layout:
 
     @property
     def disturbances(self) -> tuple[str, ...]:
-        """Names of what may act without a law that explains it: moments (forces on sliding joints), forces on E, flows into chambers."""
+        """Names of what may act without a law that explains it: moments (forces on sliding joints), forces on E, flows
+        into chambers.
+        """
         return (*self.torques, "force.x", "force.y", *self.flows)
 
     @property

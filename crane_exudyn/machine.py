@@ -1,8 +1,9 @@
 """Machine: which bodies, joints, loops and cylinders a planar hydraulic machine has, as data.
 
-A machine is a tree of bodies, each carried by another one or by the ground through a joint with a coordinate of its own, and
-loops: two bodies one behind the other whose angles follow from a joint that closes the loop. Everything that compiled code needs
-to know of it stands in one table of integers, `Machine.topology`; its numbers stand in the vector P.
+A machine is a tree of bodies, each carried by another one or by the ground through a joint with a coordinate of its
+own, and loops: two bodies one behind the other whose angles follow from a joint that closes the loop. Everything that
+compiled code needs to know of it stands in one table of integers, `Machine.topology`; its numbers stand in the vector
+P.
 """
 
 from __future__ import annotations
@@ -22,17 +23,20 @@ REVOLUTE, PRISMATIC = "revolute", "prismatic"
 # The table `topology`. Row 0 holds counts; then a row a body, a row a loop, a row a cylinder, a row a pin.
 # row 0: numbers of bodies, loops and cylinders (as many as coordinates), the payload's body (-1: none) and point
 BODIES, LOOPS, CYLINDERS, TIP_BODY, TIP_POINT = range(5)
-# a body: the body that carries it (-1: the ground), its kind, the pin on the carrier and on itself (places in P; -1: its origin), where its
-# numbers stand in P, its coordinate (a dependent body: -1), and where the direction stands in P along which it slides
+# a body: the body that carries it (-1: the ground), its kind, the pin on the carrier and on itself (places in P; -1:
+# its origin), where its numbers stand in P, its coordinate (a dependent body: -1), and where the direction stands in P
+# along which it slides
 CARRIER, KIND, PIN, OWN_PIN, NUMBERS, COORDINATE, DIRECTION = range(7)
 TURNS, SLIDES, FIRST_OF_LOOP, SECOND_OF_LOOP = range(4)
-# a loop: its first dependent body (the second is the next), the body that the loop ends on, the pin on the second dependent body and on
-# that one, and the side of the line from first pin to last on which the pin between the dependent bodies lies (1: left, -1: right)
+# a loop: its first dependent body (the second is the next), the body that the loop ends on, the pin on the second
+# dependent body and on that one, and the side of the line from first pin to last on which the pin between the dependent
+# bodies lies (1: left, -1: right)
 DEPENDENT, LAST, CUT_PIN, LAST_PIN, SIDE = range(5)
-# a cylinder: body and point of its base, body and point of its rod end, and which chamber carries the load (0: piston side)
+# a cylinder: body and point of its base, body and point of its rod end, and which chamber carries the load (0: piston
+# side)
 BASE_BODY, BASE, ROD_BODY, ROD_END, LOADED = range(5)
-# a pin: the body that it is on (-1: the ground), its place in P, and the body, loop or cylinder (by its row, the tip behind them) that it
-# is the first or second pin of
+# a pin: the body that it is on (-1: the ground), its place in P, and the body, loop or cylinder (by its row, the tip
+# behind them) that it is the first or second pin of
 PIN_BODY, PIN_POINT, PIN_OF, PIN_END = range(4)
 N_COLUMNS = 7
 
@@ -42,11 +46,12 @@ class Joint:
     """A joint between two bodies.
 
     Attributes:
-        name: its own;  kind: "revolute" or "prismatic";  carrier, body: the bodies that it joins, one of them carried by the other.
+        name: its own;  kind: "revolute" or "prismatic";  carrier, body: the bodies that it joins, one of them carried
+            by the other.
         pin: point on the carrier;  own_pin: point on the body; "" for the origin of its frame.
         coordinate: name of the angle (or way) of the body against its carrier; "" for a joint that closes a loop.
-        side: of a joint that closes a loop: 1 where the pin between the two dependent bodies lies left of the line from the first pin to
-            the last, -1 where it lies right of it.
+        side: of a joint that closes a loop: 1 where the pin between the two dependent bodies lies left of the line from
+            the first pin to the last, -1 where it lies right of it.
     """
 
     name: str
@@ -66,7 +71,9 @@ class Joint:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder between a point (base) of one body and a point (rod end) of another, with its valve and its channels."""
+    """A cylinder between a point (base) of one body and a point (rod end) of another, with its valve and its
+    channels.
+    """
 
     name: str
     bodies: tuple[str, str]
@@ -83,8 +90,8 @@ class Machine:
     """Bodies, joints and cylinders of a machine by name, and what follows from them.
 
     Attributes:
-        bodies: in the order in which they can be placed: a body comes after its carrier, the two dependent bodies of a loop come
-            one after the other, behind the body that the loop ends on.
+        bodies: in the order in which they can be placed: a body comes after its carrier, the two dependent bodies of a
+            loop come one after the other, behind the body that the loop ends on.
         joints: the one that carries each body, in the order of the bodies, then those that close loops.
         independent: coordinates of the state, in its order.
         cylinders: in the order of valves and chambers.

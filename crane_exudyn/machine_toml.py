@@ -1,4 +1,6 @@
-"""The part of a crane file that says how its bodies, joints and cylinders hang together; what is impossible is refused here."""
+"""The part of a crane file that says how its bodies, joints and cylinders hang together; what is impossible is refused
+here.
+"""
 
 from __future__ import annotations
 
@@ -105,11 +107,13 @@ def _joint(table: Mapping[str, Any], bodies: Sequence[str], where: str) -> Joint
     )
     if carrier == body or body == GROUND:
         raise CraneError(
-            f"{place}: bodies = {[carrier, body]} should be the body that carries (or {GROUND!r}) and another one that is carried."
+            f"{place}: bodies = {[carrier, body]} should be the body that carries (or {GROUND!r}) and another one that "
+            "is carried."
         )
     if joint.closes and (kind == PRISMATIC or not own):
         raise CraneError(
-            f"{place} has no coordinate, so it closes a loop: it must be {REVOLUTE}, with its pin on both bodies (at and on)."
+            f"{place} has no coordinate, so it closes a loop: it must be {REVOLUTE}, with its pin on both bodies (at "
+            "and on)."
         )
     return joint
 
@@ -122,7 +126,8 @@ def _carriers(bodies: Sequence[str], joints: Sequence[Joint], where: str) -> dic
             continue
         if joint.body in found:
             raise CraneError(
-                f"{where}: body {joint.body!r} is carried by two joints, {found[joint.body].name!r} and {joint.name!r}. "
+                f"{where}: body {joint.body!r} is carried by two joints, {found[joint.body].name!r} and "
+                f"{joint.name!r}. "
                 "Leave the coordinate of one of them out: it closes a loop."
             )
         found[joint.body] = joint
@@ -153,7 +158,8 @@ def _independent(document: Mapping[str, Any], joints: Sequence[Joint], where: st
     loops = sum(j.closes for j in joints)
     if len(stated) != len(names) - 2 * loops or len(set(stated)) != len(stated):
         raise CraneError(
-            f"{where}: independent = {stated} should be {len(names) - 2 * loops} of the coordinates {', '.join(names)}: "
+            f"{where}: independent = {stated} should be {len(names) - 2 * loops} of the coordinates "
+            f"{', '.join(names)}: "
             f"each of the {loops} loops makes two of them depend on the others."
         )
     if len(stated) > MOST_COORDINATES:
@@ -179,7 +185,8 @@ def _turned(joint: Joint, carriers: Mapping[str, Joint], independent: Sequence[s
     if ends(joint.body):
         return Joint(joint.name, joint.kind, joint.body, joint.carrier, joint.own_pin, joint.pin, "", -joint.side)
     raise CraneError(
-        f"{where}: joint {joint.name!r} closes a loop whose dependent bodies are not two, one carried by the other on revolute joints. "
+        f"{where}: joint {joint.name!r} closes a loop whose dependent bodies are not two, one carried by the other on "
+        "revolute joints. "
         f"State other independent coordinates than {', '.join(independent)}, or put the loop together so."
     )
 
@@ -275,7 +282,8 @@ def _check_drives(machine: Machine, where: str) -> None:
     for cylinder in machine.cylinders:
         if not machine.moved_by(cylinder):
             raise CraneError(
-                f"{where}: cylinders.{cylinder.name} joins {' and '.join(cylinder.bodies)}, which do not move against each other. Mend its bodies."
+                f"{where}: cylinders.{cylinder.name} joins {' and '.join(cylinder.bodies)}, which do not move against "
+                "each other. Mend its bodies."
             )
     driven = machine.driven
     for cylinder, coordinate in zip(machine.cylinders, driven, strict=True):
@@ -285,11 +293,13 @@ def _check_drives(machine: Machine, where: str) -> None:
             ]
             moved = ", ".join(sorted(machine.moved_by(cylinder)))
             raise CraneError(
-                f"{where}: cylinders.{cylinder.name} drives {moved}, which {' and '.join(others)} drives already: two drives for one freedom. "
+                f"{where}: cylinders.{cylinder.name} drives {moved}, which {' and '.join(others)} drives already: two "
+                "drives for one freedom. "
                 "Remove one of them, or mend its bodies."
             )
     free = [name for name in machine.independent if name not in driven]
     if free:
         raise CraneError(
-            f"{where}: nothing drives the coordinate {free[0]!r}. Give a cylinder that moves it; a payload that swings is the effect payload_swing."
+            f"{where}: nothing drives the coordinate {free[0]!r}. Give a cylinder that moves it; a payload that swings "
+            "is the effect payload_swing."
         )

@@ -1,4 +1,6 @@
-"""How channels stand in a file: under which column, in which unit, with which sign and offset; from `--map` options and map files."""
+"""How channels stand in a file: under which column, in which unit, with which sign and offset; from `--map` options and
+map files.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +77,8 @@ def columns_of(mapping: MappingLike, layout: Layout) -> dict[str, Column]:
             )
         if column.header in first:
             raise CraneError(
-                f"{column.said} takes column {column.header!r} for two channels, {first[column.header]} and {name}. Map each column once."
+                f"{column.said} takes column {column.header!r} for two channels, {first[column.header]} and {name}. "
+                "Map each column once."
             )
         if name == "time" and replace(column, header="", unit=None, said="") != Column("", said=""):
             raise CraneError(f"{column.said}: a time can have another name and unit, nothing else.")
@@ -154,7 +157,8 @@ def _column(where: str, name: str, table: Any, layout: Layout) -> Column:
     drift = to_si(table.get("drift", 0.0), "", f"{where}: drift")
     if not abs(drift) < 0.5:
         raise CraneError(
-            f"{where}: drift = {drift:g}, expected a small number: seconds by which the stamps fall behind in each second."
+            f"{where}: drift = {drift:g}, expected a small number: seconds by which the stamps fall behind in each "
+            "second."
         )
     return Column(column, unit, sign * scale, offset, late, drift, where)
 

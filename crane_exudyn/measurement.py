@@ -1,8 +1,8 @@
 """What the sensors of a crane show: one function y = h(x) for simulations, filters, fits and comparisons.
 
-A sensor reads a sum of states (a pressure as a gauge does, which shows vapour pressure of a void) or a cylinder's length. What it
-makes of that is the crane's `measurement` hooks at its place: y = law(reading). Where the `lag` hooks there give a time constant, it
-shows a first-order follower of y, tau y_shown' + y_shown = y.
+A sensor reads a sum of states (a pressure as a gauge does, which shows vapour pressure of a void) or a cylinder's
+length. What it makes of that is the crane's `measurement` hooks at its place: y = law(reading). Where the `lag` hooks
+there give a time constant, it shows a first-order follower of y, tau y_shown' + y_shown = y.
 """
 
 from __future__ import annotations
@@ -101,7 +101,9 @@ class Measurement:
         return Y
 
     def shown_rows(self, X: np.ndarray, S: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the sensors show (n, m), and its derivative (n, m, k), along states X (n, nx) with derivative S (n, nx, k)."""
+        """Return what the sensors show (n, m), and its derivative (n, m, k), along states X (n, nx) with derivative S
+        (n, nx, k).
+        """
         Y, C = self.rows(X)
         G = C @ S
         for j, tau in self.lags:
@@ -109,7 +111,9 @@ class Measurement:
         return Y, G
 
     def check(self, crane: Crane, Y: np.ndarray, X: np.ndarray) -> None:
-        """Raise CraneError that names the crane's effect of which a law gives no number, where `read` gives Y (n, m) of X (n, nx)."""
+        """Raise CraneError that names the crane's effect of which a law gives no number, where `read` gives Y (n, m) of
+        X (n, nx).
+        """
         for k, j in np.argwhere(~np.isfinite(Y)):
             true = float(self.beside(self.P, crane.nominal().effect_vector()).read(X[k : k + 1])[0, j])
             if np.isfinite(true):

@@ -1,9 +1,11 @@
-"""The machine as an Exudyn system: planar rigid bodies in redundant coordinates, joints, hydraulic cylinders, user functions.
+"""The machine as an Exudyn system: planar rigid bodies in redundant coordinates, joints, hydraulic cylinders, user
+functions.
 
-`build` adds one or more machines to a main system, also to one of your own: add your own objects to it, assemble and call
-`mbs.SolveDynamic` as with any Exudyn model. Per machine it adds
+`build` adds one or more machines to a main system, also to one of your own: add your own objects to it, assemble and
+call `mbs.SolveDynamic` as with any Exudyn model. Per machine it adds
 
-- rigid bodies with nodes at their centres of mass (3 coordinates each), with the machine's outline for Exudyn's own viewer; a payload that
+- rigid bodies with nodes at their centres of mass (3 coordinates each), with the machine's outline for Exudyn's own
+  viewer; a payload that
   is fixed is part of its body's inertia; one on a pendulum is a mass point at a constant distance from its point;
 - revolute and prismatic joints, two equations each, those that close loops among them;
 - weights as mass-proportional loads;
@@ -74,8 +76,10 @@ class Plant:
         P, E: (size, .) nominal and effect parameters, one row a machine; see `set_parameters`.
         inertia: (size, bodies + 1, 4) masses, centres and inertias that the bodies have now.
         payload_mass: (size,) in kg, the part of `inertia` that may change with time.
-        inputs: (size, .) rows of `Layout.all_inputs`, which the user functions read; NaN in pp or pt means the machine's own supply.
-        input_function: if given, called with the time in s, returns what the columns of `inputs` without disturbances are to hold.
+        inputs: (size, .) rows of `Layout.all_inputs`, which the user functions read; NaN in pp or pt means the
+            machine's own supply.
+        input_function: if given, called with the time in s, returns what the columns of `inputs` without disturbances
+            are to hold.
         bodies: object numbers by name of the body (and "payload" on a pendulum).
         nodes: node numbers likewise.
         joints: object numbers by joint name.
@@ -137,7 +141,8 @@ class Plant:
         return self.inputs
 
     def marker(self, point: str, number: int = 0) -> int:
-        """Return the number of a new marker at a named point, such as "E", of one of the machines; before `mbs.Assemble()`.
+        """Return the number of a new marker at a named point, such as "E", of one of the machines; before
+        `mbs.Assemble()`.
 
         Raises:
             CraneError: the machine has no such point.
@@ -150,7 +155,8 @@ class Plant:
         return _point(self.mbs, self, number, body, machine.index[f"{name}.x"], rigid=True)
 
     def set_parameters(self, mbs: Any, P: np.ndarray, E: np.ndarray, time: float) -> bool:
-        """Give every machine parameters of its own, P (size, .) and E (size, .), and the payload that it has at a time (s).
+        """Give every machine parameters of its own, P (size, .) and E (size, .), and the payload that it has at a time
+        (s).
 
         Only Exudyn items whose numbers change are touched.
 
@@ -195,7 +201,8 @@ def _payload_masses(P, E, time, out):
 
 @njit
 def _fill_item_values(P, E, inertia, n_cylinders, directions, places, out):
-    """Fill out (n, .): mass and inertia of the bodies, mass, gravity, length of the pendulum, areas, directions, markers' places.
+    """Fill out (n, .): mass and inertia of the bodies, mass, gravity, length of the pendulum, areas, directions,
+    markers' places.
 
     places (m, 2): body (-1: ground) and point in P (-1: origin) of every marker.
     """
@@ -261,7 +268,9 @@ def _axes(direction: float) -> tuple[list[float], list[float]]:
 
 
 def _local_place(plant: Plant, k: int, body: int, point: int) -> np.ndarray:
-    """Return a point of P (-1: origin) on a body as seen from its centre of mass, or in the ground's frame (body -1)."""
+    """Return a point of P (-1: origin) on a body as seen from its centre of mass, or in the ground's frame (body
+    -1).
+    """
     local = np.zeros(2) if point < 0 else plant.P[k, point : point + 2].copy()
     return local if body < 0 else local - plant.inertia[k, body, red.COM_X : red.COM_X + 2]
 
@@ -335,7 +344,8 @@ def _plant(crane: Crane, size: int, inputs: Any, time: float) -> Plant:
     inertia, mass = np.zeros((size, len(crane.machine.bodies) + 1, 4)), payload_at(crane, time)
     if mass < 0.0 or (mass == 0.0 and hooks.pendulum(E[0])[0] > 0.0):
         raise CraneError(
-            f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and one that "
+            f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and "
+            "one that "
             "swings cannot be zero: mend payload.mass or the effect payload_change, or remove payload_swing."
         )
     red.all_inertias(crane.machine.topology, P, E, time, inertia)
@@ -514,7 +524,8 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
             topology, P, E, t, mass, plant.inputs_at(t), inertia, np.asarray(q), np.asarray(v), p, force
         ):
             raise CraneError(
-                f"{plant.crane.name}: the payload's mass changes at t = {t:g} s, but an Exudyn system has fixed masses. "
+                f"{plant.crane.name}: the payload's mass changes at t = {t:g} s, but an Exudyn system has fixed "
+                "masses. "
                 "Use ExudynEngine.simulate, which changes them, or remove the effect payload_change."
             )
         return force.ravel()
@@ -572,7 +583,8 @@ def redundant(plant: Plant, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def consistent(plant: Plant, state: np.ndarray, w: np.ndarray, time: float) -> tuple[np.ndarray, ...]:
-    """Return (q, v, a, p, dp) of one state of the first machine: joints closed, accelerations and pressure rates consistent.
+    """Return (q, v, a, p, dp) of one state of the first machine: joints closed, accelerations and pressure rates
+    consistent.
 
     Args:
         w: inputs, with or without disturbances behind;  time: in s.
@@ -602,8 +614,8 @@ def main_system() -> tuple[Any, Any]:
 def set_initial_rates(mbs: Any, plant: Plant, time: float = 0.0) -> None:
     """Give Exudyn the pressure rates that its initial state has; call it after `mbs.Assemble()`, before `SolveDynamic`.
 
-    Exudyn finds initial accelerations itself, but starts with pressure rates of zero, which spoils the first step of the
-    trapezoidal rule where a valve is open or a cylinder moves at the start.
+    Exudyn finds initial accelerations itself, but starts with pressure rates of zero, which spoils the first step of
+    the trapezoidal rule where a valve is open or a cylinder moves at the start.
     """
     data, initial = mbs.systemData, exu.ConfigurationType.Initial
     n, width, chambers = plant.size, plant.coordinates, len(plant.crane.layout.chambers)

@@ -1,4 +1,5 @@
-"""The plain way to step states through Exudyn: one `SolveDynamic` of one step per state, Exudyn's own Newton throughout.
+"""The plain way to step states through Exudyn: one `SolveDynamic` of one step per state, Exudyn's own Newton
+throughout.
 
 It gives what `ExudynEngine.propagate` gives, to solver tolerance, and takes many times longer; it is there to check the
 engine against Exudyn's own solver, and to measure what the engine saves.

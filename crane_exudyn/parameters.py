@@ -1,8 +1,10 @@
-"""The flat vector P of nominal parameters that compiled code reads: the blocks that every machine has, and units by name.
+"""The flat vector P of nominal parameters that compiled code reads: the blocks that every machine has, and units by
+name.
 
-Every number of a crane file that a fit may move has one name, such as `payload.mass`, used alike in crane files, on the command line, in
-JSON results and in error messages. P begins with what all machines have and with a block a cylinder, so that compiled code finds, say,
-the bore of cylinder c at ``CYLINDER + N_CYLINDER*c``; where bodies and points stand behind them says `Machine.topology`.
+Every number of a crane file that a fit may move has one name, such as `payload.mass`, used alike in crane files, on the
+command line, in JSON results and in error messages. P begins with what all machines have and with a block a cylinder,
+so that compiled code finds, say, the bore of cylinder c at ``CYLINDER + N_CYLINDER*c``; where bodies and points stand
+behind them says `Machine.topology`.
 """
 
 from __future__ import annotations

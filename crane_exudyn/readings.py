@@ -1,6 +1,8 @@
-"""What a channel may really be: each other reading of one or two channels, and whether a recording agrees with itself far better under it.
+"""What a channel may really be: each other reading of one or two channels, and whether a recording agrees with itself
+far better under it.
 
-A reading is the truth that a logger's column was named wrongly for: another sign, unit, line of reference, or another channel altogether.
+A reading is the truth that a logger's column was named wrongly for: another sign, unit, line of reference, or another
+channel altogether.
 """
 
 from __future__ import annotations
@@ -50,7 +52,8 @@ class Weighed:
     """A reading, by how much better a recording agrees with itself under it, and how its balances close then.
 
     Attributes:
-        gain: sum over the balances of the logarithm of their misfits' ratio, less what a far-fetched reading must be better by.
+        gain: sum over the balances of the logarithm of their misfits' ratio, less what a far-fetched reading must be
+            better by.
         before, after: the misfits.
     """
 
@@ -61,7 +64,9 @@ class Weighed:
 
     @property
     def closes(self) -> bool:
-        """Whether the balances that are better under it close, as they do on a worn machine; more than one of them for values made smaller."""
+        """Whether the balances that are better under it close, as they do on a worn machine; more than one of them for
+        values made smaller.
+        """
         better = [k for k, m in self.before.items() if k in self.after and _ratio(k, m, self.after[k]) > _MOVED]
         enough = 2 if any(abs(s.factor) < 1.0 for s in self.reading.made.values()) else 1
         return len(better) >= enough and all(self.after[k].off <= CLOSES[k[0]] for k in better)
@@ -75,7 +80,8 @@ class Weighed:
 
 #: log by which a reading must be better that is far-fetched beside the others
 FAR_FETCHED: Mapping[Kind, float] = {"sign": 0.0, "swapped": 0.0, "absolute": 0.0, "scale": 0.1, "offset": 0.3}
-#: log from which a balance counts as better; log within which readings are rivals; how many channels may be mistaken at once
+#: log from which a balance counts as better; log within which readings are rivals; how many channels may be mistaken at
+#: once
 _MOVED, _TIED, _MOST = 0.3, 0.3, 6
 #: sizes of a machine: Pa below the lowest and above it, pump pressures, rad, commands
 _BELOW, _ABOVE, _PUMPS, _TURNED, _OPENED = 1e5, 1e5, 4.0, 1.5 * math.pi, 1.05
@@ -133,7 +139,8 @@ def _other_lines(machine: Figures, ch: Channels) -> Iterator[Reading]:
 #: units that are taken for the usual one of a quantity, and the other way round: what one of them is in that
 _MISTAKEN = {
     "Pa": ("bar", {"psi": 0.06894757, "MPa": 10.0, "kPa": 0.01, "Pa": 1e-5}), "rad": ("rad", {"deg": math.pi / 180}),
-    "rad/s": ("rad/s", {"deg/s": math.pi / 180}), "m": ("m", {"mm": 1e-3, "cm": 1e-2}), "m/s": ("m/s", {"mm/s": 1e-3}), "": ("a share", {"%": 1e-2, "a tenth": 0.1}),
+    "rad/s": ("rad/s", {"deg/s": math.pi / 180}), "m": ("m", {"mm": 1e-3, "cm": 1e-2}), "m/s": ("m/s", {"mm/s": 1e-3}),
+    "": ("a share", {"%": 1e-2, "a tenth": 0.1}),
 }  # fmt: skip
 
 
@@ -177,7 +184,9 @@ def plausible(machine: Figures, grid: Grid, names: Iterable[str]) -> bool:
 
 
 def weigh(machine: Figures, grid: Grid, least: float) -> list[Weighed]:
-    """Return the other readings of a recording's channels that are of a plausible size and better by `least`, best first."""
+    """Return the other readings of a recording's channels that are of a plausible size and better by `least`, best
+    first.
+    """
     before = misfits(machine, grid)
     hope = sum(_ratio(k, m, Misfit(0.0)) for k, m in before.items() if k[0] in ("moment", "held"))
     found = []
@@ -199,14 +208,18 @@ def _within(poses: Misfits, before: Misfits) -> bool:
 
 
 def _gain(kind: Kind, before: Misfits, after: Misfits) -> float:
-    """Return by how much better balances close. Values that another unit makes small enough vanish in the noise, which closes nothing."""
+    """Return by how much better balances close. Values that another unit makes small enough vanish in the noise, which
+    closes nothing.
+    """
     ratios = {k: _ratio(k, m, after[k]) for k, m in before.items() if k in after}
     counted = (r if after[k].told or kind != "scale" else min(r, 0.0) for k, r in ratios.items())
     return sum(counted) - FAR_FETCHED[kind]
 
 
 def mistaken(machine: Figures, grid: Grid, least: float) -> tuple[list[list[Weighed]], Grid]:
-    """Return the readings that a recording asks for, one after the other, each with its rivals behind it; and the channels so read."""
+    """Return the readings that a recording asks for, one after the other, each with its rivals behind it; and the
+    channels so read.
+    """
     found: list[list[Weighed]] = []
     for _ in range(_MOST):
         ranked = weigh(machine, grid, least)

@@ -154,14 +154,18 @@ class Recording:
         if commands and not (self.has(*spools) or self.has(*volts)):
             missing = [c for c in (volts if any(map(self.has, volts)) else spools) if not self.has(c)]
             raise CraneError(
-                f"{where}: {' and '.join(missing)} missing, found only {', '.join(self.channels)}. Expected spool commands "
+                f"{where}: {' and '.join(missing)} missing, found only {', '.join(self.channels)}. Expected spool "
+                "commands "
                 f"{' and '.join(spools)} in [-1, 1], or valve voltages "
-                f"{' and '.join(f'{u}[V]' for u in volts)}; a valve that stays closed is a column of zeros.{self._unused()}"
+                f"{' and '.join(f'{u}[V]' for u in volts)}; a valve that stays closed is a column of "
+                f"zeros.{self._unused()}"
             )
         if len(self.sensors) < sensors:
             raise CraneError(
-                f"{where}: found {len(self.sensors)} sensor channels ({', '.join(self.sensors) or 'none'}), expected at least "
-                f"{sensors} of {', '.join(self.layout.sensors)}. Record one, or map a column: --map {example(self.layout)}.{self._unused()}"
+                f"{where}: found {len(self.sensors)} sensor channels ({', '.join(self.sensors) or 'none'}), expected "
+                "at least "
+                f"{sensors} of {', '.join(self.layout.sensors)}. Record one, or map a column: --map "
+                f"{example(self.layout)}.{self._unused()}"
             )
         return self
 
@@ -175,8 +179,9 @@ class Recording:
         """Return time (n,) in s and spool commands (n, valves) in [-1, 1], linear between samples; steps stay steps.
 
         Valve voltages become commands through the calibration of `crane`. Where all commands have one clock it is
-        returned as it is; otherwise the union of theirs. Where a command jumps, one more instant just before the sample that shows
-        the new value holds the old one (see `drive.with_steps`). In a gap the last value is held; see `unknown_commands`.
+        returned as it is; otherwise the union of theirs. Where a command jumps, one more instant just before the sample
+        that shows the new value holds the old one (see `drive.with_steps`). In a gap the last value is held; see
+        `unknown_commands`.
         """
         from .drive import with_steps
 
@@ -199,7 +204,9 @@ class Recording:
         return with_steps(time, crane.commands_from_voltages(values))
 
     def unknown_commands(self) -> dict[str, np.ndarray]:
-        """Return {command: spans (g, 2) in s} in which a command was not recorded while the recording went on; empty if all are known."""
+        """Return {command: spans (g, 2) in s} in which a command was not recorded while the recording went on; empty if
+        all are known.
+        """
         found = {}
         for name in filter(self.has, self._command_names):
             channel = self[name]
@@ -210,7 +217,9 @@ class Recording:
         return found
 
     def _gaps(self, name: str) -> np.ndarray:
-        """Return the gaps (g, 2) of a command in s: pauses in which something was recorded; a few points written by hand have none."""
+        """Return the gaps (g, 2) of a command in s: pauses in which something was recorded; a few points written by
+        hand have none.
+        """
         gaps = self[name].gaps()
         others = np.sort(np.concatenate([[], *(c.time for n, c in self.channels.items() if n != name)]))
         inside = np.searchsorted(others, gaps[:, 1]) - np.searchsorted(others, gaps[:, 0], side="right")
@@ -222,7 +231,8 @@ class Recording:
         for name, spans in self.unknown_commands().items():
             where = ", ".join(f"{a:.6g} … {b:.6g} s" for a, b in spans[:3]) + (", …" if len(spans) > 3 else "")
             told.append(
-                f"command {name} is missing in {len(spans)} span{'s' * (len(spans) > 1)} ({where}): the nearest value before "
+                f"command {name} is missing in {len(spans)} span{'s' * (len(spans) > 1)} ({where}): the nearest value "
+                "before "
                 "is held there, as an unknown input that fits leave out"
             )
         return replace(self, notes=(*self.notes, *told))
@@ -293,7 +303,9 @@ class Recording:
         return replace(self, channels=changed)
 
     def first_values(self, span: float = 0.1) -> dict[str, float]:
-        """Return the mean of each sensor over the first `span` seconds, but not beyond the first change of a command."""
+        """Return the mean of each sensor over the first `span` seconds, but not beyond the first change of a
+        command.
+        """
         moves = [_first_change(self[n]) for n in (*self.layout.commands, *self.layout.voltages) if self.has(n)]
         until = min([self.start + span, *moves])
         means = {}
@@ -318,7 +330,9 @@ class Recording:
     to_csv = save
 
     def to_dataframe(self) -> Any:
-        """Return all channels as a pandas DataFrame over time, SI, NaN where a channel has no sample; see `formats.data_frame`."""
+        """Return all channels as a pandas DataFrame over time, SI, NaN where a channel has no sample; see
+        `formats.data_frame`.
+        """
         from .formats import data_frame
 
         time, values = self.aligned()

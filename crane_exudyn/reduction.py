@@ -1,12 +1,14 @@
-"""From redundant to independent coordinates and back: the null space of the joint equations, and the balance reduced by it.
+"""From redundant to independent coordinates and back: the null space of the joint equations, and the balance reduced by
+it.
 
-Redundant coordinates q of one machine are x, y of the centre of mass and the angle of each body (the payload that is fixed to a body
-belongs to it); a payload on a pendulum adds x, y of its point mass. Independent velocities are u = dz, or [dz dtheta] with theta the
-pendulum's angle against straight down.
+Redundant coordinates q of one machine are x, y of the centre of mass and the angle of each body (the payload that is
+fixed to a body belongs to it); a payload on a pendulum adds x, y of its point mass. Independent velocities are u = dz,
+or [dz dtheta] with theta the pendulum's angle against straight down.
 
-The joints are a tree plus loops, so `geometry.chain` solves G x = g for the redundant x by recursion and one small solve a loop, where G
-is the Jacobian of Exudyn's joint equations: with unit independent velocities it gives a column of the null space N, with g = -residual
-the correction of violated joints, with the squares of the rates the centripetal part of the accelerations.
+The joints are a tree plus loops, so `geometry.chain` solves G x = g for the redundant x by recursion and one small
+solve a loop, where G is the Jacobian of Exudyn's joint equations: with unit independent velocities it gives a column of
+the null space N, with g = -residual the correction of violated joints, with the squares of the rates the centripetal
+part of the accelerations.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ from .parameters import GRAVITY, PAYLOAD
 
 @part
 def inertias(topology, P, E, t, out):
-    """Fill out (bodies + 1, 4) with mass, centre of mass and inertia of the bodies and, last, of the swinging payload at time t.
+    """Fill out (bodies + 1, 4) with mass, centre of mass and inertia of the bodies and, last, of the swinging payload
+    at time t.
 
     A fixed payload is part of its body: common mass, centre and inertia about it.
     """
@@ -150,7 +153,9 @@ def null_space(topology, arms, N):
 
 @part
 def place(topology, P, E, inertia, x, arms, N, q, v):
-    """Fill arms, null space N, q and v (nq,) of a state x (nx,), all joints closed; return whether the loops can be closed."""
+    """Fill arms, null space N, q and v (nq,) of a state x (nx,), all joints closed; return whether the loops can be
+    closed.
+    """
     n, nu = topology[0, CYLINDERS], N.shape[0]
     theta = x[4 * n] if nu > n else 0.0
     if not close_position(topology, P, E, inertia, x, theta, arms, q):
@@ -193,7 +198,9 @@ def pendulum_rate(topology, arms, v):
 
 @part
 def read_motion(topology, arms, x, q, v, out):
-    """Write the independent coordinates and rates of redundant ones to out (nx,); a pendulum's angle stays near that in x."""
+    """Write the independent coordinates and rates of redundant ones to out (nx,); a pendulum's angle stays near that in
+    x.
+    """
     n = topology[0, CYLINDERS]
     for b in range(topology[0, BODIES]):
         i, k = topology[1 + b, COORDINATE], topology[1 + b, CARRIER]
@@ -279,7 +286,9 @@ def coordinate(topology, arms, b):
 
 @part
 def add_joint_forces(topology, E, t, w, arms, v, f):
-    """Add moments on the coordinates, the forces on the payload's point, the pendulum's damping and disturbances to f."""
+    """Add moments on the coordinates, the forces on the payload's point, the pendulum's damping and disturbances to
+    f.
+    """
     n = topology[0, CYLINDERS]
     for b in range(topology[0, BODIES]):
         i = topology[1 + b, COORDINATE]
@@ -301,9 +310,11 @@ def add_joint_forces(topology, E, t, w, arms, v, f):
 
 @njit
 def extra_forces(topology, P, E, t, w, inertia, q, v, p, arms, lines, f):
-    """Fill f (nq,) with all applied forces except weights and the cylinders' pressure forces; arms and lines are overwritten.
+    """Fill f (nq,) with all applied forces except weights and the cylinders' pressure forces; arms and lines are
+    overwritten.
 
-    Friction (19) and the effects' forces of the cylinders, joint moments, forces on the payload's point, pendulum damping, disturbances.
+    Friction (19) and the effects' forces of the cylinders, joint moments, forces on the payload's point, pendulum
+    damping, disturbances.
     """
     arms_of(topology, P, inertia, q, arms)
     geo.fill_lines(topology, arms, q, v, lines)
@@ -389,8 +400,8 @@ def applied_forces(topology, P, E, t, w, inertia, arms, lines, q, v, p, f):
 def accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, push, work, f, M, udd, a):
     """Fill udd and a with the accelerations that are consistent with the joints: M udd = N (f - M a_centripetal).
 
-    f gets all applied forces, among them push (nq,), those of somebody's own objects; a the accelerations of the redundant
-    coordinates; `lines` is filled. `arms` must belong to q.
+    f gets all applied forces, among them push (nq,), those of somebody's own objects; a the accelerations of the
+    redundant coordinates; `lines` is filled. `arms` must belong to q.
     """
     applied_forces(topology, P, E, t, w, inertia, arms, lines, q, v, p, f)
     for j in range(f.size):

@@ -1,7 +1,8 @@
 """Pictures and films of a machine, made by Exudyn's own renderers.
 
-A `Scene` is an Exudyn system whose bodies have the machine's shapes and follow given trajectories: nothing is integrated, the
-closed geometry places every part. Several of them may stand in one scene - measured, simulated, estimated. ::
+A `Scene` is an Exudyn system whose bodies have the machine's shapes and follow given trajectories: nothing is
+integrated, the closed geometry places every part. Several of them may stand in one scene - measured, simulated,
+estimated. ::
 
     scene = Scene(crane, [Trajectory.from_recording(recording)])
     scene.save("lift.png", time=5.0)
@@ -44,7 +45,8 @@ View = Literal["side", "oblique"]
 GHOSTS = {"measured": (0.90, 0.90, 0.88), "simulated": (0.95, 0.55, 0.20), "estimated": (0.05, 0.38, 0.68)}
 _PLAIN_GHOST = (0.80, 0.82, 0.85)  # beside a crane whose colours mean something
 _OTHER_GHOSTS = ((0.0, 0.50, 0.36), (0.55, 0.35, 0.65))
-#: m by which each ghost stands behind the one before; from the side that is not seen, but what is nearer is never hidden
+#: m by which each ghost stands behind the one before; from the side that is not seen, but what is nearer is never
+#: hidden
 _BEHIND = {"side": 2.5, "oblique": 0.02}
 _SUPERSAMPLING = 2
 _VIEWS = {"side": (0.0, 0.0), "oblique": (math.radians(-24.0), math.radians(14.0))}
@@ -71,14 +73,17 @@ class Trajectory:
 
     @classmethod
     def from_states(cls, label: str, time: np.ndarray, states: np.ndarray, layout: Layout) -> Trajectory:
-        """Return the trajectory of states (n, nx) as engines give them, at `time` (n,); layout: the machine's, `crane.layout`."""
+        """Return the trajectory of states (n, nx) as engines give them, at `time` (n,); layout: the machine's,
+        `crane.layout`.
+        """
         pressures = dict(zip(layout.chambers, states[:, layout.pressures].T, strict=True))
         theta = next(iter(states[:, layout.extra].T), None)
         return cls(label, np.asarray(time, dtype=float), states[:, layout.positions], pressures, theta)
 
     @classmethod
     def from_recording(cls, recording: Recording, label: str = "measured") -> Trajectory:
-        """Return the motion that a recording (or the written result of a run) holds, on the clock of the first coordinate.
+        """Return the motion that a recording (or the written result of a run) holds, on the clock of the first
+        coordinate.
 
         Raises:
             CraneError: it lacks a coordinate, relative or absolute.
@@ -88,7 +93,8 @@ class Trajectory:
         if not all(shown):
             lacking = " and ".join(name for name, found in zip(layout.coordinates, shown, strict=True) if not found)
             raise CraneError(
-                f"{recording.source or recording.name}: a picture needs {' and '.join(layout.coordinates)} (or one of them with _abs, "
+                f"{recording.source or recording.name}: a picture needs {' and '.join(layout.coordinates)} (or one of "
+                "them with _abs, "
                 f"against the ground); {lacking} is missing, found only {', '.join(recording.channels)}. "
                 "Estimate them first: patu estimate REC -o states.csv."
             )
@@ -154,7 +160,9 @@ def coordinates(crane: Crane, positions: np.ndarray, theta: np.ndarray | float =
 
 
 def _origin(closed: Pose, body: str, point: str, local: np.ndarray) -> np.ndarray:
-    """Return where the origin (n, 2) of a body's frame lies, from one of its points, which is at `local` in that frame."""
+    """Return where the origin (n, 2) of a body's frame lies, from one of its points, which is at `local` in that
+    frame.
+    """
     c, s = np.cos(closed.angles[body]), np.sin(closed.angles[body])
     turned = np.column_stack([c * local[0] - s * local[1], s * local[0] + c * local[1]])
     return np.asarray(closed.points[point] - turned)
@@ -166,7 +174,8 @@ class Scene:
     Attributes:
         crane: the description that gives shapes and geometry.
         trajectories: what each of them does; the first is the main one, the others are its ghosts.
-        system: the Exudyn system container; mbs: its main system. Add own objects through `own` before anything is drawn.
+        system: the Exudyn system container; mbs: its main system. Add own objects through `own` before anything is
+            drawn.
     """
 
     def __init__(
@@ -227,7 +236,9 @@ class Scene:
     # -- building ------------------------------------------------------------------------------------------------------
 
     def _fill(self, own: Callable[[Any], None] | None) -> None:
-        """Add ground, pillar and cranes; moving parts are rigid bodies, what changes its colour is drawn by a function."""
+        """Add ground, pillar and cranes; moving parts are rigid bodies, what changes its colour is drawn by a
+        function.
+        """
         paints = self._paints()
         fixed = [*shapes.ground(self.middle, self.width, self.floor), *shapes.pillar(self.crane, paints[0], self.floor)]
         self.mbs.AddObject(items.ObjectGround(visualization=items.VObjectGround(graphicsData=fixed)))
@@ -279,7 +290,8 @@ class Scene:
         general.useMultiThreadedRendering = False  # with it, pictures are taken before they are whole
         settings.exportImages.saveImageTimeOut = 20000
         settings.openGL.lightModelAmbient = [0.62, 0.62, 0.64, 1.0]
-        # a far point: shadows of a direction (fourth entry 0) end in the ray tracer a few metres behind what throws them
+        # a far point: shadows of a direction (fourth entry 0) end in the ray tracer a few metres behind what throws
+        # them
         sun = [self.middle - 2.0 * self.height, 9.0 * self.height, 7.0 * self.height, 1.0]
         light.position, light.diffuse, light.specular, light.shadow = sun, 0.62, 0.25, 0.3
         if (
@@ -312,10 +324,11 @@ class Scene:
         return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ turn
 
     def _frame(self, times: np.ndarray | None = None) -> tuple[float, float, np.ndarray, float]:
-        """Return the floor's height and x of its middle, and the picture's middle (3,), as it sees it, and height, in m.
+        """Return the floor's height and x of its middle, and the picture's middle (3,), as it sees it, and height, in
+        m.
 
-        Every machine stays in the picture at the times (n,) in s, by default all the time; a machine that reaches below its
-        own ground stands on a lower one.
+        Every machine stays in the picture at the times (n,) in s, by default all the time; a machine that reaches below
+        its own ground stands on a lower one.
         """
         machine, thick = self.crane.machine, 0.2 * shapes.size(self.crane)
         boxes = []
@@ -429,7 +442,9 @@ class Scene:
         return at + np.array([0.0, 0.1 * shapes.size(self.crane)]), (0.0, -1.0)
 
     def _aside(self, at: np.ndarray, along: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
-        """Return tip and direction of an arrow that comes to a line across it, from the side where there is more room."""
+        """Return tip and direction of an arrow that comes to a line across it, from the side where there is more
+        room.
+        """
         across = np.array([-along[1], along[0]]) / math.hypot(*along)
         room = [np.linalg.norm(points - at - s * self.arrow_length * across, axis=1).min() for s in (1.0, -1.0)]
         across *= 1.0 if room[0] >= room[1] else -1.0
@@ -596,7 +611,8 @@ def _solution_header(shape: tuple[int, ...]) -> str:
         "#simulation started=0",
         "#columns contain: time, ODE2 displacements",
         f"#number of system coordinates [nODE2, nODE1, nAlgebraic, nData] = [{count},0,0,0]",
-        f"#number of written coordinates [nODE2, nVel2, nAcc2, nODE1, nVel1, nAlgebraic, nData] = [{count},0,0,0,0,0,0]",
+        "#number of written coordinates [nODE2, nVel2, nAcc2, nODE1, nVel1, nAlgebraic, nData] = "
+        f"[{count},0,0,0,0,0,0]",
         f"#total columns exported  (excl. time) = {count}",
         f"#number of time steps (planned) = {shape[0] - 1}",
         "#",
@@ -621,8 +637,10 @@ def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajector
     for trajectory in trajectories:
         if trajectory.positions.ndim != 2 or trajectory.positions.shape[1] != wanted:
             raise CraneError(
-                f"The trajectory {trajectory.label!r} has positions of shape {trajectory.positions.shape}, but {crane.name} has the coordinates "
-                f"{', '.join(crane.layout.coordinates)}: expected ({len(trajectory.time)}, {wanted}). Give one column for each."
+                f"The trajectory {trajectory.label!r} has positions of shape {trajectory.positions.shape}, but "
+                f"{crane.name} has the coordinates "
+                f"{', '.join(crane.layout.coordinates)}: expected ({len(trajectory.time)}, {wanted}). Give one column "
+                "for each."
             )
     if colour == "residual" and len(trajectories) < 2:
         raise CraneError("--colour residual shows a difference: give a second run with --ghost FILE.")
@@ -635,7 +653,9 @@ def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajector
 
 
 def _scales(layout: Layout, trajectories: Sequence[Trajectory], colour: Colour | None) -> dict[str, float]:
-    """Return by unit the values in SI at which the colours end: numbers that are round as people read them, at or above the greatest."""
+    """Return by unit the values in SI at which the colours end: numbers that are round as people read them, at or above
+    the greatest.
+    """
     if colour is None:
         return {}
     main = trajectories[0]

@@ -109,7 +109,9 @@ class _Panel:
         return cls(axes, (box[2], box[3]))
 
     def show(self, places: np.ndarray) -> float:
-        """Choose what the axes show, so that places (n, 2) in m have room for labels around; return m a point of the page."""
+        """Choose what the axes show, so that places (n, 2) in m have room for labels around; return m a point of the
+        page.
+        """
         low, high = places.min(axis=0), places.max(axis=0)
         scale = max((high - low) / (np.array(self.inches) * (1.0 - 2.0 * _MARGIN) * 72.0))
         half = 0.5 * scale * 72.0 * np.array(self.inches)
@@ -264,7 +266,9 @@ def _draw_machine(panel: _Panel, crane: Crane, marks: Sequence[str] = ()) -> Non
 
 
 def _place_of(crane: Crane, points: Mapping[str, np.ndarray], mark: str) -> list[np.ndarray]:
-    """Return the line along which a place lies, in m: a cylinder, half of it for a chamber, a joint; nothing where it has none."""
+    """Return the line along which a place lies, in m: a cylinder, half of it for a chamber, a joint; nothing where it
+    has none.
+    """
     machine, lay = crane.machine, crane.layout
     short = dict(zip(machine.points, machine.point_names, strict=True))
     for c, cylinder in enumerate(machine.cylinders):
@@ -286,7 +290,9 @@ def _paint() -> shapes.Paint:
 
 
 def _fill(axes: Axes, parts: Iterable[tuple[Sequence[shapes.Graphics], Sequence[float]]]) -> np.ndarray:
-    """Fill the side view of graphics, each list at a frame (x, y, angle), what is nearer over what is behind; return its corners (n, 2)."""
+    """Fill the side view of graphics, each list at a frame (x, y, angle), what is nearer over what is behind; return
+    its corners (n, 2).
+    """
     from matplotlib.collections import PolyCollection
 
     seen = []
@@ -308,7 +314,9 @@ def _fill(axes: Axes, parts: Iterable[tuple[Sequence[shapes.Graphics], Sequence[
 
 
 def _angle(panel: _Panel, at: np.ndarray, start: float, end: float, scale: float) -> None:
-    """Draw a coordinate as an arc from the direction of the carrier's x axis, which is dashed, to that of the body's."""
+    """Draw a coordinate as an arc from the direction of the carrier's x axis, which is dashed, to that of the
+    body's.
+    """
     for turn, dashes in ((start, (0, (4, 3))), (end, "-")):
         line = [at, at + 62.0 * scale * _toward(turn)]
         panel.axes.plot(*zip(*line, strict=True), color=_COORDINATE, lw=0.9, ls=dashes, zorder=6)

@@ -1,10 +1,11 @@
 """Shapes of a machine's parts as Exudyn graphics data, each in the frame of its own body.
 
-Shapes follow from a machine's points, its centres of mass and its cylinders, so every machine looks like itself. Plates stand in the plane
-of the machine and are drawn out sideways; how thick steel is follows from the bores. Of a body
+Shapes follow from a machine's points, its centres of mass and its cylinders, so every machine looks like itself. Plates
+stand in the plane of the machine and are drawn out sideways; how thick steel is follows from the bores. Of a body
 
 - two pins and no more: a link of two plates;
-- else a beam, from its farthest pin through the centre of mass to the pin behind that is most in line, with a knuckle plate around what lies
+- else a beam, from its farthest pin through the centre of mass to the pin behind that is most in line, with a knuckle
+  plate around what lies
   behind its own pin, and lugs for cylinders' ends that stand off;
 - one that slides: a beam about its centre of mass, and around it a sheath, the beam of its carrier.
 
@@ -37,7 +38,8 @@ Disc = tuple[float, float, float]  # x, y, radius
 
 #: the bore in m of a machine with the sizes below, which are in m; others are larger or smaller by theirs
 _USUAL_BORE = 0.1
-#: half widths across the plane: beams, what one is narrower than its carrier, links and the next lane, the cheeks of a lug
+#: half widths across the plane: beams, what one is narrower than its carrier, links and the next lane, the cheeks of a
+#: lug
 _BEAM, _NARROWER, _LINK, _LANE, _LUG = 0.085, 0.006, (0.098, 0.122), 0.026, (0.052, 0.07)
 _PIN, _WALL, _LOG_LENGTH = 0.026, 0.011, 1.5
 #: radii of a beam at its beginning, in its middle and at its end, and at most as a share of its length
@@ -89,7 +91,9 @@ class Paint:
 
 
 def hull(discs: Iterable[Sequence[float]], segments: int = 20) -> np.ndarray:
-    """Return the convex hull of discs (x, y, radius) as a polygon (n, 2), counter-clockwise (Andrew's monotone chain)."""
+    """Return the convex hull of discs (x, y, radius) as a polygon (n, 2), counter-clockwise (Andrew's monotone
+    chain).
+    """
     turn = np.linspace(0.0, 2.0 * math.pi, segments, endpoint=False)
     rim = np.column_stack([np.cos(turn), np.sin(turn)])
     points = np.unique(np.vstack([np.array([x, y]) + r * rim for x, y, r in discs]).round(9), axis=0)
@@ -331,7 +335,9 @@ def _lug(
     *,
     solid: bool,
 ) -> list[Graphics]:
-    """Return what holds a pin at `tip` that stands off a beam along `line`: two cheeks, or a solid plate for a joint."""
+    """Return what holds a pin at `tip` that stands off a beam along `line`: two cheeks, or a solid plate for a
+    joint.
+    """
     distance, foot, along = min((_foot(tip, a, b) for a, b in pairwise(line)), key=lambda found: found[0])
     if distance < 0.9 * radius:
         return []
@@ -353,7 +359,9 @@ def _foot(tip: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[float, n
 
 
 def pillar(crane: Crane, paint: Paint, floor: float = 0.0) -> list[Graphics]:
-    """Return what is fixed, in world coordinates: a column for each pin on the ground, lugs for cylinders; floor: its height in m."""
+    """Return what is fixed, in world coordinates: a column for each pin on the ground, lugs for cylinders; floor: its
+    height in m.
+    """
     machine, unit, made = crane.machine, size(crane), []
     pins = [place(crane, p) for joint, p in joints_of(crane, GROUND) if joint.kind != PRISMATIC]
     for pin in pins:
@@ -432,7 +440,9 @@ def ground(
 
 
 def barrel(crane: Crane, cylinder: str, paint: Paint) -> list[Graphics]:
-    """Return the barrel of a cylinder in its own frame, with an eye at the base pin; only its caps if oil is to be seen."""
+    """Return the barrel of a cylinder in its own frame, with an eye at the base pin; only its caps if oil is to be
+    seen.
+    """
     radius, unit = _outer_radius(crane, cylinder), _bore(crane, cylinder) / _USUAL_BORE
     start, length = _barrel_span(crane, cylinder)
     half = 0.05 * unit
@@ -454,7 +464,9 @@ def _outer_radius(crane: Crane, cylinder: str) -> float:
 
 
 def _barrel_span(crane: Crane, cylinder: str) -> tuple[float, float]:
-    """Return where the barrel begins along the cylinder's axis, and its length: up to short of the rod eye when drawn in."""
+    """Return where the barrel begins along the cylinder's axis, and its length: up to short of the rod eye when drawn
+    in.
+    """
     start, shortest = 0.6 * _bore(crane, cylinder), _shortest(crane, cylinder)
     return start, max(0.3 * shortest, shortest - start - _bore(crane, cylinder))
 
@@ -482,12 +494,16 @@ def rod(crane: Crane, cylinder: str, paint: Paint) -> list[Graphics]:
 
 
 def _rod_length(crane: Crane, cylinder: str) -> float:
-    """Return the distance from the rod end to the piston, which stands at the barrel's foot when the rod is drawn in."""
+    """Return the distance from the rod end to the piston, which stands at the barrel's foot when the rod is drawn
+    in.
+    """
     return _shortest(crane, cylinder) - _barrel_span(crane, cylinder)[0] - 0.03
 
 
 def oil(crane: Crane, cylinder: str, length: float, colors: tuple[Color, Color]) -> list[Graphics]:
-    """Return the oil of both chambers in the barrel's frame, at a pin-to-pin length in m: piston side, piston, rod side."""
+    """Return the oil of both chambers in the barrel's frame, at a pin-to-pin length in m: piston side, piston, rod
+    side.
+    """
     radius = 0.5 * (_outer_radius(crane, cylinder) + 0.5 * _bore(crane, cylinder))
     start, whole = _barrel_span(crane, cylinder)
     piston = min(max(length - _rod_length(crane, cylinder), start), start + whole - 0.05)
@@ -594,7 +610,8 @@ def part_names(crane: Crane) -> tuple[str, ...]:
 
 
 def outlines(crane: Crane, centres: Mapping[str, np.ndarray]) -> dict[str, list[Graphics]]:
-    """Return the graphics of the ground and of each body about its centre (2,) in its frame, with a payload that is fixed to it.
+    """Return the graphics of the ground and of each body about its centre (2,) in its frame, with a payload that is
+    fixed to it.
 
     A payload on a pendulum stands under the name "payload", about itself.
     """

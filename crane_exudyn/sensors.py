@@ -1,4 +1,6 @@
-"""The sensors that a machine may have, as data: one table from which names, units, places of effects and what is measured follow."""
+"""The sensors that a machine may have, as data: one table from which names, units, places of effects and what is
+measured follow.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ if TYPE_CHECKING:
 
 
 class Sizes(NamedTuple):
-    """Sizes of one SI unit: noise of a usual sensor and an unknown bias, as standard deviations, and a bias that matters."""
+    """Sizes of one SI unit: noise of a usual sensor and an unknown bias, as standard deviations, and a bias that
+    matters.
+    """
 
     noise: float
     bias: float
@@ -23,8 +27,12 @@ class Sizes(NamedTuple):
 
 _DEGREE = math.radians(1.0)
 SIZES: Mapping[str, Sizes] = {
-    "rad": Sizes(2e-3, _DEGREE, _DEGREE), "rad/s": Sizes(1e-2, _DEGREE, _DEGREE), "Pa": Sizes(5e4, 2e5, 1e5), "m": Sizes(1e-3, 5e-3, 1e-3), "m/s": Sizes(1e-2, 5e-3, 5e-3)
-}  # fmt: skip
+    "rad": Sizes(2e-3, _DEGREE, _DEGREE),
+    "rad/s": Sizes(1e-2, _DEGREE, _DEGREE),
+    "Pa": Sizes(5e4, 2e5, 1e5),
+    "m": Sizes(1e-3, 5e-3, 1e-3),
+    "m/s": Sizes(1e-2, 5e-3, 5e-3),
+}
 
 
 @dataclass(frozen=True)
@@ -53,8 +61,8 @@ class Sensor:
 def of(layout: Layout) -> Iterator[Sensor]:
     """Yield the sensors that a machine may have.
 
-    A body that stands on another has one place: an encoder at its joint shows the coordinate, an inclinometer the absolute angle,
-    and an effect at that place acts on what the sensor shows, whichever of the two it is.
+    A body that stands on another has one place: an encoder at its joint shows the coordinate, an inclinometer the
+    absolute angle, and an effect at that place acts on what the sensor shows, whichever of the two it is.
     """
     for rate in ("", "d"):
         for name in layout.coordinates:

@@ -7,10 +7,12 @@ import math
 import numpy as np
 
 _WINDOW = 64  # samples whose noise is judged together
-#: noise as a share of the channel's range: less than any sensor has, and that of a usual one; integration and averaging of samples leave
+#: noise as a share of the channel's range: less than any sensor has, and that of a usual one; integration and averaging
+#: of samples leave
 #: less of a right model
 NO_SENSOR, USUAL_SENSOR = 1e-6, 2e-3
-#: motion makes third differences too: without noise they are next to nothing where it is quietest, many times less than usual, and never
+#: motion makes third differences too: without noise they are next to nothing where it is quietest, many times less than
+#: usual, and never
 #: large (shares of the range, of what is usual, of the range); the values come in finer steps than those of 16 bits
 _QUIETEST, _QUIETER, _MOTION, _FINEST = 5e-6, 0.1, 3e-4, 1e-5
 _THIRD_DIFFERENCE = math.sqrt(20.0)  # 1² + 3² + 3² + 1²: what a third difference makes of white noise
@@ -48,7 +50,9 @@ def noise_std(values: np.ndarray) -> float:
 
 
 def is_noise_free(values: np.ndarray) -> bool:
-    """Whether a channel that moves has less noise than any sensor, as those of simulations do; where it stands still nothing is seen."""
+    """Whether a channel that moves has less noise than any sensor, as those of simulations do; where it stands still
+    nothing is seen.
+    """
     values = np.asarray(values, dtype=float)
     span = float(np.ptp(values))
     squares = _window_squares(np.diff(values, n=3)) if len(values) > 3 else np.empty(0)
@@ -61,9 +65,11 @@ def is_noise_free(values: np.ndarray) -> bool:
 
 
 def noisy(values: np.ndarray, std: float | None = None, seed: int = 0) -> np.ndarray:
-    """Return a channel free of noise with the white noise of a sensor added, that of a usual one by default; any other channel as it is.
+    """Return a channel free of noise with the white noise of a sensor added, that of a usual one by default; any other
+    channel as it is.
 
-    Without noise no error can be called large or small, and channels that follow from each other make equations singular.
+    Without noise no error can be called large or small, and channels that follow from each other make equations
+    singular.
     """
     if not is_noise_free(values):
         return values
@@ -78,9 +84,11 @@ def _window_squares(third: np.ndarray) -> np.ndarray:
 
 
 def _median_share(windows: int, count: int) -> float:
-    """Return the median of a window's mean square over its expectation: that of χ²/dof, (1 - 2/(9 dof))³ (Wilson, Hilferty).
+    """Return the median of a window's mean square over its expectation: that of χ²/dof, (1 - 2/(9 dof))³ (Wilson,
+    Hilferty).
 
-    Third differences are correlated (-3/4, 3/10, -1/20), so that a window has 1 + 2 Σ ρ² = 2.31 times fewer degrees of freedom.
+    Third differences are correlated (-3/4, 3/10, -1/20), so that a window has 1 + 2 Σ ρ² = 2.31 times fewer degrees of
+    freedom.
     """
     if windows < 3:  # the median of one or two is their mean
         return 1.0

@@ -47,7 +47,9 @@ class Simulation:
     readings: np.ndarray
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a channel (N,) by name: a command, what a sensor shows, a supply pressure, or a state that no sensor shows."""
+        """Return a channel (N,) by name: a command, what a sensor shows, a supply pressure, or a state that no sensor
+        shows.
+        """
         return self._channels[name]
 
     def channels(self) -> dict[str, np.ndarray]:
@@ -103,7 +105,10 @@ class Simulation:
             z = self[name] * what.factor
             parts.append(f"{name} {z.min():.1f} … {z.max():.1f} {what.unit}")
         ranges = ", ".join(parts)
-        return f"<Simulation of {self.crane.name}: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants; {ranges}>"
+        return (
+            f"<Simulation of {self.crane.name}: {self.time[-1] - self.time[0]:g} s at {len(self.time)} instants; "
+            f"{ranges}>"
+        )
 
     def _repr_html_(self) -> str:
         from .display import table_html
@@ -131,13 +136,15 @@ def simulate(
     Args:
         crane: the crane, or the name of a built-in one.
         inputs: a recording whose commands (and supply pressures, if measured) drive the crane; the result has its
-            instants. Without one, the crane goes through the paper's 25 s working cycle (`inputs.paper_cycle`), with a result every 1 ms.
+            instants. Without one, the crane goes through the paper's 25 s working cycle (`inputs.paper_cycle`), with a
+            result every 1 ms.
         start: (nx,) state at the first instant; by default the crane file's initial rule.
         engine: an engine that holds the crane; by default a new ExudynEngine.
         step: largest time step in s.
 
     Raises:
-        CraneError: a recording without commands, a payload of negative mass, or a run that leaves what the crane can do.
+        CraneError: a recording without commands, a payload of negative mass, or a run that leaves what the crane can
+            do.
     """
     crane = Crane.load(crane) if isinstance(crane, str) else crane
     if engine is None:
@@ -155,7 +162,8 @@ def simulate(
 
 
 def sensed(crane: Crane, states: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return what the sensors of a crane show (n, m) of states (n, nx) at `time` (n,) in s; those that lag begin settled.
+    """Return what the sensors of a crane show (n, m) of states (n, nx) at `time` (n,) in s; those that lag begin
+    settled.
 
     Raises:
         CraneError: the law of a sensor's effect gives no number.
@@ -177,7 +185,8 @@ def _check_payload(crane: Crane, time: np.ndarray) -> None:
     if masses.min() < 0.0:
         worst = int(np.argmin(masses))
         raise CraneError(
-            f"{crane.name}: the effects leave the payload of {nominal:g} kg a mass of {masses[worst]:g} kg at t = {time[worst]:g} s. "
+            f"{crane.name}: the effects leave the payload of {nominal:g} kg a mass of {masses[worst]:g} kg at t = "
+            f"{time[worst]:g} s. "
             "Give a larger payload.mass, or an effect that takes away less."
         )
 
@@ -213,7 +222,9 @@ def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _driven(crane: Crane, inputs: Recording | None, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (n, valves) and w (n, valves + 2) on the grid: spool positions behind the lag (16), supply pressures."""
+    """Return commands (n, valves) and w (n, valves + 2) on the grid: spool positions behind the lag (16), supply
+    pressures.
+    """
     from .drive import spool_on, with_steps
     from .inputs import paper_cycle
 

@@ -19,7 +19,9 @@ from .machine import BODIES
 
 
 def _reduce(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
-    """Return the arrays of the reduction at one state: inertia, arms, lines, N, q, v, a_centripetal, M and the cylinders' rates D."""
+    """Return the arrays of the reduction at one state: inertia, arms, lines, N, q, v, a_centripetal, M and the
+    cylinders' rates D.
+    """
     P, E, topology = crane.parameter_vector(), crane.effect_vector(), crane.machine.topology
     width, nu = trapezoidal.widths(topology, hooks.pendulum(E)[0] > 0.0)
     x = np.asarray(state, dtype=float)
@@ -74,7 +76,8 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e
     floor = vapour_pressure(crane)
     if not np.all(low >= floor):
         raise CraneError(
-            f"{crane.name}: the less loaded chamber cannot be at {low.min():g} Pa, below vapour pressure ({floor:g} Pa)."
+            f"{crane.name}: the less loaded chamber cannot be at {low.min():g} Pa, below vapour pressure ({floor:g} "
+            "Pa)."
         )
     r = _reduce(crane, state, 0.0)
     forces = _holding_forces(crane, r, state)
@@ -98,7 +101,8 @@ def _holding_forces(crane: Crane, r: dict[str, Any], state: np.ndarray) -> np.nd
     if np.abs(leverage).max(axis=1).min() < 1e-6 or abs(np.linalg.det(leverage)) < 1e-9:
         name = lay.cylinders[int(np.abs(leverage).max(axis=1).argmin())]
         raise CraneError(
-            f"{crane.name}: the {name} cylinder has no leverage at {geo.told(lay, state)}, so no pressure balances the load. Start at another pose."
+            f"{crane.name}: the {name} cylinder has no leverage at {geo.told(lay, state)}, so no pressure balances the "
+            "load. Start at another pose."
         )
     return np.linalg.solve(leverage.T, -(r["N"] @ f)[lay.positions])
 
@@ -106,8 +110,8 @@ def _holding_forces(crane: Crane, r: dict[str, Any], state: np.ndarray) -> np.nd
 def _pressures(P: np.ndarray, E: np.ndarray, c: int, s: float, force: float, low: float) -> tuple[float, float]:
     """Return (p_piston, p_rod) that give a force at rest, with the less loaded chamber at `low`.
 
-    Effects may hold a part of it (a seal that sticks, an end stop): by the cylinder's length, which a spring in series lets depend
-    on the pressures. So the pressures are found again with what the effects hold at them.
+    Effects may hold a part of it (a seal that sticks, an end stop): by the cylinder's length, which a spring in series
+    lets depend on the pressures. So the pressures are found again with what the effects hold at them.
     """
     area_a, area_b = hyd.areas(P, c)
     found = low, low
@@ -124,12 +128,16 @@ def _pressures(P: np.ndarray, E: np.ndarray, c: int, s: float, force: float, low
 
 
 def vapour_pressure(crane: Crane) -> float:
-    """Return the pressure in Pa, absolute or gauge as the crane's are, at which its oil boils: the lowest that a gauge shows."""
+    """Return the pressure in Pa, absolute or gauge as the crane's are, at which its oil boils: the lowest that a gauge
+    shows.
+    """
     return float(hyd.vapour_pressure(crane.parameter_vector()))
 
 
 def visible(crane: Crane, states: np.ndarray) -> np.ndarray:
-    """Return states (…, nx) with the pressures that a gauge would show: vapour pressure where the state remembers a void."""
+    """Return states (…, nx) with the pressures that a gauge would show: vapour pressure where the state remembers a
+    void.
+    """
     shown, p = np.array(states, dtype=float), crane.layout.pressures
     shown[..., p] = np.maximum(shown[..., p], vapour_pressure(crane))
     return shown
@@ -142,7 +150,10 @@ def stroke_message(crane: Crane, state: np.ndarray) -> str:
     if code < 0:
         return "the end of a stroke is reached"
     end = "retracted" if code % 2 == 0 else "extended"
-    return f"the {crane.layout.cylinders[code // 2]} cylinder is fully {end} (length {r['lines'][code // 2, LENGTH]:.4f} m)"
+    return (
+        f"the {crane.layout.cylinders[code // 2]} cylinder is fully {end} (length {r['lines'][code // 2, LENGTH]:.4f} "
+        "m)"
+    )
 
 
 def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
@@ -152,12 +163,18 @@ def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> 
         state: (nx,);  w: `Layout.inputs`, or with disturbances behind;  time in s.
 
     Returns:
-        Pin-to-pin lengths and their rates by the layout ("s1", "ds1"); dependent coordinates and their derivatives by independent ones
-        ("z2", "dz2_dz4"), the bodies' angles ("phi_bracket_1"); chamber by chamber port flows "Q1" with the signs of (34), "leak1"
-        into the chamber (disturbances included), "Be1", "V1", lengths "l1", amounts "N1", rates "dp1"; cylinder by cylinder piston speeds
-        "v_h1", forces with friction "F1", "Fmu1"; reduced mass "M_z1_z4", generalised forces "Qg_z1" (weights), "Qv" (inertia
-        by velocity), "Qh" (cylinders), "Qj" (joints, forces on the payload's point, pendulum's damping); "ddz1", "ddtheta"; supply "pp",
-        "pt"; "x_O", "y_O" of all points. A pendulum's own equation is eliminated from M and the Q; without one ddtheta is 0.
+        Pin-to-pin lengths and their rates by the layout ("s1", "ds1"); dependent coordinates and their derivatives by
+            independent ones
+        ("z2", "dz2_dz4"), the bodies' angles ("phi_bracket_1"); chamber by chamber port flows "Q1" with the signs of
+            (34), "leak1"
+        into the chamber (disturbances included), "Be1", "V1", lengths "l1", amounts "N1", rates "dp1"; cylinder by
+            cylinder piston speeds
+        "v_h1", forces with friction "F1", "Fmu1"; reduced mass "M_z1_z4", generalised forces "Qg_z1" (weights), "Qv"
+            (inertia
+        by velocity), "Qh" (cylinders), "Qj" (joints, forces on the payload's point, pendulum's damping); "ddz1",
+            "ddtheta"; supply "pp",
+        "pt"; "x_O", "y_O" of all points. A pendulum's own equation is eliminated from M and the Q; without one ddtheta
+            is 0.
     """
     x, lay = np.ascontiguousarray(state, dtype=float), crane.layout
     wide = np.zeros(len(lay.all_inputs))

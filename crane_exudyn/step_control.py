@@ -1,17 +1,21 @@
-"""How accurate a step has to be, and how it is halved: the same for both engines, which estimate their errors themselves.
+"""How accurate a step has to be, and how it is halved: the same for both engines, which estimate their errors
+themselves.
 
-A step may have a local error of 1 in units of the constants below. One that has more goes on in parts of half the length, and so on.
+A step may have a local error of 1 in units of the constants below. One that has more goes on in parts of half the
+length, and so on.
 """
 
 from __future__ import annotations
 
 from .compiled import njit
 
-#: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the oil of its chamber
+#: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the oil of its
+#: chamber
 POSITION_ERROR, RATE_ERROR, PRESSURE_ERROR = 1e-8, 3e-6, 300.0
 #: a step that cannot be solved, or whose local error is too large, is halved this often before a run ends
 MOST_HALVINGS = 14
-#: parts shorter than this (s) may have this share of a step's error together: what is hard comes again, and its errors add up
+#: parts shorter than this (s) may have this share of a step's error together: what is hard comes again, and its errors
+#: add up
 _SHORT, _SHARED = 1e-3, 0.25
 #: parts halved so often may have all of it: the error of a jump falls only as fast as they get shorter
 _JUMP = 12
@@ -31,7 +35,8 @@ def limit(level, h, allowed):
 
 @njit
 def next_level(level, done, h, error, allowed):
-    """Return how often the next part is halved, after one of length h that was good: once less where one of twice the length can begin.
+    """Return how often the next part is halved, after one of length h that was good: once less where one of twice the
+    length can begin.
 
     Its error is taken to be that of the last part times eight. done: share of the step that lies behind.
     """

@@ -70,7 +70,9 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 
 def remarks(what: str, names: Sequence[str], happened: str) -> list[str]:
-    """Return one remark a name where they are few, one for all where they are many, such as "column 'operator' was ignored"."""
+    """Return one remark a name where they are few, one for all where they are many, such as "column 'operator' was
+    ignored".
+    """
     if len(names) <= _FEW:
         return [f"{what} {name!r} {happened}" for name in names]
     return [f"{len(names)} {what}s such as {', '.join(map(repr, names[:_FEW]))}: each {happened}"]

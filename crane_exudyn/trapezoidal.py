@@ -1,10 +1,11 @@
-"""The implicit trapezoidal rule (index 2) in redundant coordinates: predictor, and Newton's correction for Exudyn's residual.
+"""The implicit trapezoidal rule (index 2) in redundant coordinates: predictor, and Newton's correction for Exudyn's
+residual.
 
     q1 = q0 + h/2 (v0 + v1)     v1 = v0 + h/2 (a0 + a1)     N1 = N0 + h/2 (N0' + N1')
     M a1 - f(q1, v1, p1) + G^T lambda = 0                   G v1 = 0
 
-N are the amounts of oil in the chambers, so that what flows is what is there more. Exudyn has the pressures y as coordinates and
-assembles the residual "rates - dy" of (34); dy is what makes it zero exactly when the rule holds for N:
+N are the amounts of oil in the chambers, so that what flows is what is there more. Exudyn has the pressures y as
+coordinates and assembles the residual "rates - dy" of (34); dy is what makes it zero exactly when the rule holds for N:
 
     dy = (2/h (N1 - N0) - N0' - growth) / slope,            slope dy/dt = N' - growth,  see hydraulics.chamber_balances
 
@@ -13,8 +14,8 @@ assembles the residual for all cranes; only the linear algebra of Newton's metho
 crane and with lambda eliminated by the null space, because Exudyn would differentiate the user functions numerically,
 one call a coordinate.
 
-The local error of a step is the defect of the trapezoidal rule against Simpson's, h/3 (f0 + f1 - 2 fm), with the rates fm in the
-middle of Hermite's interpolation.
+The local error of a step is the defect of the trapezoidal rule against Simpson's, h/3 (f0 + f1 - 2 fm), with the rates
+fm in the middle of Hermite's interpolation.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def start(topology, P, E, t, inertia, x, w, push, arms, lines, N, q, v, a, p, dp
 
     Args:
         push: (nq,) forces of somebody's own objects.
-        held: (N_BALANCES, chambers), filled with `hydraulics.chamber_balances`; udd: (nu,), with the independent accelerations.
+        held: (N_BALANCES, chambers), filled with `hydraulics.chamber_balances`; udd: (nu,), with the independent
+            accelerations.
 
     Returns:
         ITERATING, or UNREACHABLE or SINGULAR.
@@ -97,7 +99,9 @@ def _refer(topology, P, E, before, inertia, x, udd, arms, N, q, v, a):
 
 @njit
 def forces_at(topology, P, E, t, inertia, x, w, q, v, p, f):
-    """Fill q, v, p and f, the applied forces that the machines themselves have, of states x (m, nx) at t; (m, .) each."""
+    """Fill q, v, p and f, the applied forces that the machines themselves have, of states x (m, nx) at t; (m, .)
+    each.
+    """
     n = topology[0, CYLINDERS]
     arms, lines, N = (
         red.new_arms(topology),
@@ -118,8 +122,10 @@ def predict(topology, P, E, t, h, start_inertia, inertia, x, w, push, udd, q, v,
         t, h: start and length of the step in s.
         P, E: (m, .) parameters.
         start_inertia, inertia: (m, bodies + 1, 4) masses at the start and the end of the step.
-        x, w: states (m, nx) and inputs (m, .) at the start of the step;  push: (m, nq) forces of somebody's own objects there.
-        held: (m, N_BALANCES, chambers) filled with the chambers' balances at the start;  udd: (m, nu) with the accelerations there.
+        x, w: states (m, nx) and inputs (m, .) at the start of the step;  push: (m, nq) forces of somebody's own objects
+            there.
+        held: (m, N_BALANCES, chambers) filled with the chambers' balances at the start;  udd: (m, nu) with the
+            accelerations there.
         status, last: (m,), set for the first iteration.
 
     Returns:
@@ -148,7 +154,9 @@ def predict(topology, P, E, t, h, start_inertia, inertia, x, w, push, udd, q, v,
 
 @part
 def _required_rates(topology, P, E, w, h, lines, p, held, balances, dp):
-    """Fill dp (chambers,) with the pressure rates at the end of a step with which the rule holds for the amounts of oil."""
+    """Fill dp (chambers,) with the pressure rates at the end of a step with which the rule holds for the amounts of
+    oil.
+    """
     hyd.chamber_balances(topology, P, E, w, lines, p, balances)
     for j in range(dp.size):
         wanted = 2.0 / h * (balances[AMOUNT, j] - held[AMOUNT, j]) - held[GAIN, j]
@@ -159,12 +167,12 @@ def _required_rates(topology, P, E, w, h, lines, p, held, balances, dp):
 def _tangents(topology, P, E, w, h, lines, p, base, Fv, Fp, Rv, Rp):
     """Fill the derivatives of cylinder forces and chambers' defects after cylinder speeds and pressures.
 
-    The defect of a chamber is (dN/dt - 2/h N)/(dN/dy). A speed at the end of the step moves the length by h/2 of it, which
-    belongs to the derivative after the speed; flows do not depend on it. The rest is by differences.
+    The defect of a chamber is (dN/dt - 2/h N)/(dN/dy). A speed at the end of the step moves the length by h/2 of it,
+    which belongs to the derivative after the speed; flows do not depend on it. The rest is by differences.
 
-    base (N_BALANCES, chambers): filled with the balances here. Fv (cylinders,): dF_c/dv_c. Fp (chambers,): of the chamber's own
-    cylinder; Rv (chambers,) likewise; Rp (chambers, chambers). Chambers of different cylinders are moved together, except where
-    an effect ties the cylinders to the supply.
+    base (N_BALANCES, chambers): filled with the balances here. Fv (cylinders,): dF_c/dv_c. Fp (chambers,): of the
+    chamber's own cylinder; Rv (chambers,) likewise; Rp (chambers, chambers). Chambers of different cylinders are moved
+    together, except where an effect ties the cylinders to the supply.
     """
     n = Fv.size
     F, G, moved, shifted = np.empty(n), np.empty(n), np.empty((N_BALANCES, 2 * n)), lines.copy()
@@ -211,7 +219,8 @@ def _defect_by_pressure(base, moved, h, i):
 
 @njit
 def correct(topology, P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held, status, last):
-    """Improve the end of the step by one Newton iteration for every machine that needs it, given Exudyn's residual there.
+    """Improve the end of the step by one Newton iteration for every machine that needs it, given Exudyn's residual
+    there.
 
     A machine that has converged is left alone, so that its result does not depend on its neighbours.
 
@@ -220,7 +229,8 @@ def correct(topology, P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held
         h: step in s.
         scale: factor that Exudyn's solver has put on the ODE2 rows.
         residual: Exudyn's [M a - f, rates - dp, G v] of all machines, joint forces left out.
-        q, v, a, p, dp: (m, .) end of the step, improved in place;  held: (m, N_BALANCES, chambers) the chambers' balances at its start.
+        q, v, a, p, dp: (m, .) end of the step, improved in place;  held: (m, N_BALANCES, chambers) the chambers'
+            balances at its start.
         status: (m,) updated;  last: (m,) size of each machine's last increment in RATE_UNIT and PRESSURE_UNIT.
 
     Returns:
@@ -269,7 +279,9 @@ def correct(topology, P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held
 
 @njit
 def _linearised(topology, P, E, h, inertia, w, q, v, p, arms, lines, N, D, Fv, Rv, balances, work, A):
-    """Fill lines, null space N, cylinder rates D, derivatives Fv, Rv, the chambers' balances and the system A of a machine."""
+    """Fill lines, null space N, cylinder rates D, derivatives Fv, Rv, the chambers' balances and the system A of a
+    machine.
+    """
     red.null_space(topology, arms, N)
     geo.fill_lines(topology, arms, q, v, lines)
     for c in range(D.shape[0]):
@@ -282,7 +294,9 @@ def _linearised(topology, P, E, h, inertia, w, q, v, p, arms, lines, N, D, Fv, R
 
 @part
 def _fill_right_side(N, D, Fv, Rv, ds, force, rate, b):
-    """Fill b for residuals `force` (nq,) and `rate` (chambers,), and cylinder speeds ds that closing the joints adds."""
+    """Fill b for residuals `force` (nq,) and `rate` (chambers,), and cylinder speeds ds that closing the joints
+    adds.
+    """
     nu = N.shape[0]
     for i in range(nu):
         b[i] = -red.dot(N[i], force)
@@ -330,8 +344,8 @@ def _fill_system(topology, E, h, inertia, arms, N, D, v, Fv, Fp, Rv, Rp, work, A
 def _apply(topology, P, E, w, h, inertia, N, d, change, arms, lines, balances, q, v, a, p, dp, held):
     """Add one Newton increment; return its size. `balances` are those before it, and scratch; so are `lines`.
 
-    The amounts of oil take the linear change, the pressures follow from them: so the iteration meets no kink where a void
-    closes or gas is pressed together.
+    The amounts of oil take the linear change, the pressures follow from them: so the iteration meets no kink where a
+    void closes or gas is pressed together.
     """
     nu, n, size = N.shape[0], lines.shape[0], 0.0
     before = lines[:, LENGTH].copy()
@@ -364,7 +378,8 @@ def finish(topology, P, E, t, h, allowed, inertia, x, w0, w1, push, q, v, p, hel
     `errors` (m,) get the local errors of their steps. A machine whose error is too large becomes COARSE.
 
     Args:
-        t, h: start and length of the step in s;  x, w0, push: (m, .) states, inputs and forces of somebody's own objects at its start;
+        t, h: start and length of the step in s;  x, w0, push: (m, .) states, inputs and forces of somebody's own
+            objects at its start;
         w1: inputs at its end.
         allowed: local error in units of `step_control.*_ERROR`.
         inertia: (m, bodies + 1, 4) masses at the end of the step.
@@ -407,7 +422,8 @@ def finish(topology, P, E, t, h, allowed, inertia, x, w0, w1, push, q, v, p, hel
 
 @part
 def _settle(topology, P, E, h, inertia, w, arms, lines, q, v, p, held, balances, out):
-    """Write the pressures that belong to the amounts of oil at the end of a step to out (nx,), at its pose with all joints closed.
+    """Write the pressures that belong to the amounts of oil at the end of a step to out (nx,), at its pose with all
+    joints closed.
 
     `lines` and `balances` (N_BALANCES, chambers) are filled.
     """
@@ -423,10 +439,11 @@ def _settle(topology, P, E, h, inertia, w, arms, lines, q, v, p, held, balances,
 
 @njit
 def _local_error(topology, P, E, t, h, allowed, inertia, x, out, w0, w1, push, arms, lines, N, q, v, held, gain, udd):
-    """Return the local error of one machine's step in units of `step_control.*_ERROR`; arms, lines, N, q, v are scratch.
+    """Return the local error of one machine's step in units of `step_control.*_ERROR`; arms, lines, N, q, v are
+    scratch.
 
-    First by the change of the rates over the step, which bounds the defect of rates that change one way; then by the rates in
-    the middle; then after what the system's stiffness makes of it.
+    First by the change of the rates over the step, which bounds the defect of rates that change one way; then by the
+    rates in the middle; then after what the system's stiffness makes of it.
     """
     nu, n, chambers = udd.size, topology[0, CYLINDERS], gain.size
     after, defect = np.empty(nu), np.empty(nu + chambers)
@@ -473,7 +490,9 @@ def _local_error(topology, P, E, t, h, allowed, inertia, x, out, w0, w1, push, a
 
 @njit
 def _size(P, held, defect, positions):
-    """Return the largest of the defects (nu + chambers,) of rates and amounts, and of the positions' (nu,), in units of `step_control.*_ERROR`."""
+    """Return the largest of the defects (nu + chambers,) of rates and amounts, and of the positions' (nu,), in units of
+    `step_control.*_ERROR`.
+    """
     nu, error = positions.size, 0.0
     for i in range(nu):
         error = max(error, abs(defect[i]) / RATE_ERROR, positions[i] / POSITION_ERROR)
@@ -484,7 +503,9 @@ def _size(P, held, defect, positions):
 
 @njit
 def _stiff_error(topology, P, E, h, inertia, w, arms, lines, N, q, v, p, held, balances, defect, positions):
-    """Return the error left of a defect by one iteration of Newton's method towards Simpson's rule, around the middle of the step."""
+    """Return the error left of a defect by one iteration of Newton's method towards Simpson's rule, around the middle
+    of the step.
+    """
     nu, width, chambers = positions.size, q.size, p.size
     D, Fv, Rv, work = np.zeros((chambers // 2, nu)), np.zeros(chambers // 2), np.zeros(chambers), np.zeros(width)
     A, b, M = np.zeros((nu + chambers, nu + chambers)), np.empty(nu + chambers), np.zeros((nu, nu))

@@ -70,9 +70,11 @@ _LONGEST, _GREATEST_POWER = 200, 30.0
 
 
 def _quantity(text: str) -> Any:
-    """Return the pint quantity of a text; what pint would silently take for something else is refused before it computes.
+    """Return the pint quantity of a text; what pint would silently take for something else is refused before it
+    computes.
 
-    Pint drops commas, multiplies numbers that stand side by side, computes powers of powers, and takes Grad for a giga-radian.
+    Pint drops commas, multiplies numbers that stand side by side, computes powers of powers, and takes Grad for a
+    giga-radian.
 
     Raises:
         CraneError: the reason, without the place; and whatever pint raises for text that it cannot read.

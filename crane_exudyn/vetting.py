@@ -1,11 +1,13 @@
-"""Whether a recording is what it says it is, as findings with their mend: what no crane can do, and what makes its channels disagree.
+"""Whether a recording is what it says it is, as findings with their mend: what no crane can do, and what makes its
+channels disagree.
 
     for finding in vet(recording, crane):
         print(finding.severity, finding.text, finding.mend)
 
-What no crane can do is seen in single channels, from values that occur often (a single spike is not a wrong unit). Whether a channel is
-another one, has another sign, unit, line of reference or clock is seen in the balances: it is found where they close far better with
-it read otherwise (`readings`, `clocks`), which no wear of a machine makes them do.
+What no crane can do is seen in single channels, from values that occur often (a single spike is not a wrong unit).
+Whether a channel is another one, has another sign, unit, line of reference or clock is seen in the balances: it is
+found where they close far better with it read otherwise (`readings`, `clocks`), which no wear of a machine makes them
+do.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ Severity = Literal["error", "warning", "note"]
 Kind = Literal["sign", "swapped", "absolute", "scale", "offset", "clock", "pose", "noise", "saturation", "motion"]
 
 _SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
-#: pressures in Pa that a working crane stays between, most of the time; a chamber may stand at vapour pressure, but not all the time
+#: pressures in Pa that a working crane stays between, most of the time; a chamber may stand at vapour pressure, but not
+#: all the time
 _LOW, _HIGH, _VACUUM = 0.1e5, BEYOND["Pa"], -0.5e5
 #: by unit, sizes between which the usual largest reading lies
 _LIKELY = {"rad": (0.01, math.pi), "m": (0.01, 10.0), "rad/s": (0.01, 2.0), "m/s": (0.001, 2.0)}
@@ -44,7 +47,8 @@ _SLOWEST_CLOCK, _FASTEST_CLOCK = 2.0, 2e5
 _POSES, _SHARE = 400, 0.05
 #: logs by which another reading must be better to be told, and to be decisive
 _SEEN, _DECISIVE = 0.9, 1.4
-#: s: motion before its command that no error of a model makes, delays that two valves have not, or hardly, and that no valve has
+#: s: motion before its command that no error of a model makes, delays that two valves have not, or hardly, and that no
+#: valve has
 _EARLY, _DELAYED, _LONG = 0.04, 0.1, 0.6
 #: share of samples that stay at a limit beyond which a channel is cut off, where of the others not so many stay
 _CUT, _KEPT = 0.01, 0.2
@@ -54,7 +58,8 @@ _COARSE = 0.01
 OPEN = 0.05
 #: s in which a machine does not ring; correlation of neighbouring samples from which noise is not white
 _RING, _ALIKE = 0.1, 0.5
-#: s at the beginning, and the s after them, in which nothing should move faster than so many rad/s, and so many times more than its samples scatter
+#: s at the beginning, and the s after them, in which nothing should move faster than so many rad/s, and so many times
+#: more than its samples scatter
 _FIRST, _MOVES, _MOVED = 0.3, 0.04, 6.0
 #: units that are mistaken for one another: what a value must be multiplied with, and what then was given as what
 _MISTAKEN = {
@@ -77,8 +82,8 @@ _MISTAKEN = {
 class Finding:
     """Something about a recording: what kind, which channels, how bad, what was found and how to mend it.
 
-    "error" is what cannot be true, "warning" what is hardly so, "note" what a reader should know. `columns`: what its channels are to be
-    read from, where that mends it.
+    "error" is what cannot be true, "warning" what is hardly so, "note" what a reader should know. `columns`: what its
+    channels are to be read from, where that mends it.
     """
 
     kind: Kind
@@ -112,7 +117,8 @@ def contents(recording: Recording, crane: Crane) -> list[Finding]:
 
 
 def vetted(recording: Recording, crane: Crane) -> Recording:
-    """Return the recording with notes on what is hardly plausible about its contents; one that was accepted before as it is.
+    """Return the recording with notes on what is hardly plausible about its contents; one that was accepted before as
+    it is.
 
     Raises:
         CraneError: something in it cannot be true; all such findings, each with its mend.
@@ -134,7 +140,9 @@ def accepted(recording: Recording, findings: Iterable[Finding], *, anyway: bool 
 
 
 def mended_columns(recording: Recording, findings: Iterable[Finding]) -> dict[str, Column]:
-    """Return what each channel is to be read from, with all mends of the findings; a column that became another channel is no longer its old one."""
+    """Return what each channel is to be read from, with all mends of the findings; a column that became another channel
+    is no longer its old one.
+    """
     fixed = {n: c for f in findings for n, c in f.columns.items()}
     taken = {c.header for c in fixed.values()}
     return {n: c for n, c in recording.columns.items() if c.header not in taken} | fixed
@@ -144,7 +152,9 @@ def mended_columns(recording: Recording, findings: Iterable[Finding]) -> dict[st
 
 
 def _disagreements(recording: Recording, crane: Crane) -> list[Finding]:
-    """Return which channels are not what they are said to be, by the balances that close only if they are something else."""
+    """Return which channels are not what they are said to be, by the balances that close only if they are something
+    else.
+    """
     grid = Grid.of(recording, crane)
     if grid is None:
         return []
@@ -163,14 +173,17 @@ def _disagreements(recording: Recording, crane: Crane) -> list[Finding]:
 
 
 def _of_reading(recording: Recording, crane: Crane, rivals: list[Weighed], columns: dict[str, Column]) -> Finding:
-    """Return the finding of a reading, with those that would do as well; what its channels are read from is changed in `columns`."""
+    """Return the finding of a reading, with those that would do as well; what its channels are read from is changed in
+    `columns`.
+    """
     reading = rivals[0].reading
     (balance, of), before, after = rivals[0].best
     names = _recorded(recording, crane, reading.channels)
     others = [w.reading for w in rivals[1:] if set(w.reading.channels) != set(reading.channels)][:2]
     text = (
         f"{' and '.join(names)} agree{'s' * (len(names) == 1)} with the other channels only {reading.words}: "
-        f"{_BALANCES[balance].format(of)} is then off by {after:.2g} instead of {before:.2g} (0: closes, 1: knows nothing of the rest)"
+        f"{_BALANCES[balance].format(of)} is then off by {after:.2g} instead of {before:.2g} (0: closes, 1: knows "
+        "nothing of the rest)"
     )
     if others:
         rival = [f"{' and '.join(_recorded(recording, crane, r.channels))} {r.words}" for r in others]
@@ -186,7 +199,9 @@ def _of_reading(recording: Recording, crane: Crane, rivals: list[Weighed], colum
 
 
 def _columns_of(reading: Reading, columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return what channels are read from under a reading; nothing where it is of commands that were recorded as voltages."""
+    """Return what channels are read from under a reading; nothing where it is of commands that were recorded as
+    voltages.
+    """
     if any(s.channel not in columns for s in reading.made.values()):
         return {}
     was = {name: columns[s.channel] for name, s in reading.made.items()}
@@ -211,13 +226,18 @@ _BALANCES = {
 def _of_clock(
     recording: Recording, crane: Crane, clock: Clock | None, columns: Mapping[str, Column]
 ) -> Iterator[Finding]:
-    """Find commands that come after the motion, long before it, or from a clock that drifts; short delays are a valve's own."""
+    """Find commands that come after the motion, long before it, or from a clock that drifts; short delays are a valve's
+    own.
+    """
     if clock is None:
         return
     commands = crane.layout.commands
     if clock.drift:
         names, gone = _recorded(recording, crane, commands), clock.drift * min(recording.duration, LONGEST)
-        text = f"the clock of {' and '.join(names)} and that of the sensors drift apart by {1e3 * abs(clock.drift):.2g} ms a second, {abs(gone):.2g} s in all"
+        text = (
+            f"the clock of {' and '.join(names)} and that of the sensors drift apart by {1e3 * abs(clock.drift):.2g} "
+            f"ms a second, {abs(gone):.2g} s in all"
+        )
         late = -float(np.nanmean(clock.late)) + 0.5 * gone
         fix = {n: replace(columns[n], late=late, drift=-clock.drift) for n in names}
         yield Finding("clock", names, "error", text, _typed(crane, fix), fix)
@@ -261,7 +281,9 @@ def _usual(channel: Channel) -> tuple[float, float]:
 
 
 def _mistaken(name: str, unit: str, value: float, low: float, high: float) -> str:
-    """Return the mend of a channel one of whose values would lie between low and high in another unit, or the advice to leave it out."""
+    """Return the mend of a channel one of whose values would lie between low and high in another unit, or the advice to
+    leave it out.
+    """
     for factor, was, given in _MISTAKEN[unit]:
         if low < factor * value < high:
             return f"The values look like {was} given as {given}: write the unit as {name}[{was}]."
@@ -269,7 +291,9 @@ def _mistaken(name: str, unit: str, value: float, low: float, high: float) -> st
 
 
 def _people(unit: str) -> tuple[float, str]:
-    """Return the unit in which people read coordinates and rates of a SI unit, behind what one of the latter is in it."""
+    """Return the unit in which people read coordinates and rates of a SI unit, behind what one of the latter is in
+    it.
+    """
     return (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
 
 
@@ -293,7 +317,10 @@ def _pressures(recording: Recording, crane: Crane) -> Iterator[Finding]:
             )
         elif not _LOW < high < _HIGH:
             limit = "never exceeds" if high <= _LOW else "reaches"
-            text = f"{name} {limit} {high / 1e5:.3g} bar, expected a pressure of a crane whose pump gives {crane['supply.pump_pressure'] / 1e5:.3g} bar"
+            text = (
+                f"{name} {limit} {high / 1e5:.3g} bar, expected a pressure of a crane whose pump gives "
+                f"{crane['supply.pump_pressure'] / 1e5:.3g} bar"
+            )
             mend = _mistaken(name, "Pa", high, 10.0 * _LOW, 4.0 * crane["supply.pump_pressure"])
             yield Finding("scale", (name,), "error", text, mend)
 
@@ -360,7 +387,8 @@ def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
             factor, people = _people(unit)
             low, high = factor * np.array(_usual(recording[name]))
             text = (
-                f"{name} goes from {low:.4g} to {high:.4g} {people}; in {100 * share:.0f} % of the samples this is beyond what the "
+                f"{name} goes from {low:.4g} to {high:.4g} {people}; in {100 * share:.0f} % of the samples this is "
+                "beyond what the "
                 f"{crane.layout.cylinders[c]} cylinder's stroke and linkage reach"
             )
             severity: Severity = "error" if share > 0.5 else "warning"
@@ -368,7 +396,9 @@ def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 
 def _other_coordinate(recording: Recording, crane: Crane, c: int, shown: np.ndarray) -> str:
-    """Return what would bring a coordinate into reach: another sign, unit, or the horizontal as the line it is measured against."""
+    """Return what would bring a coordinate into reach: another sign, unit, or the horizontal as the line it is measured
+    against.
+    """
     name = crane.layout.driven[c]
     units = [(was, given, factor) for factor, was, given in _MISTAKEN[crane.layout.unit_of(name)][:2]]
     others = {"with the other sign": -shown} | {
@@ -386,7 +416,9 @@ def _other_coordinate(recording: Recording, crane: Crane, c: int, shown: np.ndar
 
 
 def _beyond(crane: Crane, c: int, values: np.ndarray) -> float:
-    """Return the share of values (n,) of the coordinate that cylinder c drives that the cylinder or a loop does not reach."""
+    """Return the share of values (n,) of the coordinate that cylinder c drives that the cylinder or a loop does not
+    reach.
+    """
     z = np.tile(crane.initial.pose, (len(values), 1))
     z[:, crane.layout.index(crane.layout.driven[c])] = values
     lengths = cylinder_lengths(crane, z)[:, c]  # NaN where a loop cannot close
@@ -421,7 +453,8 @@ def _saturation(recording: Recording, crane: Crane) -> Iterator[Finding]:
             cut = (kept & there).mean() > _CUT and kept[~there].mean() < _KEPT
             if cut and not (unit == "Pa" and limit <= vapour_pressure(crane)):
                 text = (
-                    f"{name} stands at its {word} value {limit:.4g} {unit} in {100 * there.mean():.0f} % of its samples: "
+                    f"{name} stands at its {word} value {limit:.4g} {unit} in {100 * there.mean():.0f} % of its "
+                    "samples: "
                     "it is cut off, frozen or not connected"
                 )
                 yield Finding("saturation", (name,), "warning", text, "Mend its range, or leave the channel out.")
@@ -433,12 +466,17 @@ def _steps(recording: Recording, crane: Crane) -> Iterator[Finding]:
         values = recording[name].values
         step, span = quantisation(values), float(np.ptp(values))
         if span > 0.0 and step > _COARSE * span:
-            text = f"{name} comes in steps of {step:.3g} {recording[name].unit}, {100 * step / span:.2g} % of all that it shows"
+            text = (
+                f"{name} comes in steps of {step:.3g} {recording[name].unit}, {100 * step / span:.2g} % of all that it "
+                "shows"
+            )
             yield Finding("noise", (name,), "note", text, "Record it with more digits, or a range that fits.")
 
 
 def _noise(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    """Find sensors whose noise is not white: neighbouring samples err alike, as those of loggers that smooth do, or of hum."""
+    """Find sensors whose noise is not white: neighbouring samples err alike, as those of loggers that smooth do, or of
+    hum.
+    """
     free = recording.noise_free()
     for name in (n for n in recording.sensors if n not in free):
         channel = recording[name]
@@ -453,7 +491,9 @@ def _noise(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 
 def _alike(values: np.ndarray, wide: int) -> float:
-    """Return the correlation of neighbouring samples about their mean over so many, in the quietest quarter of the recording."""
+    """Return the correlation of neighbouring samples about their mean over so many, in the quietest quarter of the
+    recording.
+    """
     fast = (values - np.convolve(values, np.full(wide, 1.0 / wide), "same"))[wide:-wide]
     parts = [p for p in np.array_split(fast, max(4, len(fast) // (4 * wide))) if p.std() > 0.0]
     quiet = sorted(parts, key=lambda p: float(p.std()))[: max(1, len(parts) // 4)]

@@ -1,4 +1,5 @@
-"""Draws a recording over models of it, open loop: python draw_real_crane.py REC.csv OUT.png "identified=CRANE.toml" "published=MODEL.csv" …
+"""Draws a recording over models of it, open loop: python draw_real_crane.py REC.csv OUT.png "identified=CRANE.toml"
+"published=MODEL.csv" …
 
 A crane file runs from a fitted start, a recording of another program's model is drawn as it is.
 """

@@ -1,7 +1,8 @@
-"""Fits the effects that docs/real-crane.md names to a recording of the laboratory rig: python fit_real_crane.py REC.csv OUT.toml [UNTIL].
+"""Fits the effects that docs/real-crane.md names to a recording of the laboratory rig: python fit_real_crane.py REC.csv
+OUT.toml [UNTIL].
 
-Windows of 0.25 s, then 2 s, then one open-loop run. Between the open-loop rounds each channel's noise is raised to what the model
-leaves of it, so that no channel outweighs the others only because its sensor is good.
+Windows of 0.25 s, then 2 s, then one open-loop run. Between the open-loop rounds each channel's noise is raised to what
+the model leaves of it, so that no channel outweighs the others only because its sensor is good.
 """
 
 import sys
@@ -19,7 +20,8 @@ from validation.fit.staged import first_knots, residuals
 from validation.fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
 
 FREE = (
-    "payload.mass", "bodies.lift_boom.mass", "bodies.lift_boom.com.x", "bodies.outer_boom.mass", "bodies.outer_boom.com.x",
+    "payload.mass", "bodies.lift_boom.mass", "bodies.lift_boom.com.x", "bodies.outer_boom.mass",
+    "bodies.outer_boom.com.x",
     "bodies.outer_boom.com.y", "valves.lift.flow_coefficient", "valves.lift.time_constant", "fluid.oil_bulk_modulus",
     "cylinders.lift.empty_length", "cylinders.tilt.base.x", "cylinders.tilt.empty_length",
 )  # fmt: skip
@@ -42,7 +44,9 @@ LEVELS = {
 
 
 def with_effects(crane: Crane) -> Crane:
-    """Return the crane with all effects at their starting values; the seal is relaxed half a millimetre from where it stands."""
+    """Return the crane with all effects at their starting values; the seal is relaxed half a millimetre from where it
+    stands.
+    """
     length = float(np.ravel(pose(crane, *crane.initial.pose).lengths)[1])
     relaxed = length - crane["cylinders.tilt.empty_length"] - 5e-4
     for key, (values, _) in EFFECTS.items():
@@ -53,7 +57,8 @@ def with_effects(crane: Crane) -> Crane:
 def with_lever(crane: Crane, recording: Recording) -> Crane:
     """Return the crane whose rod end G of the lift cylinder is moved along the boom so that s1 answers z1 as recorded.
 
-    Lengths and angles need no dynamics, so they are settled first; a wire sensor that shows 4 % too much would look the same.
+    Lengths and angles need no dynamics, so they are settled first; a wire sensor that shows 4 % too much would look the
+    same.
     """
     time = recording["s1"].time
     z1, s1 = recording["z1"].held(time), recording["s1"].values
@@ -110,7 +115,9 @@ def raised(data: FitData, levels: dict[str, float]) -> FitData:
 
 
 def errors(crane: Crane, data: FitData, x0: np.ndarray, start: float = 0.0) -> dict[str, float]:
-    """Return PN-RMSE in % of an open-loop run from x0, over the samples from `start` on, of the range of the whole recording."""
+    """Return PN-RMSE in % of an open-loop run from x0, over the samples from `start` on, of the range of the whole
+    recording.
+    """
     left = residuals(crane, data, x0)
     found = {}
     for s in data.samples:

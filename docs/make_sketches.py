@@ -121,8 +121,17 @@ def _cylinder(
 
 
 def _name_points(axes: Axes, points: dict[str, np.ndarray]) -> None:
-    away = {"O": (-0.16, 0.1), "F": (0.16, -0.08), "G": (0.17, -0.10), "H": (-0.14, 0.08), "B": (-0.02, -0.17), "A": (0.06, -0.17),
-            "C": (-0.12, 0.12), "D": (0.15, 0.1), "E": (0.18, 0.04)}  # fmt: skip
+    away = {
+        "O": (-0.16, 0.1),
+        "F": (0.16, -0.08),
+        "G": (0.17, -0.10),
+        "H": (-0.14, 0.08),
+        "B": (-0.02, -0.17),
+        "A": (0.06, -0.17),
+        "C": (-0.12, 0.12),
+        "D": (0.15, 0.1),
+        "E": (0.18, 0.04),
+    }
     for name, offset in away.items():
         axes.plot(*points[name], "o", ms=6, mfc="white", mec=INK, zorder=5)
         axes.text(*(points[name] + offset), name, weight="bold", ha="center", va="center", zorder=6)

@@ -1,4 +1,5 @@
-"""Cross-validate models over a folder of recordings: fit on one, predict all the others, for every effect that you suspect.
+"""Cross-validate models over a folder of recordings: fit on one, predict all the others, for every effect that you
+suspect.
 
 python examples/cross_validate.py FOLDER [EFFECT@PLACE …]     # writes FOLDER/cross_validation.csv
 """

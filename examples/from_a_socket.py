@@ -1,4 +1,6 @@
-"""Samples from a socket at 200 Hz, states with intervals out; tells the latency. `from_a_socket.py PORT` listens, without PORT it plays a crane."""
+"""Samples from a socket at 200 Hz, states with intervals out; tells the latency. `from_a_socket.py PORT` listens,
+without PORT it plays a crane.
+"""
 
 import json
 import socket
@@ -16,7 +18,9 @@ crane, NOISE = Crane.load("patu655"), {"z1": 9e-4, "z4": 9e-4, "p1": 3e4, "p4": 
 
 
 def play(port: int, seconds: float) -> None:
-    """Send what a crane's sensors show, one line of JSON a sample; every tenth comes twice, every eleventh without p4, every 50th not at all."""
+    """Send what a crane's sensors show, one line of JSON a sample; every tenth comes twice, every eleventh without p4,
+    every 50th not at all.
+    """
     run, random = simulate(crane, engine=SemiRecursiveEngine(crane)), np.random.default_rng(0)
     with socket.create_connection(("127.0.0.1", port)) as line:
         for k in range(1900, 1900 + int(1000 * seconds), 5):

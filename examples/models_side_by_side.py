@@ -1,4 +1,6 @@
-"""A leak opens in the middle of a recording: two models side by side tell when. `models_side_by_side.py 100` does so for 100 machines."""
+"""A leak opens in the middle of a recording: two models side by side tell when. `models_side_by_side.py 100` does so
+for 100 machines.
+"""
 
 import sys
 

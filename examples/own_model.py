@@ -1,4 +1,5 @@
-"""Change the crane, add Exudyn objects of your own, let Exudyn solve: the boom lifts while an elastic rope holds its tip.
+"""Change the crane, add Exudyn objects of your own, let Exudyn solve: the boom lifts while an elastic rope holds its
+tip.
 
 python examples/own_model.py [FOLDER]     # writes rope.png there
 """

@@ -24,7 +24,8 @@ def command(
 ) -> None:
     """Measure speed and memory: both engines open loop, the filter and where its time goes, the naive way, a diagnosis.
 
-    Everything is measured in this one run, so the ratios hold for this machine as it is now; kernels are compiled first.
+    Everything is measured in this one run, so the ratios hold for this machine as it is now; kernels are compiled
+    first.
     """
     chosen = load_crane(crane, effects)
     from validation.benchmark import run

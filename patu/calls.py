@@ -82,7 +82,9 @@ def _check_finite(flag: str, value: Any) -> None:
 
 
 def _naming(problem: CraneError, read: list[str]) -> CraneError:
-    """Return the error with the files that were read, where its message names none: engines know a crane's name only."""
+    """Return the error with the files that were read, where its message names none: engines know a crane's name
+    only.
+    """
     files = [name for name in read if os.path.isfile(name)]
     if not files or any(name in str(problem) for name in files):
         return problem

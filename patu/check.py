@@ -38,10 +38,11 @@ def command(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Look whether recordings are what they say they are: signs, exchanged channels, units, lines of reference, clocks, poses, noise.
+    """Look whether recordings are what they say they are: signs, exchanged channels, units, lines of reference, clocks,
+    poses, noise.
 
-    A channel is found to be something else where the crane's balances close far better with it read otherwise; leaks, friction
-    or another payload do not make them so. Exit status 1 where something is surely wrong.
+    A channel is found to be something else where the crane's balances close far better with it read otherwise; leaks,
+    friction or another payload do not make them so. Exit status 1 where something is surely wrong.
     """
     chosen = load_crane(crane, effects)
     from crane_exudyn.files import write_text

@@ -54,9 +54,9 @@ def command(
 ) -> None:
     """Lay the model beside a measurement: how large the errors are, when they arise, which balance is violated.
 
-    The crane starts as the recording starts (the start is fitted) and then sees only the commands; a filter predicts each next
-    sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks. Several recordings are compared
-    one after the other; what --per-recording names is fitted to each.
+    The crane starts as the recording starts (the start is fitted) and then sees only the commands; a filter predicts
+    each next sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
+    Several recordings are compared one after the other; what --per-recording names is fitted to each.
     """
     chosen = load_crane(crane, effects)
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)

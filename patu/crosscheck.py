@@ -33,7 +33,8 @@ def command(
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Compare the Exudyn engine with the semi-recursive one: every quantity, the static start, every effect, trajectories.
+    """Compare the Exudyn engine with the semi-recursive one: every quantity, the static start, every effect,
+    trajectories.
 
     Exit status 1 if anything is out of its tolerance; the first such line is nearest to the cause.
     """
@@ -62,7 +63,10 @@ def verdict(result: CrossCheck) -> str:
     if result.ok:
         return f"The engines agree in all {count} quantities."
     names = ", ".join(q.name for q in result.failures[:5]) + (", …" if len(result.failures) > 5 else "")
-    return f"The engines differ in {len(result.failures)} of {count} quantities, first in {result.failures[0].name}: {names}."
+    return (
+        f"The engines differ in {len(result.failures)} of {count} quantities, first in {result.failures[0].name}: "
+        f"{names}."
+    )
 
 
 def _row(q: Quantity) -> tuple[object, ...]:
@@ -85,6 +89,8 @@ def _write_report(result: CrossCheck, seed: int, states: int, seconds: float, di
         _COLUMNS, [_row(q) for q in result.quantities], note="A relative tolerance is of the quantity's largest value."
     )
     return write_report(
-        directory, f"Cross-check of {result.crane}", verdict(result), [("Trajectories", pictures), ("Quantities", [table])],
-        parameters={"crane": result.crane, "random states": states, "length of the runs / s": seconds}, seed=seed, mood="good" if result.ok else "bad",
+        directory, f"Cross-check of {result.crane}", verdict(result),
+        [("Trajectories", pictures), ("Quantities", [table])],
+        parameters={"crane": result.crane, "random states": states, "length of the runs / s": seconds}, seed=seed,
+        mood="good" if result.ok else "bad",
     )  # fmt: skip

@@ -1,4 +1,6 @@
-"""`patu demo`: the main job in three acts: the filter follows a crane, a hidden effect is found and added, and a picture."""
+"""`patu demo`: the main job in three acts: the filter follows a crane, a hidden effect is found and added, and a
+picture.
+"""
 
 from __future__ import annotations
 
@@ -72,8 +74,8 @@ def command(
     """Show the main job on what comes with the package.
 
     First a crane follows the paper's working cycle, and a filter whose model has wrong masses, joints, payload and pump
-    follows the crane. Then a recording of a crane with a hidden effect is compared and diagnosed, and the effect is added.
-    Last a picture of that crane is drawn. One report shows all three.
+    follows the crane. Then a recording of a crane with a hidden effect is compared and diagnosed, and the effect is
+    added. Last a picture of that crane is drawn. One report shows all three.
     """
     printer = Printer(json)
     begin = perf_counter()
@@ -138,8 +140,10 @@ def followed(cases: dict[str, Case]) -> str:
     published = own.published or {}
     better = sum(own.pn_rmse[s] <= value for s, value in published.items())
     return (
-        f"The model alone leaves the crane by up to {max(own.pn_rmse_open_loop.values()):.0f} % of a state's range. The filter, "
-        f"which estimates along with the state what its model may be wrong about, stays within {max(own.pn_rmse.values()):.2g} %: "
+        f"The model alone leaves the crane by up to {max(own.pn_rmse_open_loop.values()):.0f} % of a state's range. "
+        "The filter, "
+        "which estimates along with the state what its model may be wrong about, stays within "
+        f"{max(own.pn_rmse.values()):.2g} %: "
         f"below the published error in {better} of {len(published)} states. The paper's own tuning is shown beside it."
     )
 
@@ -176,10 +180,13 @@ def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]
         ),
         "error.png": plots.bars(
             ["learned from", "only predicted"],
-            {"as given": (d.error_before, d.check_error_before), "with what was found": (d.error_after, d.check_error_after)},
+            {
+                "as given": (d.error_before, d.check_error_before),
+                "with what was found": (d.error_after, d.check_error_after),
+            },
             axis="open-loop error / noise of the sensors",
         ),
-    }  # fmt: skip
+    }
     for name, figure in figures.items():
         plots.save(figure, folder / name)
     drawn = draw(found, folder / "crane.png", printer)
@@ -198,7 +205,9 @@ def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]
 
 
 def draw(found: Found, path: Path, printer: Printer) -> list[Path]:
-    """Draw the recorded crane with an arrow at what was found; return the file, or nothing where that cannot be done."""
+    """Draw the recorded crane with an arrow at what was found; return the file, or nothing where that cannot be
+    done.
+    """
     from crane_exudyn.render import Scene, Trajectory
 
     learn, d = found.recordings[0], found.diagnosis
@@ -223,20 +232,24 @@ def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: 
     return [
         ("1. A filter follows a crane", [
             followed(found.cases),
-            Picture(figures["filter.png"], "The angles over the whole cycle; below, two pressures that no sensor sees, closer."),
+            Picture(figures["filter.png"], "The angles over the whole cycle; below, two pressures that no sensor sees, "
+                                           "closer."),
             Table(COLUMNS, rows(found.cases), note="PN-RMSE: 100 RMSE / (max - min of the true state)."),
             "`patu paper` shows all cases of the paper, and why its tuning cannot do better on this crane.",
         ]),
         ("2. A hidden effect is found", [
-            f"Two recordings come with the package, {learn.duration:g} and {check.duration:g} s of a crane that is not as its file says.",
+            f"Two recordings come with the package, {learn.duration:g} and {check.duration:g} s of a crane that is not "
+            "as its file says.",
             f"Compared with the first: {found.comparison.verdict}",
             f"Diagnosed: {verdict(d)}",
             Picture(figures["error.png"], "Open-loop error, 1 is the noise of the sensors."),
-            Picture(figures["before_after.png"], "What was measured, and what the crane file as given and the improved one do from the same start."),
+            Picture(figures["before_after.png"], "What was measured, and what the crane file as given and the improved "
+                                                 "one do from the same start."),
             *where_parts(d.given, found.places),
             *law_parts(d.effects, next((c.parameters for c in d.candidates if c.effects == d.effects), {})),
         ]),
-        ("3. A picture", [Picture(drawn[0], "The recorded crane after 3 s, coloured by pressure; the arrow marks what was found.")]
+        ("3. A picture", [Picture(drawn[0], "The recorded crane after 3 s, coloured by pressure; the arrow marks what "
+                                            "was found.")]
             if drawn else ["No picture could be drawn here."]),
         ("Files", [Links(written)]),
     ]  # fmt: skip

@@ -50,9 +50,9 @@ def command(
 ) -> None:
     """Find which physical effect the model lacks.
 
-    First the nominal parameters may move within their uncertainty; then every effect at every place is weighed, alone and in
-    pairs. What the recording cannot tell apart is said, and so is what no known effect explains.
-    Several recordings of one machine are fitted together; each has its own start and clocks, and what --per-recording names.
+    First the nominal parameters may move within their uncertainty; then every effect at every place is weighed, alone
+    and in pairs. What the recording cannot tell apart is said, and so is what no known effect explains. Several
+    recordings of one machine are fitted together; each has its own start and clocks, and what --per-recording names.
     """
     chosen = load_crane(crane, effects)
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
@@ -76,7 +76,8 @@ def command(
     if result.verdict == "unknown" and not result.misses_check:
         more = [*(["--check", str(check)] if check else []), *(["--crane", crane] if crane != DEFAULT_CRANE else [])]
         printer.line(
-            f"Go on: {' '.join(['patu', 'learn', *map(str, recordings), *more])}   looks for a law that is not in the library"
+            f"Go on: {' '.join(['patu', 'learn', *map(str, recordings), *more])}   looks for a law that is not in the "
+            "library"
         )
     given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
     with saving(printer) as save:

@@ -24,7 +24,9 @@ def command(
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """List the physical effects that a model may lack, or tell one of them whole: law, signature, parameters, places on the crane."""
+    """List the physical effects that a model may lack, or tell one of them whole: law, signature, parameters, places on
+    the crane.
+    """
     from crane_exudyn.effects import registry
 
     layout = load_crane(crane, effects).layout

@@ -89,8 +89,8 @@ def command(
 ) -> None:
     """Estimate the whole state of the crane from a recording: states with 95 % intervals, innovations, consistency.
 
-    The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise of
-    the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
+    The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise
+    of the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
     """
     if not step > 0.0:
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
@@ -222,7 +222,9 @@ COLUMNS = ("quantity", "first", "last", "± (95 %)", "min", "max")
 
 
 def rows(estimate: Estimate) -> list[tuple[object, ...]]:
-    """Return the table: each quantity in units for people, at the start, at the end with its interval, and its range."""
+    """Return the table: each quantity in units for people, at the start, at the end with its interval, and its
+    range.
+    """
     return [(f"{name} / {unit}" if unit else name, *numbers) for name, unit, *numbers in estimate.ranges()]
 
 
@@ -271,7 +273,9 @@ def consistency(result: Estimate) -> str:
 
 
 def allowance(result: Estimate) -> list[str]:
-    """Return what the intervals allow for in a model that is wrong, those unknowns first that are furthest from what the file says."""
+    """Return what the intervals allow for in a model that is wrong, those unknowns first that are furthest from what
+    the file says.
+    """
     from ukf.plots import display
 
     account = result.model_error
@@ -285,7 +289,8 @@ def allowance(result: Estimate) -> list[str]:
         factor, unit = display(name, now["unit"], result.layout)
         words.append(f"{name} {factor * now['value']:.3g} ± {factor * 1.96 * now['std']:.2g} {unit}".rstrip())
     return [
-        f"The intervals allow for an error of the model: {len(listed)} unknowns; at the end, most of all {', '.join(words)}."
+        f"The intervals allow for an error of the model: {len(listed)} unknowns; at the end, most of all "
+        f"{', '.join(words)}."
     ]
 
 
@@ -295,7 +300,8 @@ def verdict(result: Estimate) -> str:
         return f"Nothing can be said of the consistency: {result.unjudged}. The intervals are not confirmed."
     if result.noiseless:
         return (
-            "The recording has no noise, as a simulation has none. The model explains it to less than the noise that the filter "
+            "The recording has no noise, as a simulation has none. The model explains it to less than the noise that "
+            "the filter "
             "takes the sensors to have, so its intervals are on the safe side."
         )
     if result.consistent:
@@ -310,8 +316,12 @@ def verdict(result: Estimate) -> str:
         return f"The model lacks something. What it may be was estimated along, and the intervals allow for it. {mend}"
     if result.persistent:
         return (
-            f"Not consistent: the innovations of {', '.join(result.persistent)} keep their sign for a while, as noise never does: the model "
+            f"Not consistent: the innovations of {', '.join(result.persistent)} keep their sign for a while, as noise "
+            "never does: the model "
             "lacks something. The intervals of what no sensor measures are too narrow, and those of the angles may be. "
             + mend
         )
-    return "Not consistent: the filter expects more noise than there is, so the intervals are wider than need be; try --tune."
+    return (
+        "Not consistent: the filter expects more noise than there is, so the intervals are wider than need be; try "
+        "--tune."
+    )

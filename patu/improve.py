@@ -52,8 +52,8 @@ def command(
 ) -> None:
     """Improve a crane file on a recording step by step; errors are open-loop, in units of the sensors' noise.
 
-    Every accepted step is confirmed on the Exudyn engine. The crane file keeps what was added, from which recording and with
-    which evidence; `patu remove` undoes it.
+    Every accepted step is confirmed on the Exudyn engine. The crane file keeps what was added, from which recording and
+    with which evidence; `patu remove` undoes it.
     """
     chosen = load_crane(crane, effects)
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)

@@ -65,10 +65,11 @@ def command(
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Learn a law that the library does not have: in which balance something is missing, where, over what it runs, its curve.
+    """Learn a law that the library does not have: in which balance something is missing, where, over what it runs, its
+    curve.
 
-    A curve is given only where the recording went, with its interval, and only if it predicts what was left out. Where the library's
-    effects do as well, or nothing is found, no law is given (exit status 0).
+    A curve is given only where the recording went, with its interval, and only if it predicts what was left out. Where
+    the library's effects do as well, or nothing is found, no law is given (exit status 0).
     """
     chosen = load_crane(crane, effects)
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)

@@ -109,9 +109,9 @@ def run(arguments: Sequence[str] | None = None) -> None:
 class _Endings:
     """Turns the signals that end a program into `Leave`, so that temporary files go and half-written ones never were.
 
-    An exception that a signal's handler raises inside a callback from compiled code comes out as another one, or not at all. So
-    the signal is kept, and `Leave` is raised again if the last one has vanished without ending the program, or has been stuck for
-    long where something is waited for.
+    An exception that a signal's handler raises inside a callback from compiled code comes out as another one, or not at
+    all. So the signal is kept, and `Leave` is raised again if the last one has vanished without ending the program, or
+    has been stuck for long where something is waited for.
     """
 
     _SAID: ClassVar = {signal.SIGINT: "Interrupted", signal.SIGTERM: "Terminated", signal.SIGHUP: "Hung up"}
@@ -243,7 +243,9 @@ def _complain(message: str, status: int) -> int:
 
 
 def _check_signs(words: Sequence[str]) -> None:
-    """Refuse what no shell can type, but another program may give: no file can have such a name, nothing can write it."""
+    """Refuse what no shell can type, but another program may give: no file can have such a name, nothing can write
+    it.
+    """
     from crane_exudyn.errors import CraneError
 
     for word in words:

@@ -47,8 +47,8 @@ def command(
 ) -> None:
     """Test over many runs whether the filter is as good as it says: NEES, NIS and coverage against their bounds.
 
-    In every run the crane is shaken by the noise that the filter assumes, and starts where the filter thinks it may. With a perfect
-    model the answer should be yes, with --error it should be no (exit status 1).
+    In every run the crane is shaken by the noise that the filter assumes, and starts where the filter thinks it may.
+    With a perfect model the answer should be yes, with --error it should be no (exit status 1).
     """
     _check(runs, inputs, duration, step, model_error, method)
     chosen = load_crane(crane, effects)

@@ -124,7 +124,9 @@ def load_crane(crane: str, effects: Sequence[Path] | None = None) -> Crane:
 def load_recording(
     path: Path, crane: Crane, entries: Sequence[str] | None = None, map_file: Path | None = None
 ) -> Recording:
-    """Return the recording of a crane at `path`, its columns mapped as `--map-file` says, and `--map`, which goes before it."""
+    """Return the recording of a crane at `path`, its columns mapped as `--map-file` says, and `--map`, which goes
+    before it.
+    """
     from crane_exudyn.recording import Recording
 
     with doing(f"reading {path}"):
@@ -134,7 +136,8 @@ def load_recording(
 def load_checked(
     path: Path, crane: Crane, entries: Sequence[str] | None, map_file: Path | None, *, anyway: bool
 ) -> Recording:
-    """Return the recording at `path` after `patu check` has looked at it; what is hardly plausible about it is told on standard error.
+    """Return the recording at `path` after `patu check` has looked at it; what is hardly plausible about it is told on
+    standard error.
 
     Raises:
         CraneError: something in it is surely wrong, and it is not to be used anyway; every such finding with its mend.
@@ -154,7 +157,9 @@ def load_checked(
 def load_several(
     paths: Sequence[Path], crane: Crane, entries: Sequence[str] | None, map_file: Path | None, *, anyway: bool
 ) -> list[Recording]:
-    """Return the recordings as `load_checked` does; those whose files have the same name are told apart by their folders."""
+    """Return the recordings as `load_checked` does; those whose files have the same name are told apart by their
+    folders.
+    """
     found = [load_checked(p, crane, entries, map_file, anyway=anyway) for p in paths]
     names = [r.name for r in found]
     return [replace(r, name=str(path)) if names.count(r.name) > 1 else r for r, path in zip(found, paths, strict=True)]

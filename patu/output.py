@@ -42,7 +42,9 @@ def json_text(document: Any) -> str:
 
 
 def write_out(text: str, stream: TextIO) -> None:
-    """Write the text of a result, JSON or TOML, to standard output or error: always in UTF-8, as files of these kinds are."""
+    """Write the text of a result, JSON or TOML, to standard output or error: always in UTF-8, as files of these kinds
+    are.
+    """
     binary = getattr(stream, "buffer", None)
     if binary is None:  # a program that calls this one has put text of its own in its place
         stream.write(text)
@@ -54,8 +56,10 @@ def write_out(text: str, stream: TextIO) -> None:
 
 #: what stands for a sign that a terminal cannot show, where leaving its accents away does not do
 _PLAIN = {
-    "…": "...", "–": "-", "—": "-", "−": "-", "±": "+-", "→": "->", "≥": ">=", "≤": "<=", "×": "x", "°": "deg", "∞": "inf", "²": "^2", "³": "^3",
-    "ż": "dz", "θ": "theta", "µ": "u", "μ": "u", "χ": "chi", "·": "*", "’": "'", "“": '"', "”": '"', "│": "|", "─": "-", "━": "-",
+    "…": "...", "–": "-", "—": "-", "−": "-", "±": "+-", "→": "->", "≥": ">=", "≤": "<=", "×": "x", "°": "deg",
+    "∞": "inf", "²": "^2", "³": "^3",
+    "ż": "dz", "θ": "theta", "µ": "u", "μ": "u", "χ": "chi", "·": "*", "’": "'", "“": '"', "”": '"', "│": "|", "─": "-",
+    "━": "-",
 }  # fmt: skip
 
 

@@ -1,9 +1,10 @@
 """What a command reads and writes: checked in one place before it begins, and nothing that it found out is lost.
 
-The options of a command carry `Reads` or `Writes`. Before the command begins, `plan` refuses an output that is an input, two
-outputs that share a file, a place that cannot be written to, and a file that is not the program's own. A file is the program's own
-if its content has the SHA-256 of something that a command wrote before: every command adds what it wrote to the list
-`written_list()`. So a file that was edited, or that came from elsewhere, is not replaced without --force.
+The options of a command carry `Reads` or `Writes`. Before the command begins, `plan` refuses an output that is an
+input, two outputs that share a file, a place that cannot be written to, and a file that is not the program's own. A
+file is the program's own if its content has the SHA-256 of something that a command wrote before: every command adds
+what it wrote to the list `written_list()`. So a file that was edited, or that came from elsewhere, is not replaced
+without --force.
 """
 
 from __future__ import annotations
@@ -136,7 +137,8 @@ def _check_writable(target: Target) -> None:
             target.path.exists()  # a name that is too long says so
     except OSError as problem:
         raise CraneError(
-            f"{target.option} {target.typed}: nothing can be written in {folder}: {problem.strerror}. Give another place."
+            f"{target.option} {target.typed}: nothing can be written in {folder}: {problem.strerror}. Give another "
+            "place."
         ) from problem
 
 
@@ -209,8 +211,8 @@ class Saver:
         Args:
             path: file or folder; None writes nothing.
             write: writes to a path; may return the file or files that it has written there.
-            text: the result as text, where it is one; printed if it cannot be written. Other results are then written to a
-                new folder among the temporary files.
+            text: the result as text, where it is one; printed if it cannot be written. Other results are then written
+                to a new folder among the temporary files.
         """
         if path is None:
             return False

@@ -71,9 +71,9 @@ def command(
 ) -> None:
     """Reproduce the paper: 5, 15 and 25 % model error, three input sets, table, Figures 5, 6 and 7.
 
-    The first rows use the paper's covariances to the letter, then with gauges of 0.15 bar; the rows "own" estimate payload, pump
-    pressure, masses and joint coordinates along with the state, as uncertain as the crane file says or more. Beside each the published row,
-    where there is one, and the model without filter.
+    The first rows use the paper's covariances to the letter, then with gauges of 0.15 bar; the rows "own" estimate
+    payload, pump pressure, masses and joint coordinates along with the state, as uncertain as the crane file says or
+    more. Beside each the published row, where there is one, and the model without filter.
     """
     chosen = load_crane(crane, effects)
     _check(model_error, inputs)
@@ -144,7 +144,9 @@ TOLD_COLUMNS = ("sensors", "at 5 s", "at 10 s", "at 25 s", "p2", "p3")
 
 
 def told_rows(told: list[Told]) -> list[tuple[object, ...]]:
-    """Return the payload at some instants and the errors of the two pressures that the paper does not measure, by sensors."""
+    """Return the payload at some instants and the errors of the two pressures that the paper does not measure, by
+    sensors.
+    """
     return [
         (" ".join(t.sensors), *(f"{m:.1f} ± {s:.1f}" for m, s in t.payload), t.pn_rmse["p2"], t.pn_rmse["p3"])
         for t in told
@@ -152,8 +154,22 @@ def told_rows(told: list[Told]) -> list[tuple[object, ...]]:
 
 
 FILTER_COLUMNS = (
-    "filter", "tuning", "z1", "z4", "ż1", "ż4", "p1", "p2", "p3", "p4", "NEES", "NIS", "states/step", "engine µs", "algebra µs"
-)  # fmt: skip
+    "filter",
+    "tuning",
+    "z1",
+    "z4",
+    "ż1",
+    "ż4",
+    "p1",
+    "p2",
+    "p3",
+    "p4",
+    "NEES",
+    "NIS",
+    "states/step",
+    "engine µs",
+    "algebra µs",
+)
 
 
 def filter_rows(compared: list[Row]) -> list[tuple[object, ...]]:
@@ -265,7 +281,8 @@ def findings(result: Reproduction) -> list[str]:
         better = [s for s, v in (case.published or {}).items() if case.pn_rmse[s] <= v]
         inside = [s for s, v in case.coverage.items() if v >= 0.9]
         lines.append(
-            f"15 % case, {TUNINGS[name].text}: {len(better)} of 8 states at or below the published error, {len(inside)} of 8 inside "
+            f"15 % case, {TUNINGS[name].text}: {len(better)} of 8 states at or below the published error, "
+            f"{len(inside)} of 8 inside "
             f"their intervals at least 90 % of the time; {case.realtime_factor:.2g} times real time ({case.engine})."
         )
     if "paper" in result.shown:
@@ -285,8 +302,10 @@ def _why(case: Case) -> str:
     }
     parts = ", ".join(f"{100 * floor / s:.2f} % of the range of {n}" for n, s in span.items())
     return (
-        f"Why the paper's tuning cannot do it: its process noise lets each pressure walk by 1.6 bar a millisecond, so the filter "
-        f"hardly averages, and the sensors' 1.5 bar alone leave {floor / 1e5:.2f} bar ({parts}), whatever the model knows."
+        "Why the paper's tuning cannot do it: its process noise lets each pressure walk by 1.6 bar a millisecond, so "
+        "the filter "
+        f"hardly averages, and the sensors' 1.5 bar alone leave {floor / 1e5:.2f} bar ({parts}), whatever the model "
+        "knows."
     )
 
 
@@ -295,7 +314,10 @@ def _found(case: Case) -> str:
     true = case.experiment.crane["payload.mass"]
     std = case.estimate.std[-1, case.estimate.state_names.index("payload.mass")]
     pump = case.estimate["supply.pump_pressure"][-1] / 1e5
-    return f"Found on the way: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: 100)."
+    return (
+        f"Found on the way: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: "
+        "100)."
+    )
 
 
 def write(result: Reproduction, seed: int, engine: str, compared: list[Row], crane: Crane, folder: Path) -> list[Path]:

@@ -24,7 +24,9 @@ def command(
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Write recordings to play with, simulated on the spot: a sound one, a hidden effect, and what loggers make of one."""
+    """Write recordings to play with, simulated on the spot: a sound one, a hidden effect, and what loggers make of
+    one.
+    """
     chosen = load_crane(crane, effects)
     from validation.sample import samples
 

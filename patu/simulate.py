@@ -52,9 +52,9 @@ def command(
 ) -> None:
     """Run the crane open loop.
 
-    Commands come from a recording, or are the paper's 25 s working cycle. The crane starts as its file says: given angles, at
-    rest, valves closed. The result has the instants of the recording (1 ms for the cycle), SI units, and is itself a
-    recording without noise.
+    Commands come from a recording, or are the paper's 25 s working cycle. The crane starts as its file says: given
+    angles, at rest, valves closed. The result has the instants of the recording (1 ms for the cycle), SI units, and is
+    itself a recording without noise.
     """
     if start_from_recording and inputs is None:
         raise CraneError("--start-from-recording wants a recording. Give one with --inputs REC.")
@@ -156,8 +156,10 @@ def tell_accuracy(
         printer.line(f"A run with steps ten times as accurate differs by {size}.")
     else:
         printer.line(
-            f"CAUTION: from t = {found.since:.3f} s on these numbers depend on the size of the steps: ten times as accurate, they are {size} elsewhere. "
-            "The machine makes small differences large there, as a boom does that bounces between voids or on a stop that does not damp."
+            f"CAUTION: from t = {found.since:.3f} s on these numbers depend on the size of the steps: ten times as "
+            f"accurate, they are {size} elsewhere. "
+            "The machine makes small differences large there, as a boom does that bounces between voids or on a stop "
+            "that does not damp."
         )
     return {"step_error": {"position": found.position, "pressure": found.pressure, "since": found.since}}
 

@@ -1,4 +1,6 @@
-"""A machine that nobody built: a boom that turns, an arm that slides in it, a bucket at its end; three cylinders, names of its own."""
+"""A machine that nobody built: a boom that turns, an arm that slides in it, a bucket at its end; three cylinders, names
+of its own.
+"""
 
 import tomllib
 

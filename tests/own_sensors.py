@@ -1,4 +1,6 @@
-"""Effects of a user's own on sensors and payload, for `test_measurement`: they act by their hooks, whatever they are called."""
+"""Effects of a user's own on sensors and payload, for `test_measurement`: they act by their hooks, whatever they are
+called.
+"""
 
 from crane_exudyn.effects.base import SENSORS, Effect, Parameter
 

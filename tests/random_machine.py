@@ -98,8 +98,10 @@ class Draw:
         rng, name = self.rng, f"cylinder_{i}"
         length = float(np.hypot(*(end - base)))
         self.file["cylinders"][name] = {
-            "bodies": [carrier, end_body], "base": self.local(carrier, base).tolist(), "rod_end": self.local(end_body, end).tolist(),
-            "bore": rng.uniform(0.05, 0.1), "rod": rng.uniform(0.02, 0.045), "empty_length": length - 0.25, "chamber_range": 0.55,
+            "bodies": [carrier, end_body], "base": self.local(carrier, base).tolist(),
+            "rod_end": self.local(end_body, end).tolist(),
+            "bore": rng.uniform(0.05, 0.1), "rod": rng.uniform(0.02, 0.045), "empty_length": length - 0.25,
+            "chamber_range": 0.55,
             "hose_volume_piston": 2e-4, "hose_volume_rod": 2e-4, "coulomb_friction": 200.0, "static_friction": 280.0,
             "stribeck_speed": 5e-3, "viscous_friction": 300.0,
         }  # fmt: skip
@@ -157,8 +159,20 @@ def _drawn(name, rng):
         draw.file["payload"] = {"body": carriers[-1], "at": "tip", "mass": 80.0, "width": 0.3, "height": 0.3}
         draw.file["joints"]["tip"] = [1.0, 0.1]
     document = draw.file | {
-        "name": name, "gravity": 9.81,
-        "fluid": {"oil_bulk_modulus": 1.5e9, "cylinder_bulk_modulus": 2.1e11, "hose_bulk_modulus": 7e8, "vapour_pressure": 0.0, "laminar_pressure": 2e5},
-        "supply": {"pump_pressure": 200e5, "tank_pressure": 1e5, "air_pressure": 1.013e5, "pressure_reference": "absolute"},
-    }  # fmt: skip
+        "name": name,
+        "gravity": 9.81,
+        "fluid": {
+            "oil_bulk_modulus": 1.5e9,
+            "cylinder_bulk_modulus": 2.1e11,
+            "hose_bulk_modulus": 7e8,
+            "vapour_pressure": 0.0,
+            "laminar_pressure": 2e5,
+        },
+        "supply": {
+            "pump_pressure": 200e5,
+            "tank_pressure": 1e5,
+            "air_pressure": 1.013e5,
+            "pressure_reference": "absolute",
+        },
+    }
     return crane_toml.from_document(document, document["name"])

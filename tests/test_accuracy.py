@@ -60,7 +60,9 @@ def test_default_steps_over_the_cycle_are_as_accurate_as_fine_ones(name):
 
 @pytest.mark.parametrize("make", ENGINES)
 def test_released_air_ends_where_an_adaptive_solver_does(make):
-    """55.129 bar by LSODA on the same terms with the spool's exact path; commands that ramp for 1 ms would give 55.9."""
+    """55.129 bar by LSODA on the same terms with the spool's exact path; commands that ramp for 1 ms would give
+    55.9.
+    """
     crane = crane_with(EFFECTS["released air"])
     assert run(make(crane), 1e-3)[5500, 5] == pytest.approx(55.129e5, abs=0.1e5)
 
@@ -97,7 +99,8 @@ def test_a_stop_that_no_step_can_follow_ends_the_run(make):
 
 
 @pytest.mark.xfail(
-    reason="1.6e-5 and 2.2e-5 rad instead of 1e-5: a stop without damping makes differences larger; `patu simulate` says so"
+    reason="1.6e-5 and 2.2e-5 rad instead of 1e-5: a stop without damping makes differences larger; `patu simulate` "
+    "says so"
 )
 @pytest.mark.parametrize("stiffness", [1e7, 1e8])
 def test_a_boom_that_bounces_on_a_stop_that_does_not_damp_is_followed(stiffness):
@@ -112,7 +115,9 @@ def test_a_boom_that_bounces_on_a_stop_that_does_not_damp_is_followed(stiffness)
 
 
 def test_a_run_that_no_steps_can_follow_says_from_when_on():
-    """A pump that gives next to nothing: the boom falls after 20 s and bounces between voids, which makes any difference larger."""
+    """A pump that gives next to nothing: the boom falls after 20 s and bounces between voids, which makes any
+    difference larger.
+    """
     sound, falling = (
         simulate(c, engine=SemiRecursiveEngine(c)) for c in (CRANE, crane_with({"pump_droop": {"R": 1e12}}))
     )

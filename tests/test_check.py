@@ -1,4 +1,6 @@
-"""`patu check`: mistakes of loggers are told first, with their channels and a mend that works; sound recordings are left alone, worn machines too."""
+"""`patu check`: mistakes of loggers are told first, with their channels and a mend that works; sound recordings are
+left alone, worn machines too.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def one_of_each(recording: Recording) -> dict[str, Mistake]:
 ALL, LESS = one_of_each(sound()), one_of_each(sound().select(FOUR))
 
 
-@pytest.mark.parametrize("name", ["open_none_learn", "open_leak_lift_learn", "open_bias_p4_learn", "open_air_check", "open_friction_O_learn"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name", ["open_none_learn", "open_leak_lift_learn", "open_bias_p4_learn", "open_air_check", "open_friction_O_learn"]
+)
 @pytest.mark.parametrize("sensors", [4, 6])
 def test_sound_recordings_of_worn_machines_have_no_findings(name: str, sensors: int) -> None:
     recording = sound(name)
@@ -50,7 +54,10 @@ def test_a_mistake_is_told_first(name: str) -> None:
     assert len({f.channels for f in findings if f.severity == "error"}) <= 1  # and nothing else is blamed for it
 
 
-@pytest.mark.parametrize("name", ["sign of a command", "sign of an angle", "commands exchanged", "pressures exchanged", "psi as bar, all pressures"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    ["sign of a command", "sign of an angle", "commands exchanged", "pressures exchanged", "psi as bar, all pressures"],
+)
 def test_a_mistake_is_told_with_four_sensors(name: str) -> None:
     assert LESS[name].found_by(vet(LESS[name].recording, CRANE))
 
@@ -59,10 +66,15 @@ def test_two_mistakes_are_told_and_mended_together(tmp_path: Path) -> None:
     recording = sound()
     turned = {n: replace(recording[n], values=-recording[n].values) for n in ("u1", "z4")}
     findings = vet(replace(recording, channels={**recording.channels, **turned}), CRANE)
-    assert {(f.kind, f.channels, f.severity) for f in findings} == {("sign", ("u1",), "error"), ("sign", ("z4",), "error")}  # fmt: skip
+    assert {(f.kind, f.channels, f.severity) for f in findings} == {
+        ("sign", ("u1",), "error"),
+        ("sign", ("z4",), "error"),
+    }
 
 
-@pytest.mark.parametrize("name", [n for n, m in ALL.items() if m.kind in ("sign", "swapped", "absolute", "scale", "offset", "clock")])  # fmt: skip
+@pytest.mark.parametrize(
+    "name", [n for n, m in ALL.items() if m.kind in ("sign", "swapped", "absolute", "scale", "offset", "clock")]
+)
 def test_the_mend_mends(name: str, tmp_path: Path) -> None:
     from crane_exudyn.mapping import map_text
 
@@ -85,8 +97,16 @@ def test_a_short_delay_of_one_valve_is_none_of_a_clock() -> None:
 
 def test_a_machine_that_nobody_can_explain_is_not_explained() -> None:
     recording, rng = sound(), np.random.default_rng(1)
-    walk = {n: replace(recording[n], values=recording[n].values[rng.permutation(20).repeat(len(recording[n]) // 20 + 1)[: len(recording[n])]]) for n in recording.sensors}  # fmt: skip
-    assert [f for f in vet(replace(recording, channels={**recording.channels, **walk}), CRANE) if f.kind == "swapped"] == []  # fmt: skip
+    walk = {
+        n: replace(
+            recording[n],
+            values=recording[n].values[rng.permutation(20).repeat(len(recording[n]) // 20 + 1)[: len(recording[n])]],
+        )
+        for n in recording.sensors
+    }
+    assert [
+        f for f in vet(replace(recording, channels={**recording.channels, **walk}), CRANE) if f.kind == "swapped"
+    ] == []
 
 
 # -- the command -----------------------------------------------------------------------------------------------------
@@ -115,8 +135,12 @@ def test_check_tells_writes_a_map_and_is_content_with_it(
 
 @pytest.mark.parametrize("command", [("compare",), ("diagnose",), ("estimate",), ("improve", "-o", "new.toml")])
 def test_errors_stop_what_would_explain_them(
-    patu: Callable[..., SimpleNamespace], wrong: Path, command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:  # fmt: skip
+    patu: Callable[..., SimpleNamespace],
+    wrong: Path,
+    command: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.chdir(tmp_path)
     done = patu(command[0], str(wrong), *command[1:])
     assert done.status == 2

@@ -38,7 +38,10 @@ def as_process(*words: str, code: str | None = None) -> subprocess.CompletedProc
 
 
 def test_help_names_every_command_and_imports_nothing_heavy() -> None:
-    code = f"import sys; from patu.main import help_text; print(help_text()); print([m for m in {HEAVY} if m in sys.modules])"
+    code = (
+        f"import sys; from patu.main import help_text; print(help_text()); print([m for m in {HEAVY} if m in "
+        "sys.modules])"
+    )
     done = as_process(code=code)
     assert done.returncode == 0
     assert done.stdout.splitlines()[-1] == "[]"
@@ -84,7 +87,10 @@ def test_options_mean_the_same_everywhere(patu: Callable[..., SimpleNamespace], 
 def test_loading_a_command_imports_no_engine() -> None:
     """Help of any command comes before numba, Exudyn or matplotlib are imported."""
     for name in main.COMMANDS:
-        code = f"import sys; from patu.main import load; load({name!r}); print([m for m in {HEAVY[1:8]} if m in sys.modules])"
+        code = (
+            f"import sys; from patu.main import load; load({name!r}); print([m for m in {HEAVY[1:8]} if m in "
+            "sys.modules])"
+        )
         done = as_process(code=code)
         assert (done.stdout, done.returncode) == ("[]\n", 0), (name, done.stdout, done.stderr)
 
@@ -243,7 +249,8 @@ def test_an_interrupted_command_leaves_nothing_and_no_traceback(tmp_path: Path, 
 
 STUCK = {
     # numba turns an exception that a signal's handler raised while compiled code is called into a SystemError
-    "changed": "    try: time.sleep(60)\n    except BaseException as problem: raise SystemError('result with an exception set') from problem\n",
+    "changed": "    try: time.sleep(60)\n    except BaseException as problem: raise SystemError('result with an "
+    "exception set') from problem\n",
     "swallowed": "    try: time.sleep(60)\n    except BaseException: pass\n    time.sleep(60)\n",
     "waiting": "    with ThreadPoolExecutor(1) as pool: pool.submit(time.sleep, 60)\n",
 }

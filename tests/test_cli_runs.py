@@ -145,8 +145,12 @@ def test_estimate_leaves_states_picture_and_report(printed: Callable[..., str], 
 
 @pytest.mark.parametrize(
     ("words", "part"),
-    [(("-o", "{folder}/x.xlsx"), ".parquet"), (("--plot", "{folder}/x.bmp"), ".png"), (("-o", "{folder}/no/x.csv"), "folder")],
-)  # fmt: skip
+    [
+        (("-o", "{folder}/x.xlsx"), ".parquet"),
+        (("--plot", "{folder}/x.bmp"), ".png"),
+        (("-o", "{folder}/no/x.csv"), "folder"),
+    ],
+)
 def test_estimate_refuses_results_that_it_could_not_write_before_it_works(
     capsys: pytest.CaptureFixture[str], lift: Path, tmp_path: Path, words: tuple[str, str], part: str
 ) -> None:

@@ -1,4 +1,6 @@
-"""`patu compare`: phases of work, residual balances against known ones, errors, findings, refusals, and what users get."""
+"""`patu compare`: phases of work, residual balances against known ones, errors, findings, refusals, and what users
+get.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +110,8 @@ def test_phases_name_every_motion_of_every_cylinder() -> None:
         (100, 0, 0), (100, 0.3, 0), (100, 0, 0), (100, -0.3, 0), (50, 0, 0), (100, 0, 0.2), (50, 0, 0), (100, 0, -0.2)
     )
     assert kinds_of(spool) == [
-        ("rest", 0.0, 1.0), ("lift extending", 1.0, 2.0), ("rest", 2.0, 3.0), ("lift retracting", 3.0, 4.0), ("rest", 4.0, 4.5),
+        ("rest", 0.0, 1.0), ("lift extending", 1.0, 2.0), ("rest", 2.0, 3.0), ("lift retracting", 3.0, 4.0),
+        ("rest", 4.0, 4.5),
         ("tilt extending", 4.5, 5.5), ("rest", 5.5, 6.0), ("tilt retracting", 6.0, 6.99),
     ]  # fmt: skip
 
@@ -439,7 +442,9 @@ def test_command_refuses_with_one_message(patu: Callable[..., SimpleNamespace], 
 
 
 def at_rest(colour: float) -> Recording:
-    """Return 2 s of rest, 1 s of motion and 2 s of a ring that dies out; p1 with noise of 0.3 bar of a correlation time in s."""
+    """Return 2 s of rest, 1 s of motion and 2 s of a ring that dies out; p1 with noise of 0.3 bar of a correlation time
+    in s.
+    """
     time = np.arange(0.0, 5.0, 0.005)
     white = np.random.default_rng(7).standard_normal(time.size)
     q = math.exp(-0.005 / colour) if colour else 0.0

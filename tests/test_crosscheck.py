@@ -198,17 +198,32 @@ FAULTS = {
     "sign of the rod side's flow": (("Qa, Qb = (pump, tank)", "Qa, Qb = (pump, -tank)"), {"Q2", "Q4"}),
     "areas swapped in the force": (("= pa * Aa - pb * Ab - air", "= pa * Ab - pb * Aa - air"), {"F1", "F2"}),
     "areas swapped in the volumes": (
-        ("oil_at(ya, Aa * la, P[i + HOSE_A], f, E), oil_at(yb, Ab * (P", "oil_at(ya, Ab * la, P[i + HOSE_A], f, E), oil_at(yb, Aa * (P"),
+        (
+            "oil_at(ya, Aa * la, P[i + HOSE_A], f, E), oil_at(yb, Ab * (P",
+            "oil_at(ya, Ab * la, P[i + HOSE_A], f, E), oil_at(yb, Aa * (P",
+        ),
         {"N1", "N2", "N3", "N4"},
     ),
     "centrifugal force lost": (("w * w * mg - m * d", "-m * d"), {"Qv_z1", "Qv_z4"}),
     "velocity products of the loop lost": (("turned(apart)", "turned(0.0 * apart)"), {"Qv_z1", "Qv_z4"}),
-    "volume frozen": (("    V, wall = Al + Vh, Vh * f.wall", "    V, wall = 4e-3, Vh * f.wall"), {"N1", "N2", "N3", "N4"}),
-    "hose forgotten in the bulk modulus": (("V * k * f.soft + wall * k, k, k)", "V * k * f.soft, k, k)"), {"Be1", "Be2", "Be3", "Be4"}),
-    "oil that comes in weighs too much": (("s.numbers[k, OIL_A + DENSITY] * (Qa + leak_a)", "(Qa + leak_a)"), {"dp1", "dp3"}),
-    "payload's inertia forgotten": (("/ 12.0 + mass * square(E)", "* 0.0 + mass * square(E)"), {"M_z1_z1", "M_z1_z4", "M_z4_z4"}),
+    "volume frozen": (
+        ("    V, wall = Al + Vh, Vh * f.wall", "    V, wall = 4e-3, Vh * f.wall"),
+        {"N1", "N2", "N3", "N4"},
+    ),
+    "hose forgotten in the bulk modulus": (
+        ("V * k * f.soft + wall * k, k, k)", "V * k * f.soft, k, k)"),
+        {"Be1", "Be2", "Be3", "Be4"},
+    ),
+    "oil that comes in weighs too much": (
+        ("s.numbers[k, OIL_A + DENSITY] * (Qa + leak_a)", "(Qa + leak_a)"),
+        {"dp1", "dp3"},
+    ),
+    "payload's inertia forgotten": (
+        ("/ 12.0 + mass * square(E)", "* 0.0 + mass * square(E)"),
+        {"M_z1_z1", "M_z1_z4", "M_z4_z4"},
+    ),
     "half of gravity": (("s.numbers[j, MASS] * g, cross", "0.5 * s.numbers[j, MASS] * g, cross"), {"Qg_z1", "Qg_z4"}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -250,7 +265,9 @@ def test_an_effect_without_influence_is_not_called_a_success(crane: Crane) -> No
 
 
 def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -> None:
-    """Both sides the same engine, so that only the machinery is tested: all agrees, except that there is no order to see."""
+    """Both sides the same engine, so that only the machinery is tested: all agrees, except that there is no order to
+    see.
+    """
     seen: list[float] = []
 
     def make(c: Crane) -> SemiRecursiveEngine:

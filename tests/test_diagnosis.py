@@ -20,8 +20,10 @@ DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
 
 
-#: the case that is learned from its whole recording and held against the other one; the suite has no time for more, so the others are
-#: learned from 10 s (pump_droop from 7 s: after that both cylinders draw more than the drooping pump gives, and the library's law is not the plant's)
+#: the case that is learned from its whole recording and held against the other one; the suite has no time for more, so
+#: the others are
+#: learned from 10 s (pump_droop from 7 s: after that both cylinders draw more than the drooping pump gives, and the
+#: library's law is not the plant's)
 WITH_CHECK = "open_leak_lift"
 SECONDS = {"open_droop": 7.0}
 
@@ -55,7 +57,8 @@ def test_a_recording_without_motion_is_refused():
 
 #: a machine of the next size: by how much each kind of number in the crane file grows
 LARGER = {
-    ("joints", "com", "base", "rod_end", "empty_length", "chamber_range"): 1.25, ("bore", "rod"): 1.2, ("mass",): 2.0, ("inertia",): 3.0,
+    ("joints", "com", "base", "rod_end", "empty_length", "chamber_range"): 1.25, ("bore", "rod"): 1.2, ("mass",): 2.0,
+    ("inertia",): 3.0,
 }  # fmt: skip
 
 
@@ -126,13 +129,31 @@ LEAK, BIAS = "internal_leakage@lift", "sensor_bias@z1"
         (model(**WRONG), model(evidence=500.0), [], "parameters", ()),
         (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0), model(BIAS, 480.0)], "effect", (LEAK,)),
         (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0), model(BIAS, 495.0)], "tied", (LEAK,)),
-        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0), model(f"{BIAS} {LEAK}", 495.0)], "effect", (LEAK,)),
+        (
+            model(**WRONG),
+            model(evidence=100.0, **WRONG),
+            [model(LEAK, 500.0), model(f"{BIAS} {LEAK}", 495.0)],
+            "effect",
+            (LEAK,),
+        ),
         (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 108.0)], "unknown", ()),
         (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0, plausible=False)], "unknown", ()),
-        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0, False, level=1.5, bad=ALL)], "unknown", ()),
-        (model(**WRONG), model(evidence=100.0, **WRONG), [model(LEAK, 500.0, False, level=1.2, bad=np.arange(100) < 10)], "effect", (LEAK,)),
+        (
+            model(**WRONG),
+            model(evidence=100.0, **WRONG),
+            [model(LEAK, 500.0, False, level=1.5, bad=ALL)],
+            "unknown",
+            (),
+        ),
+        (
+            model(**WRONG),
+            model(evidence=100.0, **WRONG),
+            [model(LEAK, 500.0, False, level=1.2, bad=np.arange(100) < 10)],
+            "effect",
+            (LEAK,),
+        ),
     ],
-)  # fmt: skip
+)
 def test_the_verdict_is_a_function_of_the_path(given, parameters, weighed, kind, effects):
     found = verdict_of(path(given, parameters, *weighed))
     assert (found.kind, found.chosen.keys) == (kind, effects)
@@ -187,16 +208,25 @@ def concluded(verdict: str, before: float, after: float) -> Diagnosis:
     crane = Crane.load("patu655")
     effects = ("internal_leakage@lift",) if verdict == "effect" else ()
     return Diagnosis(
-        "r", verdict, crane.with_effect("internal_leakage@lift", {"k": 5e-12}), crane, {}, (), effects, notes=("a note",),
+        "r", verdict, crane.with_effect("internal_leakage@lift", {"k": 5e-12}), crane, {}, (), effects,
+        notes=("a note",),
         error_before=6.0, error_after=1.0, check_error_before=before, check_error_after=after,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("verdict", "before", "after", "plain"),
-    [("effect", 6.6e6, 6.6e6, False), ("effect", 30.0, 28.0, False), ("parameters", 4.0, 3.9, False), ("adequate", 9.0, 9.0, False),
-     ("effect", 30.0, 2.5, True), ("effect", 1.5, 1.4, True), ("adequate", 1.0, 1.0, True), ("effect", np.nan, np.nan, True)],
-)  # fmt: skip
+    [
+        ("effect", 6.6e6, 6.6e6, False),
+        ("effect", 30.0, 28.0, False),
+        ("parameters", 4.0, 3.9, False),
+        ("adequate", 9.0, 9.0, False),
+        ("effect", 30.0, 2.5, True),
+        ("effect", 1.5, 1.4, True),
+        ("adequate", 1.0, 1.0, True),
+        ("effect", np.nan, np.nan, True),
+    ],
+)
 def test_what_does_not_predict_the_check_recording_is_said_first_and_is_no_plain_verdict(verdict, before, after, plain):
     given = concluded(verdict, before, after)
     found = _held_to_check(given)

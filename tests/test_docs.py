@@ -79,7 +79,9 @@ def run_console(block: Block, where: str) -> None:
 
 
 def call(words: list[str]) -> tuple[int, str]:
-    """Return exit status and output of a command; a new process only where an effect of one's own has to be compiled in."""
+    """Return exit status and output of a command; a new process only where an effect of one's own has to be compiled
+    in.
+    """
     if words[0] == "python" or "--effects" in words:
         module = ["-m", "patu"] if words[0] == "patu" else []
         done = subprocess.run([sys.executable, *module, *words[1:]], capture_output=True, text=True, check=False)

@@ -1,4 +1,6 @@
-"""Recorded commands: a step stays a step, a ramp a ramp; spool positions do not depend on the grid they are asked on."""
+"""Recorded commands: a step stays a step, a ramp a ramp; spool positions do not depend on the grid they are asked
+on.
+"""
 
 import numpy as np
 import pytest

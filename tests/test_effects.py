@@ -120,13 +120,22 @@ def _spoilt(old, new, text=USER_EFFECT):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (_spoilt("(c, v, pa, pb, la, lb)", "(c, v)"), ["cylinder_force(c, v)", "cylinder_force(c, v, pa, pb, la, lb) -> F"]),
+        (
+            _spoilt("(c, v, pa, pb, la, lb)", "(c, v)"),
+            ["cylinder_force(c, v)", "cylinder_force(c, v, pa, pb, la, lb) -> F"],
+        ),
         (_spoilt("(c, v, pa, pb, la, lb)", "(c, v, *rest)"), ["cylinder_force(c, v, *rest)", "line 14"]),
-        (_spoilt("return -c", "return -drag"), ["cylinder_force", "drag", "Expected cylinder_force(c, v, pa, pb, la, lb) -> F"]),
+        (
+            _spoilt("return -c", "return -drag"),
+            ["cylinder_force", "drag", "Expected cylinder_force(c, v, pa, pb, la, lb) -> F"],
+        ),
         (_spoilt("return -c * v * abs(v)", "return 'much'"), ["cylinder_force", "'much'"]),
         (_spoilt("return -c * v * abs(v)", "return -c * v, 0.0"), ["cylinder_force", "-> F"]),
         (_spoilt("return -c * v * abs(v)", "return -c * v + {}['a']"), ["cylinder_force cannot be compiled"]),
-        (_spoilt("return -c * v * abs(v)", "return -c * v - 5.0"), ["cylinder_force returns -5", "at the neutral values"]),
+        (
+            _spoilt("return -c * v * abs(v)", "return -c * v - 5.0"),
+            ["cylinder_force returns -5", "at the neutral values"],
+        ),
         (_spoilt("return -c * v * abs(v)", "return -c * v ** 0.5"), ["cylinder_force returns nan at c = ", "v = -0.5"]),
         (_spoilt("places = CYLINDERS", 'places = "joints"'), ["cylinder_force cannot act at joints", "cylinders"]),
         (_spoilt("places = CYLINDERS", 'places = "lift"'), ["places is 'lift'"]),
@@ -135,7 +144,7 @@ def _spoilt(old, new, text=USER_EFFECT):
         (_spoilt('(Parameter("c", "N*s^2/m^2", 0.0, 0.0, 1e7, 1e5, "drag"),)', '("c",)'), ["Expected a Parameter"]),
         ("import sys\nsys.exit(3)\n", ["cannot be imported", "SystemExit"]),
     ],
-)  # fmt: skip
+)
 def test_a_law_that_does_not_fit_is_refused_in_one_line(tmp_path, text, words):
     file = tmp_path / "bad_effect.py"
     file.write_text(text, encoding="utf-8")

@@ -44,7 +44,8 @@ ENGINE = ExudynEngine(CRANE)
 def test_equals_exudyns_own_solver(crane):
     """One step for a batch, against one SolveDynamic a state.
 
-    Exudyn's rule is the trapezoidal one of the pressures, ours that of the amounts of oil: they differ by the third power of the step or more.
+    Exudyn's rule is the trapezoidal one of the pressures, ours that of the amounts of oil: they differ by the third
+    power of the step or more.
     """
     engine, naive = ExudynEngine(crane, accuracy=np.inf), SolveDynamicEngine(crane)
     states = moving_states(5, nx=len(engine.state_names))
@@ -411,7 +412,9 @@ def hold_tip(mbs, plant, number):
 
 
 def test_objects_of_ones_own_are_part_of_every_step():
-    """A load does what the effect does; a spring is followed as with finer steps; each machine of a batch has its own."""
+    """A load does what the effect does; a spring is followed as with finer steps; each machine of a batch has its
+    own.
+    """
     states = moving_states(3)
     pushed = ExudynEngine(CRANE.with_objects(lift_tip)).propagate(states, INPUTS, 1e-3)
     effect = ExudynEngine(CRANE.with_effect("tip_contact_force", {"F": 300.0, "T": 0.0})).propagate(

@@ -1,4 +1,6 @@
-"""The estimator on the crane: against filterpy, live against batch, and with everything that goes wrong in recordings."""
+"""The estimator on the crane: against filterpy, live against batch, and with everything that goes wrong in
+recordings.
+"""
 
 from __future__ import annotations
 
@@ -266,7 +268,9 @@ def test_single_spikes_are_rejected():
 
 
 def test_a_wrong_model_is_not_taken_for_wrong_sensors():
-    """A pump 40 bar too high and a valve 30 % too large: innovations grow, no sample is rejected, inconsistency is said."""
+    """A pump 40 bar too high and a valve 30 % too large: innovations grow, no sample is rejected, inconsistency is
+    said.
+    """
     wrong = CRANE.with_parameters(
         {"supply.pump_pressure": 140e5, "valves.lift.flow_coefficient": 1.3 * CRANE["valves.lift.flow_coefficient"]}
     )
@@ -299,7 +303,9 @@ def test_verdict_on_recordings_that_others_made(case, right):
 
 
 def test_a_recording_may_begin_in_motion():
-    """Cut out of the middle of a movement: rates and pressures change over the first samples, and nothing is rejected."""
+    """Cut out of the middle of a movement: rates and pressures change over the first samples, and nothing is
+    rejected.
+    """
     moving = cut(recording(every=5), 1.95, 1.0)
     estimate = estimator(noise=ProcessNoise((1e-7, 1e-7), (1e5,) * 4)).run(moving)
     assert abs(TRUTH[1950, 2]) > 0.1 and not estimate.events
@@ -323,7 +329,9 @@ def test_unknown_parameters_are_found(changes, name, tolerance):
 
 
 def test_unknown_inputs_are_found():
-    """A moment on the lift boom, a force on the outer boom, a leak into nowhere: each is found while the others are free."""
+    """A moment on the lift boom, a force on the outer boom, a leak into nowhere: each is found while the others are
+    free.
+    """
     engine = SemiRecursiveEngine(CRANE)
     disturbances = {"torque.O": 400.0, "force.y": -300.0, "flow.p2": -1e-5}
     states = [engine.static_start(0.2, -0.75)]
@@ -469,7 +477,9 @@ def test_a_failing_engine_restarts_the_filter_and_is_told():
 
 
 def test_unphysical_sigma_points_keep_mean_and_covariance():
-    """Carrying the excess through leaves the statistics of a state at the vapour floor as they are; clipping would not."""
+    """Carrying the excess through leaves the statistics of a state at the vapour floor as they are; clipping would
+    not.
+    """
     bounds = Bounds(np.array([0.0, -np.inf]), np.array([np.inf, np.inf]))
     belief, weights = Belief(np.array([0.5, 1.0]), np.array([[4.0, 1.0], [1.0, 2.0]])), merwe(2)
     from ukf import filter as kf

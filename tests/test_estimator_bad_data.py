@@ -95,7 +95,9 @@ def test_one_wrong_first_sample_does_not_lock_a_live_filter(name):
 
 
 def test_a_state_that_no_sensor_fits_is_given_up():
-    """Without p2 a void in it is not seen; the sensors of the other chambers speak against it, but none of them leaps."""
+    """Without p2 a void in it is not seen; the sensors of the other chambers speak against it, but none of them
+    leaps.
+    """
     running, _, _ = live(20, {}, FOUR)
     lost = running.belief.mean.copy()
     lost[[4, 5]] -= (7e5, 200e5)
@@ -162,7 +164,9 @@ def test_a_later_time_that_is_none_is_left_out_and_told(stamp):
 
 
 def test_a_long_pause_is_not_predicted_through():
-    """Ten minutes would be 120,000 steps; the estimator goes on from what the sensors show, and keeps what it found out."""
+    """Ten minutes would be 120,000 steps; the estimator goes on from what the sensors show, and keeps what it found
+    out.
+    """
     engine = SemiRecursiveEngine(CRANE)
     running = Estimator(CRANE, engine, STD, QUIET, max_step=5e-3, augment=("payload.mass",))
     running.step((0.0, 0.0), SAMPLE, 0.0)

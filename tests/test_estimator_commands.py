@@ -89,7 +89,8 @@ def test_paper_writes_figures_and_the_json_of_the_contract(tmp_path, capsys, mon
     monkeypatch.setattr(paper, "real_system", lambda *a, **k: original(*a, **(k | {"duration": 2.5})))
     document = tmp_path / "paper.json"
     status, said, _ = call(
-        capsys, "paper", "--error", "0.15", "--inputs", "1", "--engine", "semi-recursive", "-o", str(tmp_path), "--json",
+        capsys, "paper", "--error", "0.15", "--inputs", "1", "--engine", "semi-recursive", "-o", str(tmp_path),
+        "--json",
         str(document),
     )  # fmt: skip
     assert status == 0 and "published" in said and "own means" in said

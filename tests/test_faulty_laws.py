@@ -45,7 +45,8 @@ def spoil(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Crane]:
 @pytest.mark.parametrize(
     "key",
     [
-        "internal_leakage@lift", "external_leakage@p3", "seal_friction@tilt", "joint_viscous_friction@O", "base_tilt", "pump_droop",
+        "internal_leakage@lift", "external_leakage@p3", "seal_friction@tilt", "joint_viscous_friction@O", "base_tilt",
+        "pump_droop",
         "meter_out_restriction@lift", "command_delay@tilt",
     ],
 )  # fmt: skip

@@ -1,4 +1,6 @@
-"""The fitting machinery: algebra against dense solutions, laws against closed forms, a fit against what made the data."""
+"""The fitting machinery: algebra against dense solutions, laws against closed forms, a fit against what made the
+data.
+"""
 
 import math
 

@@ -140,7 +140,10 @@ def test_parquet_units_in_names(tmp_path: Path) -> None:
 def test_parquet_units_in_metadata_and_time_stamps(tmp_path: Path) -> None:
     start = datetime.datetime(2024, 5, 17, 8, 0, tzinfo=datetime.UTC)
     stamps = pa.array([start + datetime.timedelta(seconds=float(t)) for t in FAST], pa.timestamp("us", "UTC"))
-    fields = [pa.field("time", stamps.type), *(pa.field(n, pa.float64(), metadata={"unit": u}) for n, u in (("z1", "deg"), ("p1", "bar")))]  # fmt: skip
+    fields = [
+        pa.field("time", stamps.type),
+        *(pa.field(n, pa.float64(), metadata={"unit": u}) for n, u in (("z1", "deg"), ("p1", "bar"))),
+    ]
     columns = _on_fast_clock()
     pq.write_table(pa.table([stamps, columns["z1"], columns["p1"]], pa.schema(fields)), tmp_path / "lift.parquet")
     check(Recording.load(tmp_path / "lift.parquet"))

@@ -1,7 +1,8 @@
-"""Mutated recordings, crane files and command lines: an answer or one message, never a fault, never a lost or half-written file.
+"""Mutated recordings, crane files and command lines: an answer or one message, never a fault, never a lost or
+half-written file.
 
-Every case follows from its kind and its number alone, so that one that fails can be run again. PATU_FUZZ_FIRST and PATU_FUZZ_COUNT
-choose other numbers than those of the suite.
+Every case follows from its kind and its number alone, so that one that fails can be run again. PATU_FUZZ_FIRST and
+PATU_FUZZ_COUNT choose other numbers than those of the suite.
 """
 
 from __future__ import annotations
@@ -37,11 +38,13 @@ FAST = ("--engine", "semi-recursive")
 Clean = dict[tuple[str, ...], dict[str, object]]
 #: fields of a CSV that no logger should write, or that only some readers understand
 FIELDS = (
-    "", " ", "NaN", "nan", "inf", "-inf", "1e308", "-1e308", "1e400", "-0", "abc", "1,5", "0x10", "1_000", "١", "−5", "--5", "1e",
+    "", " ", "NaN", "nan", "inf", "-inf", "1e308", "-1e308", "1e400", "-0", "abc", "1,5", "0x10", "1_000", "١", "−5",
+    "--5", "1e",
     "null", "#N/A", "true", '"3.5"', '"', "1.5.3", "1 000", "9" * 400, "1e-320", "\x00", "=1+1", "2026-01-01T00:00:00",
 )  # fmt: skip
 UNITS = (
-    "", "bar", "°", "deg", "rad", "Grad", "furlong", "psi", "ms", "h", "1/0", "9**9**9", "deg*inf", "Pa**-1", "[deg", "deg]", "%", "-",
+    "", "bar", "°", "deg", "rad", "Grad", "furlong", "psi", "ms", "h", "1/0", "9**9**9", "deg*inf", "Pa**-1", "[deg",
+    "deg]", "%", "-",
     "degC", "s]s[", "m/s", "1e400 bar", "dB", "mrad", "kPa", "min", "ns", "year", "0 bar", "-1 s", "nan bar",
 )  # fmt: skip
 NAMES = (
@@ -162,7 +165,8 @@ def _clock(table: Table, draw: random.Random) -> None:
     jump = draw.choice((1e9, 3600.0, 10.0, -0.05, -1e9, 1e300, 0.004))
     change = draw.choice(
         (
-            lambda v: v + jump * (v >= at * STEP - 1e-9), lambda v: at * STEP, lambda v: -v, lambda v: v + jump, lambda v: v * jump,
+            lambda v: v + jump * (v >= at * STEP - 1e-9), lambda v: at * STEP, lambda v: -v, lambda v: v + jump,
+            lambda v: v * jump,
             lambda v: round(v, 1), lambda v: v + 1.7e9, lambda v: min(v, at * STEP),
         )
     )  # fmt: skip
@@ -339,18 +343,27 @@ def recording_case(columns: dict[str, np.ndarray], draw: random.Random) -> Case:
 
 #: values of TOML that no crane has, or that only some have
 VALUES = (
-    "nan", "inf", "-inf", "0", "-1", "1e308", "-1e308", "1e-308", "1" + 400 * "0", "true", '""', '"abc"', '"25,5 kg"', '"1 furlong"', '"100 bar"',
-    '"9**9**9 m"', "[]", "[1]", "[1, 2]", "[1, 2, 3]", '["a", "b"]', "{}", "{ a = 1 }", "1979-05-27", '"5 %"', '"nan m"', '"inf m"', "1e3", "1e9",
-    '"-3 deg"', "{ std = 0 }", "{ lower = 5, upper = 1 }", '"\\u0000"', '"absolute"', '"gauge"', "1e-6", '"1e400 m"', "0x10", '"0 m"',
+    "nan", "inf", "-inf", "0", "-1", "1e308", "-1e308", "1e-308", "1" + 400 * "0", "true", '""', '"abc"', '"25,5 kg"',
+    '"1 furlong"', '"100 bar"',
+    '"9**9**9 m"', "[]", "[1]", "[1, 2]", "[1, 2, 3]", '["a", "b"]', "{}", "{ a = 1 }", "1979-05-27", '"5 %"',
+    '"nan m"', '"inf m"', "1e3", "1e9",
+    '"-3 deg"', "{ std = 0 }", "{ lower = 5, upper = 1 }", '"\\u0000"', '"absolute"', '"gauge"', "1e-6", '"1e400 m"',
+    "0x10", '"0 m"',
 )  # fmt: skip
 EFFECTS = (
-    'name = "dead_band"', 'name = 5\nplace = "lift"', 'name = "dead_band"\nplace = "tilt"\nparameters = { lower = nan }', "place = 1",
-    'name = "dead_band"\nplace = "boom"', 'name = "pump_droop"\nparameters = { R = 1e300 }', 'name = "seal_friction"\nplace = "lift"\nparameters = 7',
+    'name = "dead_band"', 'name = 5\nplace = "lift"', 'name = "dead_band"\nplace = "tilt"\nparameters = { lower = nan '
+                                                      '}', "place = 1",
+    'name = "dead_band"\nplace = "boom"', 'name = "pump_droop"\nparameters = { R = 1e300 '
+                                          '}', 'name = "seal_friction"\nplace = "lift"\nparameters = 7',
     'name = "internal_leakage"\nplace = "lift"\nparameters = { k = "2,5e-12 m^3/s/Pa" }', 'name = ["dead_band"]',
-    'name = "sensor_bias"\nplace = "p4"\nparameters = { bias = "3 bar", bais = 1 }', 'name = "payload_swing"\nparameters = { length = 1e-9 }',
-    'name = "payload_swing"\nparameters = { length = 1.0 }', 'name = "entrained_air"\nparameters = { share = 0.9 }', 'nam = "dead_band"',
-    'name = "structural_compliance"\nplace = "tilt"\nparameters = { c = 1 }', 'name = "end_stop"\nplace = "lift"', 'name = "x\\ny"',
-    'name = "command_delay"\nplace = "lift"\nparameters = { T = 1e9 }', 'name = "dead_band@lift"', 'name = "base_tilt"\nparameters = { tilt = "90 deg" }',
+    'name = "sensor_bias"\nplace = "p4"\nparameters = { bias = "3 bar", bais = 1 '
+    '}', 'name = "payload_swing"\nparameters = { length = 1e-9 }',
+    'name = "payload_swing"\nparameters = { length = 1.0 }', 'name = "entrained_air"\nparameters = { share = 0.9 '
+                                                             '}', 'nam = "dead_band"',
+    'name = "structural_compliance"\nplace = "tilt"\nparameters = { c = 1 '
+    '}', 'name = "end_stop"\nplace = "lift"', 'name = "x\\ny"',
+    'name = "command_delay"\nplace = "lift"\nparameters = { T = 1e9 '
+    '}', 'name = "dead_band@lift"', 'name = "base_tilt"\nparameters = { tilt = "90 deg" }',
 )  # fmt: skip
 
 
@@ -408,8 +421,18 @@ def crane_case(draw: random.Random) -> Case:
     if draw.random() < 0.2:
         at = draw.randrange(len(data))
         data = draw.choice(
-            (data[:at], data[:at] + b"\xff\xfe" + data[at:], b"\xef\xbb\xbf" + data, text.encode("utf-16"), b"", draw.randbytes(300), data.replace(b"\n", b"\r\n"), b"[" * 5000, data[:at] + b"\x00" + data[at:])
-        )  # fmt: skip
+            (
+                data[:at],
+                data[:at] + b"\xff\xfe" + data[at:],
+                b"\xef\xbb\xbf" + data,
+                text.encode("utf-16"),
+                b"",
+                draw.randbytes(300),
+                data.replace(b"\n", b"\r\n"),
+                b"[" * 5000,
+                data[:at] + b"\x00" + data[at:],
+            )
+        )
     Path("odd.toml").write_bytes(data)
     words = draw.choice(
         (
@@ -437,10 +460,14 @@ def crane_case(draw: random.Random) -> Case:
 # -- command lines ---------------------------------------------------------------------------------------------------
 
 WORDS = (
-    "", " ", "-", "--", "-o", "l.csv", "./l.csv", "../l.csv", "nowhere.csv", "nodir/x.csv", ".", "/", "/dev/null", "/dev/full", "nan", "inf", "-inf", "0",
-    "-1", "1e-3", "1e400", "1e-300", "ü", "x" * 300, "a\nb", "a=b", "z1=", "=z1", "z1=z4[deg]", "patu655", "patu66", "exudyn", "semi-recursive", "true", "None",
-    "out.csv", "out.json", "out.xyz", "out.mat", "out.parquet", "out.csv.gz", "old.json", "payload.mass", "dead_band@tilt", "lower=0.1", "lower=1,5", "p1", "ukf",
-    "$HOME", "~", "*.csv", "%s", "{}", "\\", "'", '"', "\x00", "\ud800", "1_000", "٣", "--json", "--force", "--help", "--no-such", "-j", "-h",
+    "", " ", "-", "--", "-o", "l.csv", "./l.csv", "../l.csv", "nowhere.csv", "nodir/x.csv", ".", "/", "/dev/null",
+    "/dev/full", "nan", "inf", "-inf", "0",
+    "-1", "1e-3", "1e400", "1e-300", "ü", "x" * 300, "a\nb", "a=b", "z1=", "=z1", "z1=z4[deg]", "patu655", "patu66",
+    "exudyn", "semi-recursive", "true", "None",
+    "out.csv", "out.json", "out.xyz", "out.mat", "out.parquet", "out.csv.gz", "old.json", "payload.mass",
+    "dead_band@tilt", "lower=0.1", "lower=1,5", "p1", "ukf",
+    "$HOME", "~", "*.csv", "%s", "{}", "\\", "'", '"', "\x00", "\ud800", "1_000", "٣", "--json", "--force", "--help",
+    "--no-such", "-j", "-h",
 )  # fmt: skip
 #: what ends the commands that would work for minutes
 STOPPERS = (
@@ -623,12 +650,15 @@ def test_an_answer_or_one_message(
 
 SOUND = {"z1": 0.2, "z4": -0.75, "p1": 48.7e5, "p4": 37.7e5}
 SENSORS = {"z1": 1e-3, "z4": 1e-3, "p1": 1e5, "p4": 1e5}
-#: what a program may hand over in place of a number, of the commands, of the readings, and seconds by which a clock may leap
+#: what a program may hand over in place of a number, of the commands, of the readings, and seconds by which a clock may
+#: leap
 ODD_NUMBERS = (
-    float("nan"), float("inf"), -float("inf"), 1e308, -1e9, 0.0, None, "0.2", "bar", [1.0], {}, True, 1 + 2j, np.float32(0.1),
+    float("nan"), float("inf"), -float("inf"), 1e308, -1e9, 0.0, None, "0.2", "bar", [1.0], {}, True, 1 + 2j,
+    np.float32(0.1),
 )  # fmt: skip
 ODD_COMMANDS = (
-    0.5, [], [0.0], [0.0] * 3, {"u1": 0.0}, {"u9": 1.0, "u1": 0.0}, None, "u1", np.zeros((2, 2)), [[0.0], 0.0], [True, 0.0],
+    0.5, [], [0.0], [0.0] * 3, {"u1": 0.0}, {"u9": 1.0, "u1": 0.0}, None, "u1", np.zeros((2, 2)), [[0.0], 0.0],
+    [True, 0.0],
 )  # fmt: skip
 ODD_READINGS = (SOUND | {"z9": 1.0}, {1: 0.2}, [0.2, -0.75], None, "z1")
 LEAPS = (-1e9, -1.0, -1e-3, 0.0, 1e-12, 5.0, 600.0, 1e9)
@@ -693,7 +723,9 @@ def test_after_odd_live_calls_the_sensors_are_followed_again(crane: Crane, numbe
 
 
 @pytest.fixture
-def odd(patu: Callable[..., SimpleNamespace], sound: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., str]:  # fmt: skip
+def odd(
+    patu: Callable[..., SimpleNamespace], sound: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Callable[..., str]:
     """Run a command line on odd.csv, the sound recording with one column changed; return the one message."""
     monkeypatch.chdir(tmp_path)
 

@@ -250,7 +250,8 @@ def test_plans_hide_every_effect_and_every_kind() -> None:
     assert first == set(hidden.SEVERITIES), "each effect once before any comes again"
 
 
-#: one machine without a secret, one with an effect, one with a law that the library lacks; the seeds were fixed before looking
+#: one machine without a secret, one with an effect, one with a law that the library lacks; the seeds were fixed before
+#: looking
 FIXED_SEEDS = (7001, 7004, 7007)
 #: seconds of each that are learned from: the suite has no time for all 25
 LEARNED = 15.0
@@ -258,7 +259,9 @@ LEARNED = 15.0
 
 @pytest.mark.parametrize("seed", FIXED_SEEDS)
 def test_hidden_case_is_diagnosed(seed: int) -> None:
-    """The plant runs on the Exudyn engine, the diagnosis searches on the other; no seed was tried before it was written here."""
+    """The plant runs on the Exudyn engine, the diagnosis searches on the other; no seed was tried before it was written
+    here.
+    """
     plain = {"noise": 0, "sensors": 0, "rate": 100, "visible": (10.0, math.inf)}
     case = hidden.make_case(seed, **(study.planned(seed) | plain))
     case = replace(case, learn=case.learn.window(0.0, LEARNED))

@@ -1,4 +1,6 @@
-"""Layout: the places of a made-up machine, what the PATU's compiled code assumes of them, and that nothing else slices a state."""
+"""Layout: the places of a made-up machine, what the PATU's compiled code assumes of them, and that nothing else slices
+a state.
+"""
 
 import ast
 import dataclasses
@@ -19,9 +21,11 @@ from validation.phases import Phase
 ROOT = Path(__file__).resolve().parent.parent
 #: boom, arm and bucket; the arm's absolute angle is that of the boom and its own
 DIGGER = Layout(
-    coordinates=("boom", "arm", "bucket"), joints=("J1", "J2", "J3"), bodies=("main_boom", "arm", "bucket"), parents=("", "boom", "arm"),
+    coordinates=("boom", "arm", "bucket"), joints=("J1", "J2", "J3"), bodies=("main_boom", "arm", "bucket"),
+    parents=("", "boom", "arm"),
     cylinders=("left", "middle", "right"), sides=(("a1", "b1"), ("a2", "b2"), ("a3", "b3")), loaded=("a1", "b2", "a3"),
-    lengths=("x1", "x2", "x3"), commands=("c1", "c2", "c3"), voltages=("V1", "V2", "V3"), driven=("boom", "bucket", "arm"), added=("swing",),
+    lengths=("x1", "x2", "x3"), commands=("c1", "c2", "c3"), voltages=("V1", "V2", "V3"),
+    driven=("boom", "bucket", "arm"), added=("swing",),
 )  # fmt: skip
 
 
@@ -125,21 +129,28 @@ def test_compiled_code_has_the_order_of_the_layout():
 #: what slices a state or the inputs, or counts their parts
 SLICE = re.compile(
     r"[:.], ?(:[248]|2:4?|4:8?|8:)\]|\b(x|x0|state|mean|deviation|w|lower|upper|out|held|p)\[(:[248]|2:4?|4:8?|8:?|9)\]"
-    r"|(range|slice)\((0, 2|2, 4|4, 8)\)|> 8\b|4 <= \w+(\[\w\])? < 8\b|== (8|10)\b|for (?!_|side\b|axis\b)\w+ in range\([24]\)"
+    r"|(range|slice)\((0, 2|2, 4|4, 8)\)|> 8\b|4 <= \w+(\[\w\])? < 8\b|== (8|10)\b|for (?!_|side\b|axis\b)\w+ in "
+    r"range\([24]\)"
 )
 LAYOUT = Crane.load("patu655").layout
 NAMES = {
-    *LAYOUT.states, *LAYOUT.joints, *LAYOUT.bodies, *LAYOUT.cylinders, *LAYOUT.lengths, *LAYOUT.commands, *LAYOUT.voltages,
+    *LAYOUT.states, *LAYOUT.joints, *LAYOUT.bodies, *LAYOUT.cylinders, *LAYOUT.lengths, *LAYOUT.commands,
+    *LAYOUT.voltages,
     *LAYOUT.torques, *LAYOUT.flows, *(s.name for s in of(LAYOUT)),
 }  # fmt: skip
 #: what is the PATU's own: the paper, recordings drawn for it
 OWN = {
-    "patu/paper.py", "validation/paper.py", "validation/paper_figures.py", "validation/hidden.py", "validation/hidden_plant.py",
+    "patu/paper.py", "validation/paper.py", "validation/paper_figures.py", "validation/hidden.py",
+    "validation/hidden_plant.py",
 }  # fmt: skip
 #: what may fall back on the layout of patu655: where a user names no crane, and the PATU's own studies
 DEFAULTS = {
-    "crane_exudyn/recording.py", "crane_exudyn/plots.py", "ukf/estimate.py", "validation/hidden.py", "validation/study.py"
-}  # fmt: skip
+    "crane_exudyn/recording.py",
+    "crane_exudyn/plots.py",
+    "ukf/estimate.py",
+    "validation/hidden.py",
+    "validation/study.py",
+}
 
 
 def sources() -> dict[str, str]:
@@ -155,7 +166,9 @@ def _words_of(node: ast.AST) -> set[object]:
 
 
 def _knows_one_machine(text: str) -> bool:
-    """Return whether a source slices a state by numbers, or calls one of the PATU's channels, cylinders or bodies by its name."""
+    """Return whether a source slices a state by numbers, or calls one of the PATU's channels, cylinders or bodies by
+    its name.
+    """
     return bool(SLICE.search(text)) or any(_words_of(node) & NAMES for node in ast.walk(ast.parse(text)))
 
 

@@ -1,4 +1,6 @@
-"""Learning laws: the screen finds smoothness and place, curves are read as simple forms, and a law becomes a user's own effect."""
+"""Learning laws: the screen finds smoothness and place, curves are read as simple forms, and a law becomes a user's own
+effect.
+"""
 
 import subprocess
 import sys

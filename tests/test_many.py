@@ -106,13 +106,17 @@ def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monke
 
 
 def grown(crane: Crane, predicted: float) -> Many:
-    """Return a search that took in one effect and leaves that error where the model before leaves 20 times the noise; the range is 100."""
+    """Return a search that took in one effect and leaves that error where the model before leaves 20 times the noise;
+    the range is 100.
+    """
     with_effect = crane.with_effect("dead_band@lift", {"upper": 0.1})
     errors = {"p1": predicted}
     return Many(
-        with_effect, (Taken("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}),), {"p1": 30.0}, errors,
+        with_effect, (Taken("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}),), {"p1": 30.0},
+        errors,
         {"dead_band@lift": 40.0}, {"dead_band@lift": {"p1": 25.0}}, {"p1": 20.0}, errors,
-        {"dead_band@lift:upper": 0.01, "fluid.oil_bulk_modulus": 5e6}, {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},
+        {"dead_band@lift:upper": 0.01, "fluid.oil_bulk_modulus": 5e6},
+        {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},
         {"fluid.oil_bulk_modulus": 3.6, "payload.mass": 0.4}, {"p1": 100.0},
     )  # fmt: skip
 

@@ -29,7 +29,9 @@ TOUCHED = (
 
 
 def trajectory(time: np.ndarray = TIME) -> np.ndarray:
-    """Return states (n, 8) that rest for a quarter of a second and move on smoothly; chamber p2 comes to hold a void."""
+    """Return states (n, 8) that rest for a quarter of a second and move on smoothly; chamber p2 comes to hold a
+    void.
+    """
     t = np.maximum(time - 0.25, 0.0)
     swing, rate = 1.0 - np.cos(3.0 * t), 3.0 * np.sin(3.0 * t)
     zero = np.zeros_like(t)
@@ -42,7 +44,9 @@ def trajectory(time: np.ndarray = TIME) -> np.ndarray:
 
 
 def everywhere(crane: Crane, names: tuple[str, ...] = ALL) -> dict[str, np.ndarray]:
-    """Return what the sensors show along the trajectory (n, m), as a simulation, the filter, and a fit and a comparison say."""
+    """Return what the sensors show along the trajectory (n, m), as a simulation, the filter, and a fit and a comparison
+    say.
+    """
     X = trajectory()
     columns = [ALL.index(n) for n in names]
     found = {"simulate": sensed(crane, X, TIME)[:, columns]}
@@ -79,7 +83,8 @@ def test_a_perfect_sensor_shows_its_quantity() -> None:
     z1, z4, dz1, dz4, p1, p2, p3, p4 = X.T
     lengths = pose(CRANE, z1, z4).lengths
     expected = {
-        "z1": z1, "z4": z4, "z4_abs": z1 + z4, "dz1": dz1, "dz4": dz4, "dz4_abs": dz1 + dz4, "p1": p1, "p2": np.maximum(p2, 0.0),
+        "z1": z1, "z4": z4, "z4_abs": z1 + z4, "dz1": dz1, "dz4": dz4, "dz4_abs": dz1 + dz4, "p1": p1,
+        "p2": np.maximum(p2, 0.0),
         "p3": p3, "p4": p4, "s1": lengths[:, 0], "s2": lengths[:, 1],
     }  # fmt: skip
     assert p2.min() < 0.0

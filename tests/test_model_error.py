@@ -1,4 +1,6 @@
-"""Intervals that hold when the model is wrong: coverage of what no sensor measures, no loss where the model is right, bookkeeping."""
+"""Intervals that hold when the model is wrong: coverage of what no sensor measures, no loss where the model is right,
+bookkeeping.
+"""
 
 from __future__ import annotations
 

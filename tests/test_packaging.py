@@ -71,7 +71,11 @@ def test_every_dependency_that_may_break_has_an_upper_bound() -> None:
 
 
 def test_every_dependency_is_imported_somewhere() -> None:
-    source = "\n".join(p.read_text() for package in ("crane_exudyn", "ukf", "validation", "patu") for p in (ROOT / package).rglob("*.py"))  # fmt: skip
+    source = "\n".join(
+        p.read_text()
+        for package in ("crane_exudyn", "ukf", "validation", "patu")
+        for p in (ROOT / package).rglob("*.py")
+    )
     module = {"pillow": "PIL"}
     names = {re.split(r"[<>=\[]", d)[0] for d in PROJECT["dependencies"]}
     unused = [n for n in names if not re.search(rf"\b(import|from) {module.get(n, n)}\b", source)]
@@ -98,7 +102,12 @@ def package_files() -> set[str]:
     """Return the files that must be in a package: all sources and everything that is read at run time."""
     endings = {".py", ".toml", ".j2", ".typed", ".css", ".gz"}
     folders = ("crane_exudyn", "ukf", "validation", "patu")
-    return {str(p.relative_to(ROOT)) for f in folders for p in (ROOT / f).rglob("*") if p.suffix in endings or p.name == "py.typed"}  # fmt: skip
+    return {
+        str(p.relative_to(ROOT))
+        for f in folders
+        for p in (ROOT / f).rglob("*")
+        if p.suffix in endings or p.name == "py.typed"
+    }
 
 
 def test_wheel_and_sdist_hold_every_file(built: tuple[Path, Path]) -> None:

@@ -46,7 +46,9 @@ def test_input_sets_move_both_booms_within_their_strokes(inputs):
 
 
 def test_published_goal_is_reached_by_the_estimators_own_means():
-    """Every state at or below the published error and inside its 95 % interval at least 90 % of the time; payload to 5 %."""
+    """Every state at or below the published error and inside its 95 % interval at least 90 % of the time; payload to 5
+    %.
+    """
     case = paper.run_case(0.15, 1, FAST, 0, tuning="own")
     assert case.published == paper.PUBLISHED
     for state, published in paper.PUBLISHED.items():
@@ -99,7 +101,9 @@ def test_reproduce_in_order_and_with_the_contract_keys():
 
 
 def test_sensors_noise_and_filter_may_be_ones_own():
-    """Gauges of 0.15 bar by name of the tuning or by number are the same case; a filter of one's own gets what was seen."""
+    """Gauges of 0.15 bar by name of the tuning or by number are the same case; a filter of one's own gets what was
+    seen.
+    """
     quiet = paper.run_case(0.15, 1, FAST, 0, tuning="paper-0.15-bar", duration=0.5)
     same = paper.run_case(0.15, 1, FAST, 0, noise={"p1": 0.15e5, "p4": 0.15e5}, duration=0.5)
     assert same.rmse == quiet.rmse and quiet.experiment.sensors["p1"] == 0.15e5

@@ -1,4 +1,6 @@
-"""Checks of the engine against things that nobody here chose: conservation laws, closed forms, eigenvalues, order of convergence."""
+"""Checks of the engine against things that nobody here chose: conservation laws, closed forms, eigenvalues, order of
+convergence.
+"""
 
 import math
 
@@ -12,8 +14,12 @@ from crane_exudyn.errors import CraneError
 
 CRANE = Crane.load("patu655")
 SMOOTH = CRANE.with_parameters(
-    {f"cylinders.{c}.{p}": 0.0 for c in ("lift", "tilt") for p in ("coulomb_friction", "static_friction", "viscous_friction")}
-)  # fmt: skip
+    {
+        f"cylinders.{c}.{p}": 0.0
+        for c in ("lift", "tilt")
+        for p in ("coulomb_friction", "static_friction", "viscous_friction")
+    }
+)
 AREAS = (math.pi / 4 * 0.1**2, math.pi / 4 * (0.1**2 - 0.056**2)) * 2
 POSE = (0.35, -0.8)
 
@@ -51,7 +57,9 @@ class Chamber:
         return p + self.area / self.b * np.log(self.a + self.b * self.length(s))
 
     def energy(self, s, p):
-        """Return the energy stored by compression in J: minus the integral of p A dl along the closed chamber's path."""
+        """Return the energy stored by compression in J: minus the integral of p A dl along the closed chamber's
+        path.
+        """
         x, l = self.a + self.b * self.length(s), self.length(s)
         return -self.area * (self.oil(s, p) * l - self.area / self.b**2 * x * (np.log(x) - 1.0))
 
@@ -184,7 +192,8 @@ def test_static_start_is_refused_where_it_cannot_be():
 
 
 def test_steady_lift_speed_is_flow_over_area():
-    """Where pressures have settled, A1 v = Cv U sqrt(pp - p1), A2 v = Cv U q(p2 - pt), and the forces balance: solved here.
+    """Where pressures have settled, A1 v = Cv U sqrt(pp - p1), A2 v = Cv U q(p2 - pt), and the forces balance: solved
+    here.
 
     The load changes slowly with the pose, so that the oil's own rate of change is left: under 1 % of the flow.
     """
@@ -219,7 +228,8 @@ def hydraulic_stiffness(terms):
 def state_matrix(engine, state):
     """Return d(dz, ddz, dp)/dx (8, 8) by central differences of what Exudyn assembles, reduced by its own G.
 
-    Accelerations come from the saddle point system [M G^T; G 0] [a; lambda] = [f; -dG/dt v] at rest (v = 0 to first order).
+    Accelerations come from the saddle point system [M G^T; G 0] [a; lambda] = [f; -dG/dt v] at rest (v = 0 to first
+    order).
     """
 
     def rates(x):
@@ -236,7 +246,9 @@ def state_matrix(engine, state):
 
 
 def test_natural_frequencies():
-    """Two pairs of eigenvalues of the assembled system, against M, D^T k D and the geometric stiffness by hand, and against a run."""
+    """Two pairs of eigenvalues of the assembled system, against M, D^T k D and the geometric stiffness by hand, and
+    against a run.
+    """
     engine = ExudynEngine(SMOOTH)
     start = engine.static_start(*POSE)
     eigenvalues = np.linalg.eigvals(state_matrix(engine, start))

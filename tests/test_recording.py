@@ -164,12 +164,29 @@ GERMAN = "time[s];z1[deg];p1[bar]\n0,000;10,25;-1,5e1\n0,005;;40,0\n"
         GERMAN.replace(",", ".").replace(";", " , ").encode(),
         GERMAN.replace("\n", ";\n").encode(),
         GERMAN.rstrip("\n").encode(),
-        '"time[s]","z1[deg]","p1[bar]"\n"0,000","10,25","-15"\n"0.005","","40"\n'.replace("0,000", "0").replace(",25", ".25").encode(),
+        '"time[s]","z1[deg]","p1[bar]"\n"0,000","10,25","-15"\n"0.005","","40"\n'.replace("0,000", "0")
+        .replace(",25", ".25")
+        .encode(),
         gzip.compress(GERMAN.encode()),
     ],
-    ids=["semicolons", "bom", "utf16", "cp1252", "degree-sign", "crlf", "cr", "tabs", "points", "commas", "spaces",
-         "trailing", "no-last-newline", "quoted", "gzip"],
-)  # fmt: skip
+    ids=[
+        "semicolons",
+        "bom",
+        "utf16",
+        "cp1252",
+        "degree-sign",
+        "crlf",
+        "cr",
+        "tabs",
+        "points",
+        "commas",
+        "spaces",
+        "trailing",
+        "no-last-newline",
+        "quoted",
+        "gzip",
+    ],
+)
 def test_dialects_of_csv_read_the_same(tmp_path: Path, data: bytes) -> None:
     recording = read(tmp_path, data)
     np.testing.assert_allclose(recording["z1"].values, [math.radians(10.25)], rtol=1e-15)

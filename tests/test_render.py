@@ -24,7 +24,9 @@ SMALL = (320, 180)
 
 
 def motion(label="measured", off=0.0, crane=CRANE):
-    """Return a motion that lifts the first body, lowers the last one and slides out what slides, off by so many degrees (or cm)."""
+    """Return a motion that lifts the first body, lowers the last one and slides out what slides, off by so many degrees
+    (or cm).
+    """
     layout = crane.layout
     rates = np.where(layout.slides, 1.5, np.linspace(8.0, -6.0, len(layout.coordinates)))
     differences = off * np.linspace(1.0, -2.0, len(layout.coordinates))

@@ -74,7 +74,8 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def text():
     return report.render(
-        "Lift <test>", "The model explains it.", example_sections(), command="patu compare 'a b.csv'", seed=7, mood="good",
+        "Lift <test>", "The model explains it.", example_sections(), command="patu compare 'a b.csv'", seed=7,
+        mood="good",
         parameters={"payload.mass": 25.0},
     )  # fmt: skip
 
@@ -191,7 +192,8 @@ def test_browser_shows_every_picture_without_complaint(tmp_path):
     path = report.write_report(tmp_path, "T", "V", example_sections())
     probe = (
         "<script>addEventListener('load',()=>{const i=[...document.images];document.title="
-        "i.length+' '+i.filter(x=>x.complete&&x.naturalWidth>500).length+' '+(document.body.scrollWidth<=innerWidth)})</script>"
+        "i.length+' '+i.filter(x=>x.complete&&x.naturalWidth>500).length+' "
+        "'+(document.body.scrollWidth<=innerWidth)})</script>"
     )
     path.write_text(path.read_text().replace("</body>", probe + "</body>"))
     dom, said = browse(path, tmp_path / "profile", "--window-size=390,844", "--dump-dom")
@@ -278,7 +280,8 @@ def example_estimate():
     one = np.array([[0.1], [0.2], [0.3]])
     return Estimate(
         np.array([0.0, 0.1, 0.2]), ("z1", "payload.mass"), ("z1",), np.hstack([one, 100 * one]), np.hstack([one, one]),
-        one, 0.01 * one, 0.1 * one, np.zeros((3, 1), np.uint8), np.ones(3), np.ones(3), 0.0, (), np.zeros((3, 4)), "patu655",
+        one, 0.01 * one, 0.1 * one, np.zeros((3, 1), np.uint8), np.ones(3), np.ones(3), 0.0, (), np.zeros((3, 4)),
+        "patu655",
         units={"z1": "rad", "payload.mass": "kg"},
     )  # fmt: skip
 
@@ -303,7 +306,8 @@ def test_results_draw_themselves(result, told, panels):
 @pytest.mark.parametrize(
     ("result", "told"),
     [
-        (example_simulation, "open loop: 0.2 s at 3 instants"), (example_estimate, "payload.mass"), (example_comparison, "10 times the noise"),
+        (example_simulation, "open loop: 0.2 s at 3 "
+            "instants"), (example_estimate, "payload.mass"), (example_comparison, "10 times the noise"),
         (example_diagnosis, "internal_leakage@lift"), (example_improvement, "internal_leakage@lift"),
     ],
 )  # fmt: skip

@@ -426,7 +426,9 @@ def test_second_order_in_the_step(engine: SemiRecursiveEngine) -> None:
 
 
 def oil_energy(crane: Crane, x0: np.ndarray, T: dict[str, np.ndarray]) -> np.ndarray:
-    """-integral of the cylinder forces over their lengths from x0 on, closed chambers: p' = -Be(V)/V V' by RK4 on a grid."""
+    """-integral of the cylinder forces over their lengths from x0 on, closed chambers: p' = -Be(V)/V V' by RK4 on a
+    grid.
+    """
     total, fluid = 0.0, {n: crane[f"fluid.{n}_bulk_modulus"] for n in ("oil", "cylinder", "hose")}
     for c, name in enumerate(crane.layout.cylinders):
         bore, rod = crane[f"cylinders.{name}.bore"], crane[f"cylinders.{name}.rod"]

@@ -102,9 +102,15 @@ def test_columns_of_another_machine() -> None:
 
 @pytest.mark.parametrize(
     ("name", "size"),
-    [("payload.mass", 1e-3), ("supply.pump_pressure", 1e2), ("joints.C.x", 1e-7), ("cylinders.tilt.viscous_friction", 1e-1),
-     ("fluid.hose_bulk_modulus", 1e4), ("valves.lift.flow_coefficient", 1e-12)],
-)  # fmt: skip
+    [
+        ("payload.mass", 1e-3),
+        ("supply.pump_pressure", 1e2),
+        ("joints.C.x", 1e-7),
+        ("cylinders.tilt.viscous_friction", 1e-1),
+        ("fluid.hose_bulk_modulus", 1e4),
+        ("valves.lift.flow_coefficient", 1e-12),
+    ],
+)
 def test_columns_of_parameters(crane: Crane, start: np.ndarray, inputs: np.ndarray, name: str, size: float) -> None:
     probe = crane.with_parameters({name: crane[name] + size})
     result = swept(crane, start, inputs, [probe], [size])
@@ -165,7 +171,9 @@ def test_substeps_refine_the_run(crane: Crane, start: np.ndarray, inputs: np.nda
 
 
 def test_a_probe_with_its_own_tangent_swings(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
-    """A pendulum changes the dynamics: with its own tangent the column follows the difference of runs, without it cannot."""
+    """A pendulum changes the dynamics: with its own tangent the column follows the difference of runs, without it
+    cannot.
+    """
     swinging = crane.with_effect("payload_swing", {"length": 0.8, "damping": 5.0})
     x0 = np.concatenate([start, np.zeros(2)])
     difference = run(swinging, x0, inputs) - run(crane, x0, inputs)

@@ -72,7 +72,9 @@ def test_a_model_with_more_states_takes_part(opened):
 
 
 def test_what_models_do_not_share_follows_what_they_share():
-    """Against the conditional of a normal distribution: what is mixed in moves the rest by its regression, and its own spread stays."""
+    """Against the conditional of a normal distribution: what is mixed in moves the rest by its regression, and its own
+    spread stays.
+    """
     random = np.random.default_rng(0)
     root = random.normal(size=(5, 5))
     own = Belief(random.normal(size=5), root @ root.T)

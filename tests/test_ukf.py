@@ -1,4 +1,6 @@
-"""The filter algebra against what nobody here chose: the exact Kalman filter, filterpy, and square roots of matrices."""
+"""The filter algebra against what nobody here chose: the exact Kalman filter, filterpy, and square roots of
+matrices.
+"""
 
 from __future__ import annotations
 

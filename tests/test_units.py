@@ -1,4 +1,6 @@
-"""Text with units: commas are decimal commas or refused, nothing is read as something that nobody means, nothing takes long."""
+"""Text with units: commas are decimal commas or refused, nothing is read as something that nobody means, nothing takes
+long.
+"""
 
 from __future__ import annotations
 

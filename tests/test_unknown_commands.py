@@ -1,4 +1,6 @@
-"""Commands that were not recorded for a while, clocks that leap, and pauses: held, marked, left out, split, and said."""
+"""Commands that were not recorded for a while, clocks that leap, and pauses: held, marked, left out, split, and
+said.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ STD = {"z1": 1e-3, "z4": 1e-3, "p1": 1e5, "p2": 1e5, "p3": 1e5, "p4": 1e5}
 
 
 def moved(hole: tuple[float, float] | None = None) -> Recording:
-    """Return 4 s in which the lift cylinder extends from 1 s to 2 s and retracts from 2.5 s to 3 s; u1 is empty within the hole."""
+    """Return 4 s in which the lift cylinder extends from 1 s to 2 s and retracts from 2.5 s to 3 s; u1 is empty within
+    the hole.
+    """
     crane = Crane.load("patu655")
     engine = SemiRecursiveEngine(crane)
     time = np.arange(0.0, 4.0, 1e-3)

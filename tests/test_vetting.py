@@ -1,4 +1,6 @@
-"""Contents that cannot be true of a crane are told with their likely mend, within a second; sound recordings are left alone."""
+"""Contents that cannot be true of a crane are told with their likely mend, within a second; sound recordings are left
+alone.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,10 @@ def recorded(n: int = 2000, step: float = 0.005, **changed: np.ndarray | float) 
     time = step * np.arange(n)
     wave = -np.cos(time) + 1e-3 * np.random.default_rng(1).standard_normal(n)
     values: dict[str, np.ndarray] = {
-        "u1": 0.0 * time, "u2": 0.0 * time, "z1": (20 + 10 * wave) * DEG, "z4": (-60 + 10 * wave) * DEG, "dz1": 0.1 * wave,
-        "p1": (60 + 10 * wave) * BAR, "p3": (20 + 5 * wave) * BAR, "pp": (100 + wave) * BAR, "pt": (1 + 0.1 * wave) * BAR,
+        "u1": 0.0 * time, "u2": 0.0 * time, "z1": (20 + 10 * wave) * DEG, "z4": (-60 + 10 * wave) * DEG,
+        "dz1": 0.1 * wave,
+        "p1": (60 + 10 * wave) * BAR, "p3": (20 + 5 * wave) * BAR, "pp": (100 + wave) * BAR,
+        "pt": (1 + 0.1 * wave) * BAR,
     }  # fmt: skip
     return Recording.from_arrays("r", time, values | {k: np.broadcast_to(v, n) for k, v in changed.items()})
 
@@ -44,7 +48,8 @@ def test_a_sound_recording_has_no_findings() -> None:
         ({"p1": of(10, 60)}, "scale", ("p1",), "never exceeds 0.0007 bar", "p1[bar]"),
         ({"p1": of(10e10, 60e10)}, "scale", ("p1",), "reaches", "look like Pa given as bar"),
         ({"p3": of(5 * BAR, -20 * BAR)}, "offset", ("p3",), "never negative", "sign"),
-        ({"pp": of(0.1 * BAR, BAR), "pt": of(BAR, 100 * BAR)}, "swapped", ("pp", "pt"), "bar) stands below the tank (100 bar)", "Swap"),
+        ({"pp": of(0.1 * BAR, BAR), "pt": of(BAR, 100 * BAR)}, "swapped", ("pp", "pt"), "bar) stands below the tank "
+                                                                                        "(100 bar)", "Swap"),
         ({"z1": of(100 * DEG, 900 * DEG)}, "scale", ("z1",), "1e+03 deg", "z1[deg]"),
         ({"z1": of(5 * DEG, 122 * DEG)}, "pose", ("z1",), "beyond what the lift cylinder's stroke", "other sign"),
         ({"z4": of(5 * DEG, 118 * DEG)}, "pose", ("z4",), "the tilt cylinder's stroke", "other sign"),

@@ -1,4 +1,5 @@
-"""Unknown quantities that the filter estimates along with the state, each as a slow random walk or as noise with a memory.
+"""Unknown quantities that the filter estimates along with the state, each as a slow random walk or as noise with a
+memory.
 
 | name | unit | what is unknown |
 |---|---|---|
@@ -35,8 +36,8 @@ class Augment:
         std: standard deviation at the start, SI; None takes the crane file's uncertainty of it.
         drift: growth of the standard deviation of its random walk, SI per √s; 0 for a constant.
         lower: hard lower limit (a mass is not negative).
-        memory: time constant, s, with which it returns to its nominal value while noise keeps it at `std` around that (first-order
-            Gauss-Markov); infinite for what stays.
+        memory: time constant, s, with which it returns to its nominal value while noise keeps it at `std` around that
+            (first-order Gauss-Markov); infinite for what stays.
         shared: quantities with the same word here have one size where sizes are adapted; "" for one of its own.
     """
 
@@ -78,8 +79,8 @@ class Sizes:
     """Sizes of the extra states that fade, which follow what the filter finds, for live use.
 
     Of a state d about its nominal value the filter knows mean m and variance P, so that E d² = m² + P. Its size s obeys
-    ds²/dt = (E d² - s²)/T, expectation maximisation with a memory T: a size grows while the state is found further out than it
-    says, falls while it is found to be nearer, and stays while no sensor tells.
+    ds²/dt = (E d² - s²)/T, expectation maximisation with a memory T: a size grows while the state is found further out
+    than it says, falls while it is found to be nearer, and stays while no sensor tells.
     """
 
     def __init__(self, extras: Sequence[Extra], first: int, memory: float) -> None:
@@ -156,7 +157,9 @@ def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
 
 
 def _least(name: str, value: float) -> float:
-    """Return the lower limit of a nominal parameter: coordinates have none, a payload may be zero, other things may not."""
+    """Return the lower limit of a nominal parameter: coordinates have none, a payload may be zero, other things may
+    not.
+    """
     if name.rpartition(".")[2] in ("x", "y"):
         return -np.inf
     return 0.0 if name == "payload.mass" else 0.05 * value

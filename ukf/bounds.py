@@ -6,10 +6,10 @@ physical state and its excess is carried through unchanged::
     f⁺(χ) = f(χ') + (χ - χ'),    χ' = χ clipped to the limits
 
 Inside the limits f⁺ = f. Outside, f⁺ extends f linearly with unit slope, so the spread of the points, and with it the
-covariance, survives, and no engine ever sees an impossible state. A corrected mean with a pressure below the floor is moved
-back along the covariance, to the most probable state on the limit (Simon, IET Control Theory Appl. 4 (2010) 1303):
-x - P_i/P_ii (x_i - limit). States that are correlated with it move along. Angles are not moved: vapour is a fact, but strokes
-come from a crane file, and where the sensors are beyond them it is the file that is wrong.
+covariance, survives, and no engine ever sees an impossible state. A corrected mean with a pressure below the floor is
+moved back along the covariance, to the most probable state on the limit (Simon, IET Control Theory Appl. 4 (2010)
+1303): x - P_i/P_ii (x_i - limit). States that are correlated with it move along. Angles are not moved: vapour is a
+fact, but strokes come from a crane file, and where the sensors are beyond them it is the file that is wrong.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ _GRID = 1441
 def crane_bounds(
     crane: Crane, lengths: Callable[[np.ndarray], np.ndarray] | None, states: int, margin: float = 5e-3
 ) -> Bounds:
-    """Return the limits of a crane's states: half a chamber empty, and the coordinates at which a piston meets its cylinder's end.
+    """Return the limits of a crane's states: half a chamber empty, and the coordinates at which a piston meets its
+    cylinder's end.
 
     `lengths` maps z (m, n) to cylinder lengths (m, n), NaN where a loop cannot close; without it coordinates are free.
     `margin` (m) keeps both chambers of a cylinder a little longer than nothing.
@@ -112,7 +113,8 @@ def _range(
     empty: float,
     full: float,
 ) -> tuple[float, float]:
-    """Return the connected range of coordinate i around the start in which the length of cylinder c stays in its limits.
+    """Return the connected range of coordinate i around the start in which the length of cylinder c stays in its
+    limits.
 
     A boom may pass the pose at which its cylinder is shortest; nothing but the length is a limit.
     """

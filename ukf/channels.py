@@ -1,4 +1,5 @@
-"""What the sensors should read in the filter's states: the crane's measurement function, behind it lagged readings and estimated biases.
+"""What the sensors should read in the filter's states: the crane's measurement function, behind it lagged readings and
+estimated biases.
 
 A sensor with a lag shows a first-order follower of its reading, which is a state of its own.
 """
@@ -18,7 +19,9 @@ from .linear_algebra import all_finite
 
 
 class Channels:
-    """The measurement function of a set of sensors, for states of the engine with lagged readings and extra states after them."""
+    """The measurement function of a set of sensors, for states of the engine with lagged readings and extra states
+    after them.
+    """
 
     def __init__(self, crane: Crane, names: Sequence[str], engine_states: int, extras: Sequence[Extra] = ()) -> None:
         """Raises CraneError for an unknown sensor, or for a bias of one that is not among the names."""

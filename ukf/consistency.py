@@ -36,8 +36,8 @@ def mean_bounds(degrees: float, count: float, probability: float = 0.95) -> tupl
 def guessed_noise(counts: Iterable[int]) -> float:
     """Return the standard deviation of the mean NIS that comes from sensor noise estimated from n samples a sensor.
 
-    An estimated standard deviation is known to 1.3/√n (`crane_exudyn.signals.noise_std`), and each sensor adds its innovation
-    squared over its variance, which is off by twice as much.
+    An estimated standard deviation is known to 1.3/√n (`crane_exudyn.signals.noise_std`), and each sensor adds its
+    innovation squared over its variance, which is off by twice as much.
     """
     return float(2.0 * 1.3 * np.sqrt(sum(1.0 / n for n in counts)))
 
@@ -61,7 +61,8 @@ def autocorrelation(series: np.ndarray, lags: int) -> np.ndarray:
 
 
 def persistence(series: np.ndarray, lags: int = LAGS) -> float:
-    """Return Σ r_k over the first lags of a series (N,): positive where it keeps its sign for a while, 0 for white noise.
+    """Return Σ r_k over the first lags of a series (N,): positive where it keeps its sign for a while, 0 for white
+    noise.
 
     A model that lacks something makes innovations that persist; process noise that is too large, ones that swing back.
     """

@@ -64,7 +64,8 @@ class Estimate:
         sensor_std: (k,) noise that the filter took the sensors to have.
         covariance: (N, n, n) of the filter's own state, which remembers voids, if it was kept.
         floor: Pa, the lowest pressure that a gauge shows; pressures: which of the n quantities are those of chambers.
-        noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed (`consistency.guessed_noise`).
+        noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed
+            (`consistency.guessed_noise`).
         model_error: what became of the model error, if that was asked.
         smoothed: the smoothed estimate if it was asked for.
         models: how probable (N,) each model was, by its name, where several ran side by side.
@@ -102,7 +103,9 @@ class Estimate:
         return self.mean[:, self.state_names.index(name)]
 
     def first(self, count: int, **changes: Any) -> Estimate:
-        """Return the estimate of the first `count` quantities only, with other attributes changed; the smoothed one too."""
+        """Return the estimate of the first `count` quantities only, with other attributes changed; the smoothed one
+        too.
+        """
         covariance = None if self.covariance is None else self.covariance[:, :count, :count]
         return replace(
             self,
@@ -225,8 +228,8 @@ class Estimate:
     def verdict(self) -> str:
         """In words, whether the filter's intervals can be believed.
 
-        Innovations that keep their sign are an error of the model, whatever their size: noise that was widened until the size
-        fits does not make them random, and what no sensor measures follows the model.
+        Innovations that keep their sign are an error of the model, whatever their size: noise that was widened until
+        the size fits does not make them random, and what no sensor measures follows the model.
         """
         if self.unjudged:
             return f"cannot be judged: {self.unjudged}"
@@ -276,7 +279,9 @@ class Estimate:
         }
 
     def _led(self, model: str) -> dict[str, Any]:
-        """Return how probable one of several models was: at the end, on the average; and from when to when it was the likeliest, s."""
+        """Return how probable one of several models was: at the end, on the average; and from when to when it was the
+        likeliest, s.
+        """
         probability = self.models[model]
         leads = probability >= np.max(list(self.models.values()), axis=0)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], leads, [False]])))
@@ -290,7 +295,9 @@ class Estimate:
         write_csv(self, path)
 
     def to_dataframe(self) -> Any:
-        """Return estimated quantities and, as "name_std", their standard deviations as a pandas DataFrame over time; SI."""
+        """Return estimated quantities and, as "name_std", their standard deviations as a pandas DataFrame over time;
+        SI.
+        """
         from crane_exudyn.formats import data_frame
 
         stds = {f"{n}_std": s for n, s in zip(self.state_names, self.std.T, strict=True)}
@@ -299,7 +306,9 @@ class Estimate:
         return data_frame(self.time, columns, units)
 
     def plot(self, truth: np.ndarray | None = None) -> Figure:
-        """Return a figure of states with 95 % intervals, measurements and innovations; `truth` (N, m) if it is known."""
+        """Return a figure of states with 95 % intervals, measurements and innovations; `truth` (N, m) if it is
+        known.
+        """
         from .plots import estimate_figure
 
         return estimate_figure(self, truth)

@@ -47,7 +47,9 @@ _FAILURES = (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError)
 
 @dataclass(frozen=True)
 class Now:
-    """What the estimator knows after one sample: SI units, names as in `Estimator.state_names`, pressures as gauges would show them."""
+    """What the estimator knows after one sample: SI units, names as in `Estimator.state_names`, pressures as gauges
+    would show them.
+    """
 
     time: float
     mean: np.ndarray
@@ -73,7 +75,8 @@ class Estimator:
         crane: the model that the filter believes in.
         engine: "exudyn", "semi-recursive", or an engine object with this crane.
         sensors: channels with their noise standard deviation in SI, or channel names alone (then the crane file's
-            standard deviation, else a default of the channel's kind); by default all coordinates and the chambers that carry loads.
+            standard deviation, else a default of the channel's kind); by default all coordinates and the chambers that
+            carry loads.
         noise: process noise with a method `covariance(dt)` -> (nx, nx); `noise.ProcessNoise` or `noise.PaperNoise`.
         method: "ukf", "sr-ukf", "ckf" or "ekf".
         augment: quantities to estimate along with the state, see `augment`.
@@ -197,13 +200,15 @@ class Estimator:
 
         Args:
             commands: spool commands in [-1, 1] at `time`; between two calls they are taken as linear.
-            measurements: any of the sensors, SI; what is missing or NaN is missing. `pp`, `pt` go to the model as inputs.
+            measurements: any of the sensors, SI; what is missing or NaN is missing. `pp`, `pt` go to the model as
+                inputs.
             time: s; without it one `max_step` after the last call. A time that is not later than the last one is
-                not a new sample: the call changes nothing, and says so in `events`. After more than `LONG_GAP` seconds, and when
-                the clock went back for good, the estimator goes on anew from the sensors.
+                not a new sample: the call changes nothing, and says so in `events`. After more than `LONG_GAP` seconds,
+                and when the clock went back for good, the estimator goes on anew from the sensors.
 
         Raises:
-            CraneError: a command or measurement with an unknown name or of a wrong shape, or a first time that is no number.
+            CraneError: a command or measurement with an unknown name or of a wrong shape, or a first time that is no
+                number.
         """
         command, values, supply = self._sorted_out(commands, measurements)
         if self.time is None:
@@ -244,7 +249,9 @@ class Estimator:
         return float("nan") if self.time is None else self.time
 
     def _went_back(self, time: float) -> bool:
-        """Whether so many stamps in a row were not later than the last good one that it must be that one which was wrong."""
+        """Whether so many stamps in a row were not later than the last good one that it must be that one which was
+        wrong.
+        """
         last, count = self._late
         self._late = (time, count + 1 if time > last else 1)
         return self._late[1] >= _LATE_STAMPS
@@ -257,7 +264,9 @@ class Estimator:
             self._flags[row] = flags[row]
 
     def _usable(self, command: np.ndarray) -> np.ndarray:
-        """Return a command that the valves can follow: a missing one stays as it was, one beyond ±1 is cut, both are told."""
+        """Return a command that the valves can follow: a missing one stays as it was, one beyond ±1 is cut, both are
+        told.
+        """
         missing = ~np.isfinite(command)
         if missing.any():
             self.events.append((self._clock, "commands", "missing, the last one is held"))
@@ -343,7 +352,9 @@ class Estimator:
         return start_belief(self.crane, self.engine, first, std, self._pressure_std)
 
     def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
-        """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n, n)."""
+        """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n,
+        n).
+        """
         n = self._engine_states
         mean[:n], covariance[:n, :n] = start.mean, start.covariance
         for k, (row, _) in enumerate(self._channels.lags):
@@ -380,7 +391,8 @@ class Estimator:
         return unknown, unknown.copy(), np.full(sensors, ABSENT, np.uint8), float("nan"), 0.0
 
     def _doubt(self, lost: bool, values: np.ndarray, flags: np.ndarray, recorder: Recorder | None) -> None:
-        """Set up a second filter that believes a sensor which stays rejected, or the sensors where they do not fit the belief.
+        """Set up a second filter that believes a sensor which stays rejected, or the sensors where they do not fit the
+        belief.
 
         A sensor that is at odds with a few readings of its own only is believed without a hearing.
         """
@@ -451,7 +463,9 @@ class Estimator:
         return self._anew(believed)
 
     def _anew(self, first: Mapping[str, float], spread: Mapping[str, float] | None = None) -> Any:
-        """Return a belief from what the sensors read now; what they do not show of pose and motion, and the extras, stay."""
+        """Return a belief from what the sensors read now; what they do not show of pose and motion, and the extras,
+        stay.
+        """
         old = self.belief
         lay = self.crane.layout
         kept = dict(zip(lay.states[lay.motion], old.mean[lay.motion].tolist(), strict=True))
@@ -476,7 +490,9 @@ class Estimator:
         self.count += 1
 
     def _overturn(self, innovation: np.ndarray, recorder: Recorder | None) -> None:
-        """Go on with the second filter, whose innovations (k,) are given: the sensor that was rejected, or all that did not fit, are right."""
+        """Go on with the second filter, whose innovations (k,) are given: the sensor that was rejected, or all that did
+        not fit, are right.
+        """
         assert self._opinion is not None and self.time is not None
         row, since, self.belief = self._opinion.row, self._opinion.since, self._opinion.belief
         self._opinion = None
@@ -659,8 +675,8 @@ class Estimator:
     def _agreed_start(self, plan: Plan) -> dict[str, float]:
         """Return {channel: time} of the channels whose samples before that time the start must not be taken from.
 
-        A channel that leaps early on was wrong before or is wrong after. The start is tried both ways, and the filter says with
-        which of them the first samples of all channels agree better.
+        A channel that leaps early on was wrong before or is wrong after. The start is tried both ways, and the filter
+        says with which of them the first samples of all channels agree better.
         """
         since: dict[str, float] = {}
         if self._start is not None:

@@ -1,8 +1,9 @@
 """What the model may be wrong about, as states with a memory whose sizes the innovations tell.
 
-Process noise that is white says that a model errs anew at every instant, and averages out. Errors of a model do not: a leak, a load
-or a valve that is not as the file says acts for seconds in one direction, and what no sensor measures follows it. So the
-filter estimates along with the state what may act so, each unknown as first-order Gauss-Markov noise:
+Process noise that is white says that a model errs anew at every instant, and averages out. Errors of a model do not: a
+leak, a load or a valve that is not as the file says acts for seconds in one direction, and what no sensor measures
+follows it. So the filter estimates along with the state what may act so, each unknown as first-order Gauss-Markov
+noise:
 
 | unknown | acts | size that is expected | memory |
 |---|---|---|---|
@@ -12,12 +13,14 @@ filter estimates along with the state what may act so, each unknown as first-ord
 | pump pressure | while a valve draws from it | 5 % | 3 s |
 | volume of the hoses, which stands for softness of the oil | while the pressure changes | 50 % | 1 s |
 | an offset of each pressure sensor | always | a third of its noise | 10 s |
-| a parameter that the crane file calls unknown, such as the payload | as the model says | 100 kg for a payload | constant |
+| a parameter that the crane file calls unknown, such as the payload | as the model says | 100 kg for a payload |
+constant |
 
-How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the innovations are
-most likely (`replay`), held back from leaving what is expected by a prior of half a power of ten. Then each size is opened by
-half a power of ten: the innovations tell of an unknown what it does to the sensors, and what is not measured may suffer more.
-With a model that is right all sizes fall, and the intervals are those of the filter without them.
+How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the
+innovations are most likely (`replay`), held back from leaving what is expected by a prior of half a power of ten. Then
+each size is opened by half a power of ten: the innovations tell of an unknown what it does to the sensors, and what is
+not measured may suffer more. With a model that is right all sizes fall, and the intervals are those of the filter
+without them.
 """
 
 from __future__ import annotations
@@ -41,7 +44,8 @@ from .replay import Replay
 from .signals import Signals
 from .tuning import busiest, descend, limits_of, logs_of, noise_of
 
-#: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are opened afterwards
+#: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are
+#: opened afterwards
 _PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.5
 #: how far below what is expected a size is searched, powers of ten
 _BELOW = -4.0
@@ -59,13 +63,16 @@ _SECONDS = 10.0
 MODES = ("auto", "off", "on")
 #: most samples a second and longest integration step that the search uses
 _RATE, _STEP = 100.0, 5e-3
-#: standard deviation of a pressure that no sensor shows at the start, in parts of the pump pressure: the balance of moments may be wrong
+#: standard deviation of a pressure that no sensor shows at the start, in parts of the pump pressure: the balance of
+#: moments may be wrong
 _PRESSURE = 0.3
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest size."""
+    """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest
+    size.
+    """
 
     names: tuple[str, ...]
     size: float
@@ -109,7 +116,8 @@ class ModelError:
 
 
 def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> tuple[Unknown, ...]:
-    """Return what may be wrong about a crane's model and its sensors, with the sizes that are expected; `without` some names.
+    """Return what may be wrong about a crane's model and its sensors, with the sizes that are expected; `without` some
+    names.
 
     `sensors` are channels with the standard deviation of their noise, SI.
     """
@@ -133,7 +141,9 @@ def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str
 
 
 def _moments(crane: Crane) -> list[float]:
-    """Return the moment (N m; sliding: force, N) that each joint's cylinder can do under pump pressure, in the pose to start with."""
+    """Return the moment (N m; sliding: force, N) that each joint's cylinder can do under pump pressure, in the pose to
+    start with.
+    """
     lay, pump = crane.layout, crane["supply.pump_pressure"]
     arms = np.abs(pose(crane, *crane.initial.pose).length_rates[0])
     driving = [lay.driven.index(name) for name in lay.coordinates]
@@ -241,8 +251,8 @@ class Account:
         mode: "auto", "off" or "on", as asked for.
         used: whether it is part of the estimate.
         why: in words.
-        found: {name: {"size", "nominal", "value", "std", "unit"}} of each unknown, SI: its size, what it would be if the
-            model were right, and what it was at the end.
+        found: {name: {"size", "nominal", "value", "std", "unit"}} of each unknown, SI: its size, what it would be if
+            the model were right, and what it was at the end.
     """
 
     mode: str
@@ -273,13 +283,14 @@ def estimate(
     noise_slack: float = 0.0,
     stage: Stage = _silent,
 ) -> Estimate:
-    """Return the estimate over a recording, with intervals that allow for an error of the model where the innovations ask for it.
+    """Return the estimate over a recording, with intervals that allow for an error of the model where the innovations
+    ask for it.
 
     Args:
         plain: the estimator without model error.
         recording: a Recording or Signals.
-        mode: "off"; "on", whatever the innovations say; or "auto": where the plain filter's innovations are larger than it
-            believes or keep their sign, and are not less likely with it.
+        mode: "off"; "on", whatever the innovations say; or "auto": where the plain filter's innovations are larger than
+            it believes or keep their sign, and are not less likely with it.
         smooth: as of `Estimator.run`.
         noise_slack: as of `Estimate`.
         stage: shows progress.

@@ -2,17 +2,18 @@
 
 A wrong model makes innovations grow gradually; rejecting them would cut the filter off from the truth. So a sample is
 rejected only when its innovation *leaps* from one sample to the next by more than noise and physics allow; it stays
-rejected until the innovation is back inside the gate. When most sensors leap together it is the machine (or a gap in the
-recording) and not the sensors, and all are believed. A sensor is frozen when it repeats one value although its
+rejected until the innovation is back inside the gate. When most sensors leap together it is the machine (or a gap in
+the recording) and not the sensors, and all are believed. A sensor is frozen when it repeats one value although its
 noise should make that impossible.
 
-A sensor that leapt may have been wrong before it and be right since. Once it has agreed with itself for as long as it had been
-believed before (a second at most), it is *disputed*: the estimator then asks for a second opinion (`second_opinion`).
-Where the belief rests on a few readings of the sensor only, because it has just been opened, or the sensor had paused or leapt,
-twice as many that agree with each other need no second opinion: the sensor has *outvoted* itself.
+A sensor that leapt may have been wrong before it and be right since. Once it has agreed with itself for as long as it
+had been believed before (a second at most), it is *disputed*: the estimator then asks for a second opinion
+(`second_opinion`). Where the belief rests on a few readings of the sensor only, because it has just been opened, or the
+sensor had paused or leapt, twice as many that agree with each other need no second opinion: the sensor has *outvoted*
+itself.
 
-Innovations that are far too large for long, without a leap, may come from a wrong model, which is no reason to reject anything, or
-from a state that has lost its way: then it is the *belief* that is in doubt (`Doubt`).
+Innovations that are far too large for long, without a leap, may come from a wrong model, which is no reason to reject
+anything, or from a state that has lost its way: then it is the *belief* that is in doubt (`Doubt`).
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ _APART = 0.1
 _AGREEING, _PATIENCE = 10, 1.0
 #: readings up to which a belief is outvoted by its own sensor, and the fewest that can outvote it
 _FEW, _VOTES = 4, 3
-#: a belief is in doubt after so many seconds in which the sensors did not fit, and after so many at most once it has often been
+#: a belief is in doubt after so many seconds in which the sensors did not fit, and after so many at most once it has
+#: often been
 _LOST, _SELDOM = 0.1, 10.0
 # columns of the memory
 _VALUE, _CHANGE, _NOISE, _REPEATS, _LONGEST, _INNOVATION, _TIME, _SINCE, _BELIEVED, _PATIENT, _COUNT, _TAKEN = range(12)
@@ -44,8 +46,8 @@ _VALUE, _CHANGE, _NOISE, _REPEATS, _LONGEST, _INNOVATION, _TIME, _SINCE, _BELIEV
 class Monitor:
     """Memory of the checks, one entry a channel.
 
-    `gate` is in standard deviations; infinite switches the gate off. A pressure at `floor` (Pa) or below is in vapour, and
-    may repeat itself.
+    `gate` is in standard deviations; infinite switches the gate off. A pressure at `floor` (Pa) or below is in vapour,
+    and may repeat itself.
     """
 
     names: tuple[str, ...]
@@ -61,7 +63,8 @@ class Monitor:
         self.fastest = np.array([FASTEST[unit] for unit in self.units])
         self._least = np.array([self.floor if unit == "Pa" else -np.inf for unit in self.units])
         # last value and change; mean size of what changes from change to change; repeats and their longest run; last
-        # innovation and time; off and in agreement with itself since; believed since; seconds until it is disputed; how many readings were off; how many the belief is taken from
+        # innovation and time; off and in agreement with itself since; believed since; seconds until it is disputed; how
+        # many readings were off; how many the belief is taken from
         self.memory = np.full((len(self.names), 12), np.nan)
         self.memory[:, [_NOISE, _REPEATS, _LONGEST, _COUNT, _TAKEN]] = 0.0
 
@@ -75,13 +78,17 @@ class Monitor:
             self.memory[row, _TIME] = time
 
     def disputed(self, time: float, flags: np.ndarray) -> int:
-        """Return the row of the rejected channel that has agreed with itself long enough, the first to have leapt; else -1."""
+        """Return the row of the rejected channel that has agreed with itself long enough, the first to have leapt; else
+        -1.
+        """
         off = time - self.memory[:, _SINCE]
         ripe = (flags == OUTLIER) & (off >= self.memory[:, _PATIENT]) & (self.memory[:, _COUNT] >= _AGREEING)
         return int(np.argmax(np.where(ripe, off, -1.0))) if ripe.any() else -1
 
     def outvoted(self, flags: np.ndarray) -> int:
-        """Return the row of a rejected channel that is at odds with the few readings of its own that were believed; else -1."""
+        """Return the row of a rejected channel that is at odds with the few readings of its own that were believed;
+        else -1.
+        """
         taken, against = self.memory[:, _TAKEN], self.memory[:, _COUNT]
         won = (flags == OUTLIER) & (taken <= _FEW) & (against >= np.maximum(2.0 * taken + 1.0, _VOTES))
         return int(np.argmax(won)) if won.any() else -1
@@ -91,7 +98,9 @@ class Monitor:
         return float(self.memory[row, _SINCE])
 
     def dismiss(self, time: float, row: int) -> None:
-        """Note that a channel was heard in vain: it is disputed again when it has agreed with itself for twice as long."""
+        """Note that a channel was heard in vain: it is disputed again when it has agreed with itself for twice as
+        long.
+        """
         self.memory[row, _PATIENT] = 2.0 * (time - self.memory[row, _SINCE])
 
     def believe(self, time: float, row: int | None, innovation: np.ndarray) -> None:
@@ -119,10 +128,11 @@ class Monitor:
 
 @dataclass
 class Doubt:
-    """How long the sensors, all together, have been further from what the filter expects than `gate` allows one of them to be.
+    """How long the sensors, all together, have been further from what the filter expects than `gate` allows one of them
+    to be.
 
-    A belief that was in doubt is so again only after twice as long, until the sensors have fitted for a while: a wrong model is not
-    mended by beginning anew.
+    A belief that was in doubt is so again only after twice as long, until the sensors have fitted for a while: a wrong
+    model is not mended by beginning anew.
     """
 
     gate: float
@@ -148,7 +158,9 @@ class Doubt:
 
 
 def leaps(time: np.ndarray, values: np.ndarray, std: float, fastest: float, gate: float) -> np.ndarray:
-    """Return the indices at which a series (n,) begins anew: the sample leaps from the one before by more than is possible."""
+    """Return the indices at which a series (n,) begins anew: the sample leaps from the one before by more than is
+    possible.
+    """
     apart = np.diff(time)
     possible = gate * np.sqrt(2.0) * std + fastest * apart
     return np.flatnonzero((np.abs(np.diff(values)) > possible) & (apart <= _APART)) + 1

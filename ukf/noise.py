@@ -38,7 +38,9 @@ def paper_process_noise(
 
 
 def _in_blocks(accelerations: Sequence[float], block: np.ndarray, pressures: Sequence[float]) -> np.ndarray:
-    """Return the covariance (n, n) of states: a block (2, 2) times a density for each coordinate and its rate, variances of pressures."""
+    """Return the covariance (n, n) of states: a block (2, 2) times a density for each coordinate and its rate,
+    variances of pressures.
+    """
     m = len(accelerations)
     out = np.diag([*[0.0] * 2 * m, *pressures])
     for i, density in enumerate(accelerations):
@@ -65,7 +67,9 @@ class ProcessNoise:
     def of(
         cls, layout: Layout, acceleration: Mapping[str, float] = _ACCELERATION, pressure: float = _PRESSURE
     ) -> ProcessNoise:
-        """Return the noise of a machine from densities of acceleration by the unit of the coordinate, and of pressure."""
+        """Return the noise of a machine from densities of acceleration by the unit of the coordinate, and of
+        pressure.
+        """
         return cls(layout.sized(layout.coordinates, acceleration), (pressure,) * len(layout.chambers))
 
     def covariance(self, dt: float) -> np.ndarray:

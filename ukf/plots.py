@@ -1,4 +1,6 @@
-"""Pictures of an estimate: states with their intervals beside what was measured, and whether the filter can be believed."""
+"""Pictures of an estimate: states with their intervals beside what was measured, and whether the filter can be
+believed.
+"""
 
 from __future__ import annotations
 

@@ -68,8 +68,10 @@ class Process:
         return out if excess is None else out + excess
 
 
-#: local error of a filter's step, in units of the engines': 2 bar and 6e-6 rad. Finer steps of single sigma points move the
-#: estimate by less than a hundredth of its standard deviation (sensors of 1.5 bar) at three times the cost; this keeps out steps that are wrong
+#: local error of a filter's step, in units of the engines': 2 bar and 6e-6 rad. Finer steps of single sigma points move
+#: the
+#: estimate by less than a hundredth of its standard deviation (sensors of 1.5 bar) at three times the cost; this keeps
+#: out steps that are wrong
 ACCURACY = 600.0
 
 

@@ -1,9 +1,10 @@
 """What the likelihood of a run would have been with other noise, without the engine.
 
-A run of the filter leaves, for every step, how the state before goes over into the state after: of the covariance P before and the
-cross-covariance C = cov(before, after) follows F = Cᵀ P⁻¹, the regression that the sigma points themselves make. Around the
-trajectory of that run the filter is an exact linear Kalman filter in F and in the slope H of the sensors, so that the
-likelihood of the innovations under other noise, and other sizes and starts of what fades, costs some ten microseconds a step.
+A run of the filter leaves, for every step, how the state before goes over into the state after: of the covariance P
+before and the cross-covariance C = cov(before, after) follows F = Cᵀ P⁻¹, the regression that the sigma points
+themselves make. Around the trajectory of that run the filter is an exact linear Kalman filter in F and in the slope H
+of the sensors, so that the likelihood of the innovations under other noise, and other sizes and starts of what fades,
+costs some ten microseconds a step.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ _SLOPE = 0.1
 
 
 class Replay:
-    """A run of an estimator over a recording, to be repeated with other noise and other sizes of its last extra states."""
+    """A run of an estimator over a recording, to be repeated with other noise and other sizes of its last extra
+    states.
+    """
 
     def __init__(self, estimator: Estimator, recording: Any, varied: Sequence[Extra]) -> None:
         """`varied` are the last extra states of the estimator; raises CraneError as its `run` does."""
@@ -52,7 +55,9 @@ class Replay:
         self._still = np.diag(estimator.process_noise(1.0) - _padded(estimator.noise.covariance(1.0), estimator.size))
 
     def log_likelihood(self, noise: ProcessNoise, sizes: Sequence[float]) -> float:
-        """Return the log-likelihood of all samples, but for a constant, for a noise and `sizes` (SI) of the varied states."""
+        """Return the log-likelihood of all samples, but for a constant, for a noise and `sizes` (SI) of the varied
+        states.
+        """
         dt = self._dt[:, None]
         extras = [_sized(e, size) for e, size in zip(self._varied, sizes, strict=True)]
         kept = np.exp(-dt / np.array([e.memory for e in extras]))
@@ -84,7 +89,9 @@ class Replay:
         return _padded(noise.covariance(dt), self._first) + np.diag(self._still[: self._first] * dt)
 
     def _opening(self, at: int, extras: Sequence[Extra]) -> np.ndarray:
-        """Return the covariance (n, n) that the run was opened with before step `at`, with other variances of the varied states."""
+        """Return the covariance (n, n) that the run was opened with before step `at`, with other variances of the
+        varied states.
+        """
         out = self._prior_covariance[at].copy()
         out[self._first :] = 0.0
         out[:, self._first :] = 0.0
@@ -104,7 +111,9 @@ def _padded(block: np.ndarray, size: int) -> np.ndarray:
 
 
 def _transitions(covariance: np.ndarray, cross: np.ndarray) -> np.ndarray:
-    """Return F (N - 1, n, n) of each step from P (N, n, n) and cov(before, after) (N, n, n), scaled to unit variances to solve."""
+    """Return F (N - 1, n, n) of each step from P (N, n, n) and cov(before, after) (N, n, n), scaled to unit variances
+    to solve.
+    """
     scale = np.sqrt(np.einsum("kii->ki", covariance[:-1]))
     unit = covariance[:-1] / (scale[:, :, None] * scale[:, None, :])
     solved = np.linalg.solve(unit, cross[1:] / scale[:, :, None])

@@ -1,4 +1,6 @@
-"""One live sample as the estimator needs it: commands, readings and time as numbers, or one message that says what was wrong."""
+"""One live sample as the estimator needs it: commands, readings and time as numbers, or one message that says what was
+wrong.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ def command_of(commands: Sequence[float] | Mapping[str, float], names: Sequence[
     found = np.asarray(commands, object)
     if found.shape != (len(names),):
         raise CraneError(
-            f"commands: found {_shown(commands)}. Give {len(names)} numbers in [-1, 1], one for each valve: ({', '.join(names)})."
+            f"commands: found {_shown(commands)}. Give {len(names)} numbers in [-1, 1], one for each valve: "
+            f"({', '.join(names)})."
         )
     return np.array([number(value, f"commands: {name}") for name, value in zip(names, found, strict=True)])
 
@@ -49,7 +52,9 @@ def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.n
 
 
 def impossible(unit: str, readings: np.ndarray) -> np.ndarray:
-    """Return which readings (n,) in a SI unit no crane can show, infinite ones among them; NaN is missing and not among them."""
+    """Return which readings (n,) in a SI unit no crane can show, infinite ones among them; NaN is missing and not among
+    them.
+    """
     return np.asarray(np.abs(readings) > BEYOND[unit])
 
 

@@ -1,13 +1,15 @@
-"""Who is right, the filter or the sensor that it rejects? A second filter that believes the sensor, beside the first, tells.
+"""Who is right, the filter or the sensor that it rejects? A second filter that believes the sensor, beside the first,
+tells.
 
-A leap between two samples says that a sensor was wrong before it or is wrong after it, not which. The filter stays with what it
-believed first. When the sensor then agrees with itself for long (`monitor`), a second filter is set up from what all sensors
-read now, the rejected one included, and both go on side by side. The *other* sensors, which both believe, decide: the log of the
-ratio of their likelihoods under the two filters is summed over at most half a second. Without another sensor there is nothing
-that speaks against the rejected one, and it is believed.
+A leap between two samples says that a sensor was wrong before it or is wrong after it, not which. The filter stays with
+what it believed first. When the sensor then agrees with itself for long (`monitor`), a second filter is set up from
+what all sensors read now, the rejected one included, and both go on side by side. The *other* sensors, which both
+believe, decide: the log of the ratio of their likelihoods under the two filters is summed over at most half a second.
+Without another sensor there is nothing that speaks against the rejected one, and it is believed.
 
-A belief that no sensor fits for long is heard in the same way: the second filter is set up from what the believed sensors read now,
-all of them decide, and only clear evidence is enough, because a wrong model fits a little better with every new beginning.
+A belief that no sensor fits for long is heard in the same way: the second filter is set up from what the believed
+sensors read now, all of them decide, and only clear evidence is enough, because a wrong model fits a little better with
+every new beginning.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ class SecondOpinion:
     Attributes:
         row: of the sensor among the channels; None where no sensor is in question, but the first belief.
         belief: what the second filter believes.
-        begun: when it was set up, s; `since`: since when the sensor has agreed with itself, or none has fitted the first belief.
+        begun: when it was set up, s; `since`: since when the sensor has agreed with itself, or none has fitted the
+            first belief.
         evidence: log of the likelihood ratio of the (other) sensors so far, positive for the second filter.
         steps: samples weighed; `others`: readings of other sensors among them.
     """

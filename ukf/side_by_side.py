@@ -1,16 +1,19 @@
-"""Several models side by side: which of them the machine follows now, and an estimate that mixes them by how likely they are.
+"""Several models side by side: which of them the machine follows now, and an estimate that mixes them by how likely
+they are.
 
-The interacting multiple model filter (Blom and Bar-Shalom 1988). Every model has an estimator of its own. Between two samples the machine
-may go over from one model to another: it stays with one for `stays` seconds on the average. Every sample is one round:
+The interacting multiple model filter (Blom and Bar-Shalom 1988). Every model has an estimator of its own. Between two
+samples the machine may go over from one model to another: it stays with one for `stays` seconds on the average. Every
+sample is one round:
 
-1. *Interaction.* Each filter begins from the mixture of all beliefs, weighed by how probable it is that the machine was with their
+1. *Interaction.* Each filter begins from the mixture of all beliefs, weighed by how probable it is that the machine was
+   with their
    model and goes over to its own.
 2. *Prediction and correction*, each with its own model.
 3. *Probabilities* go up and down with the likelihood of each filter's innovations.
 4. *The estimate* is the mixture: its covariance holds what the models differ by.
 
-What a model estimates beyond the states that all have in common (a pendulum, a lagged sensor, an unknown) follows these states as its own
-filter believes that it does.
+What a model estimates beyond the states that all have in common (a pendulum, a lagged sensor, an unknown) follows these
+states as its own filter believes that it does.
 """
 
 from __future__ import annotations
@@ -57,12 +60,15 @@ class SideBySide:
         for name, other in zip(self.names, self.estimators, strict=True):
             if other.crane.layout.states != self.states or other.channel_names != first.channel_names:
                 raise CraneError(
-                    f"{name} is not a model of the same machine as {self.names[0]}: its states or sensors have other names. "
+                    f"{name} is not a model of the same machine as {self.names[0]}: its states or sensors have other "
+                    "names. "
                     "Give crane files of one machine."
                 )
 
     def run(self, recording: Any, *, progress: Callable[[float], None] | None = None) -> Estimate:
-        """Return the mixed estimate, over a recording, of the states that all models have; its `models` say how probable each was."""
+        """Return the mixed estimate, over a recording, of the states that all models have; its `models` say how
+        probable each was.
+        """
         plans = [e.opened(recording) for e in self.estimators]
         lead, common = plans[0], len(self.states)
         probability = np.full((lead.time.size, len(plans)), 1.0 / len(plans))
@@ -83,7 +89,9 @@ class SideBySide:
         return [Belief(e.belief.mean[:count], e.belief.covariance[:count, :count]) for e in self.estimators]
 
     def _interact(self, probability: np.ndarray, dt: float, count: int) -> np.ndarray:
-        """Let each filter begin from the mixture that leads to its model; return the probabilities (models,) before the sample."""
+        """Let each filter begin from the mixture that leads to its model; return the probabilities (models,) before the
+        sample.
+        """
         leaves = -np.expm1(-dt / self.stays) / (len(probability) - 1)
         over = np.full((len(probability), len(probability)), leaves)
         np.fill_diagonal(over, 1.0 - leaves * (len(probability) - 1))
@@ -118,7 +126,9 @@ def mixture(weights: np.ndarray, beliefs: Sequence[Belief]) -> Belief:
 
 
 def followed(own: Any, mixed: Belief) -> Belief:
-    """Return a belief whose first states are as in `mixed`; the others follow them by the regression of the `own` belief."""
+    """Return a belief whose first states are as in `mixed`; the others follow them by the regression of the `own`
+    belief.
+    """
     m, P = mixed.mean.size, own.covariance
     if own.mean.size == m:
         return mixed
@@ -136,7 +146,8 @@ Result = tuple[np.ndarray, np.ndarray, np.ndarray, float, float]
 def _logs(results: Sequence[Result]) -> np.ndarray:
     """Return the log-likelihood of a sample by model (m,), of the same sensors for all.
 
-    A sensor that a filter does not believe counts as it would have at its limit; a filter that failed is worth the least of the others.
+    A sensor that a filter does not believe counts as it would have at its limit; a filter that failed is worth the
+    least of the others.
     """
     logs = []
     for innovation, variance, flags, _, log in results:
@@ -152,6 +163,8 @@ def _logs(results: Sequence[Result]) -> np.ndarray:
 
 
 def _weighed(before: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the probabilities (m,) after a sample with log-likelihoods (m,), and that of the sample under all models."""
+    """Return the probabilities (m,) after a sample with log-likelihoods (m,), and that of the sample under all
+    models.
+    """
     after = np.maximum(before * np.exp(logs - logs.max()), _LEAST)
     return np.asarray(after / after.sum()), float(logs.max() + np.log(after.sum()))

@@ -5,8 +5,8 @@ With L states, λ = L(A² - 1) (more generally A²(L + κ) - L) and the lower Ch
     χ0 = x,   χj = x + √(L + λ) S_j,   χ(L+j) = x - √(L + λ) S_j          (27), with the factor inside the root
     W0m = λ/(L + λ),   W0c = W0m + 1 - A² + B,   Wi = 1/(2 (L + λ))
 
-The n + 1 corners of a simplex (Julier 2003) hold mean and covariance as exactly with half as many points, but not third moments, which are zero
-for points in pairs: what a curved model makes of them pushes the mean to one side.
+The n + 1 corners of a simplex (Julier 2003) hold mean and covariance as exactly with half as many points, but not third
+moments, which are zero for points in pairs: what a curved model makes of them pushes the mean to one side.
 
 A = 0.99, B = 0, κ = 0 are filterpy's ``MerweScaledSigmaPoints(n, alpha=0.99, beta=0, kappa=0)``.
 """
@@ -29,7 +29,8 @@ class Weights:
 
     Attributes:
         mean, covariance: (m,).
-        directions: (m, n) where the points lie for zero mean and unit covariance; they add up to zero with the weights of the mean.
+        directions: (m, n) where the points lie for zero mean and unit covariance; they add up to zero with the weights
+            of the mean.
     """
 
     mean: np.ndarray
@@ -74,10 +75,11 @@ def cubature(n: int) -> Weights:
 
 
 def simplex(n: int, sign: float = 1.0) -> Weights:
-    """Return the weights of the spherical simplex rule without its centre for `n` states: n + 1 points of equal weight w = 1/(n + 1).
+    """Return the weights of the spherical simplex rule without its centre for `n` states: n + 1 points of equal weight
+    w = 1/(n + 1).
 
-    From dimension j - 1 to j, all corners so far move to -1/√(j (j + 1) w) along the new axis, and one more lies at j/√(j (j + 1) w).
-    `sign` -1 gives the simplex mirrored in its middle.
+    From dimension j - 1 to j, all corners so far move to -1/√(j (j + 1) w) along the new axis, and one more lies at
+    j/√(j (j + 1) w). `sign` -1 gives the simplex mirrored in its middle.
     """
     w = 1.0 / (n + 1)
     corners = np.zeros((n + 1, n))
@@ -104,7 +106,9 @@ def centre_gain(weights: Weights) -> float:
 
 @njit()
 def place(mean: np.ndarray, root: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return the sigma points (m, n) around `mean` (n,) with the lower root (n, n) of the covariance; `directions` (m, n) of `Weights`."""
+    """Return the sigma points (m, n) around `mean` (n,) with the lower root (n, n) of the covariance; `directions` (m,
+    n) of `Weights`.
+    """
     m, n = directions.shape
     points = np.empty((m, n))
     for k in range(m):
@@ -118,7 +122,9 @@ def place(mean: np.ndarray, root: np.ndarray, directions: np.ndarray) -> np.ndar
 
 @njit()
 def drawn(mean, covariance, directions):  # type: ignore[no-untyped-def]
-    """Return the sigma points (m, n) of a mean (n,) and a covariance (n, n), and whether that has no Cholesky factor."""
+    """Return the sigma points (m, n) of a mean (n,) and a covariance (n, n), and whether that has no Cholesky
+    factor.
+    """
     root = np.empty_like(covariance)
     if cholesky(covariance, root) >= 0:
         return np.empty((0, mean.size)), True

@@ -32,7 +32,8 @@ _GLANCE = 0.1  # s, in which the angles must show a rate for it to be believed
 class Plan:
     """Instants `time` (N,), measurements `values` (N, k) with NaN, inner `grid` (G,) with `inputs` (G, valves + 2).
 
-    `inner[k]` is where instant k stands in the grid; `series` are the known samples of each sensor of a machine with this `layout`.
+    `inner[k]` is where instant k stands in the grid; `series` are the known samples of each sensor of a machine with
+    this `layout`.
     """
 
     time: np.ndarray
@@ -45,7 +46,8 @@ class Plan:
     layout: Layout
 
     def opening(self, at: float = -np.inf) -> tuple[dict[str, float], dict[str, float]]:
-        """Return the measurements to start from at `at`, and how far they may be from that instant because the crane moves.
+        """Return the measurements to start from at `at`, and how far they may be from that instant because the crane
+        moves.
 
         Rates are given where the coordinates show them.
         """
@@ -90,7 +92,9 @@ class Signals:
 
     @classmethod
     def of(cls, recording: Any, crane: Crane) -> Signals:
-        """Return the signals of a `crane_exudyn.recording.Recording`, its voltages turned into commands by the crane."""
+        """Return the signals of a `crane_exudyn.recording.Recording`, its voltages turned into commands by the
+        crane.
+        """
         time, commands = recording.commands(crane)
         held = {n: (c.time, c.values) for n, c in recording.channels.items()}
         return cls(
@@ -164,7 +168,9 @@ def _held(grid: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _rates(series: Mapping[str, Series], layout: Layout) -> dict[str, float]:
-    """Return the rates with which the coordinates set out, where they stand out of the noise: a recording may begin in motion."""
+    """Return the rates with which the coordinates set out, where they stand out of the noise: a recording may begin in
+    motion.
+    """
     rates = {}
     for shown in (n for n, own in layout.sensors.items() if own.place in layout.coordinates):
         time, values = series.get(shown, (np.empty(0), np.empty(0)))

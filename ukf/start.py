@@ -22,14 +22,18 @@ _LEVER = {"rad": 0.3, "m": 1.0}
 
 
 def showing(layout: Layout, coordinate: str) -> tuple[str, ...]:
-    """Return the sensors from which a coordinate may be taken: its own, and the length of the cylinder that drives it."""
+    """Return the sensors from which a coordinate may be taken: its own, and the length of the cylinder that drives
+    it.
+    """
     length = layout.lengths[layout.driven.index(coordinate)]
     return (*(n for n, own in layout.sensors.items() if own.place == coordinate), length)
 
 
 @cache
 def rivals(layout: Layout) -> Mapping[str, tuple[str, ...]]:
-    """Return what the start is not taken from when a channel is there, and so what must go where the channel shall be believed."""
+    """Return what the start is not taken from when a channel is there, and so what must go where the channel shall be
+    believed.
+    """
     return {n: own.shows[-1:] for n, own in layout.sensors.items() if len(own.shows) > 1} | {
         length: showing(layout, driven)[:-1] for length, driven in zip(layout.lengths, layout.driven, strict=True)
     }
@@ -52,8 +56,9 @@ def start_belief(
 
     `pressure` is the standard deviation of a pressure that no sensor shows, Pa.
 
-    Coordinates come from their own sensors or the cylinder lengths, else from the crane file. Pressures follow from the balance
-    of moments at rest (`engine.static_start`): the cylinder's force is known, so one measured pressure gives the other.
+    Coordinates come from their own sensors or the cylinder lengths, else from the crane file. Pressures follow from the
+    balance of moments at rest (`engine.static_start`): the cylinder's force is known, so one measured pressure gives
+    the other.
     """
     known = {n: v for n, v in first.items() if np.isfinite(v)}
     z, z_std = _pose(crane, known, std)
@@ -107,7 +112,9 @@ def _set_pressures(
     known: Mapping[str, float],
     std: Mapping[str, float],
 ) -> None:
-    """Fill in the pressures of one cylinder: measured ones as measured, a missing one from the cylinder's static force."""
+    """Fill in the pressures of one cylinder: measured ones as measured, a missing one from the cylinder's static
+    force.
+    """
     name, channels = crane.layout.cylinders[cylinder], crane.layout.sides[cylinder]
     area = crane.areas(name)
     at = crane.layout.pressures_of(cylinder).start

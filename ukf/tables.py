@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 def write_csv(estimate: Estimate, path: str | Path) -> None:
-    """Write .csv, .csv.gz, .parquet or .mat, one row an instant: time, inputs, each state with its 95 % limits, innovations with their std, NIS."""
+    """Write .csv, .csv.gz, .parquet or .mat, one row an instant: time, inputs, each state with its 95 % limits,
+    innovations with their std, NIS.
+    """
     names = ["time[s]", *(f"U_{name}[dimensionless]" for name in estimate.layout.cylinders)]
     columns = [estimate.time, *estimate.inputs[:, estimate.layout.spools].T]
     low, high = estimate.interval()

@@ -2,8 +2,8 @@
 
 The filter's innovations are independent normal variables if its covariances are right, so their log-likelihood,
 -½ Σ (νᵀ S⁻¹ ν + log det 2πS), measures how right they are. It is maximised over the logarithms of a few densities by a
-pattern search: first all together by powers of ten, then one by one by half and quarter powers. Averaging over many samples
-makes the measure sharp, and it charges for boasting (small S) as well as for shyness.
+pattern search: first all together by powers of ten, then one by one by half and quarter powers. Averaging over many
+samples makes the measure sharp, and it charges for boasting (small S) as well as for shyness.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ _UP, _DOWN = 6, 3
 
 @dataclass(frozen=True)
 class Tuned:
-    """The most likely noise: `noise`, the sensors' `std`, the log-likelihood per sample before and after, and the cylinders' names."""
+    """The most likely noise: `noise`, the sensors' `std`, the log-likelihood per sample before and after, and the
+    cylinders' names.
+    """
 
     noise: ProcessNoise
     std: dict[str, float]
@@ -139,7 +141,9 @@ def _along(
 
 
 def _climb(cost: Callable[[np.ndarray], float], first: np.ndarray, before: float) -> tuple[np.ndarray, float]:
-    """Return all logarithms moved together by whole powers of ten, up or down, for as long as that helps, and the cost."""
+    """Return all logarithms moved together by whole powers of ten, up or down, for as long as that helps, and the
+    cost.
+    """
     best, chosen = before, first
     for rungs in (range(1, _UP + 1), range(-1, -_DOWN - 1, -1)):
         for rung in rungs:
@@ -164,8 +168,8 @@ def scale(
 ) -> Tuned:
     """Return the default noise times the power of ten that makes the innovations most likely, from 10⁻³ to 10⁶.
 
-    A few short runs: enough that a filter with a wrong model follows its sensors, and that one with a right model does not
-    expect more of its innovations than there is. `tune` searches further.
+    A few short runs: enough that a filter with a wrong model follows its sensors, and that one with a right model does
+    not expect more of its innovations than there is. `tune` searches further.
     """
     cranes = _listed(crane)
     lay, std = cranes[0].layout, sensor_std(cranes[0], sensors)
@@ -211,7 +215,9 @@ def _cost(
 
 
 def noise_of(logs: np.ndarray) -> ProcessNoise:
-    """Return the noise of [log10 acceleration of each coordinate, log10 pressure of each cylinder]: as many of one as of the other."""
+    """Return the noise of [log10 acceleration of each coordinate, log10 pressure of each cylinder]: as many of one as
+    of the other.
+    """
     densities, m = 10.0 ** np.asarray(logs, float), len(logs) // 2
     return ProcessNoise(tuple(densities[:m].tolist()), tuple(np.repeat(densities[m:], 2).tolist()))
 

@@ -4,9 +4,10 @@ The model gets unknown inputs: a moment on each joint and a flow into each chamb
 
     M z'' = … + torque,        p' = Be/V (… + flow),
 
-each a random process that forgets within `MEMORY`. State and inputs together are estimated by an extended Kalman filter and a
-Rauch-Tung-Striebel smoother around the machine's own trajectory. An input that stays away from zero is a term that the equation
-lacks. What the sensors cannot tell apart (moment and pressure, where a pressure is not measured) comes with wide uncertainty.
+each a random process that forgets within `MEMORY`. State and inputs together are estimated by an extended Kalman filter
+and a Rauch-Tung-Striebel smoother around the machine's own trajectory. An input that stays away from zero is a term
+that the equation lacks. What the sensors cannot tell apart (moment and pressure, where a pressure is not measured)
+comes with wide uncertainty.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ from .semi_recursive import sensitivity
 _SPREAD: Mapping[str, float] = {"N*m": 300.0, "N": 300.0, "m^3/s": 5e-5}
 #: time in s after which an unknown input may be another
 MEMORY = 0.3
-#: the smoother is run again around what it found, until states and inputs move by less than this (RMS, in units of `jump_of` and `spread_of`), or so often
+#: the smoother is run again around what it found, until states and inputs move by less than this (RMS, in units of
+#: `jump_of` and `spread_of`), or so often
 _SETTLED_STATE, _SETTLED_INPUT, _ROUNDS = 0.5, 0.03, 6
 #: length of the stretches in which long recordings are treated, s: what the smoother needs for one is some 100 MB
 _CHUNK = 30.0
@@ -78,14 +80,16 @@ class Balances:
 
     @property
     def at_floor(self) -> np.ndarray:
-        """Return (K, chambers) whether a chamber stands at the pressure floor, where the model takes any flow out of it."""
+        """Return (K, chambers) whether a chamber stands at the pressure floor, where the model takes any flow out of
+        it.
+        """
         return self.states[:, self.layout.pressures] <= self.floor + _AT_FLOOR
 
     def mean(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean residuals (b,) over instants first … last - 1, and their standard deviations (b,).
 
-        Errors of neighbouring instants are not independent: cov(x_k, x_i) = G_k cov(x_k+1, x_i) with the smoother's gains G,
-        which is summed up from the end.
+        Errors of neighbouring instants are not independent: cov(x_k, x_i) = G_k cov(x_k+1, x_i) with the smoother's
+        gains G, which is summed up from the end.
         """
         _, n, b = self._covariance.shape
         inputs = slice(n - b, n)  # the covariance has their columns only
@@ -103,8 +107,8 @@ class Balances:
 def balances_of(crane: Crane, data: FitData) -> Balances:
     """Return the residuals of all balances of a crane along a recording.
 
-    The first trajectory starts anew at every knot, `_KNOTS` apart, from what the sensors show there, so that it is near the machine
-    however wrong the model is.
+    The first trajectory starts anew at every knot, `_KNOTS` apart, from what the sensors show there, so that it is near
+    the machine however wrong the model is.
 
     Raises:
         CraneError: the model cannot be run along the recording.
@@ -122,7 +126,9 @@ def balances_of(crane: Crane, data: FitData) -> Balances:
 
 
 def _chunks(data: FitData, starts: np.ndarray) -> list[tuple[int, int]]:
-    """Return first and last grid point of pieces that are short enough to be held in memory, each from start to start of a window."""
+    """Return first and last grid point of pieces that are short enough to be held in memory, each from start to start
+    of a window.
+    """
     found = []
     for first, last in data.stretches:
         edges = [*starts[(starts >= first) & (starts < last)].tolist(), last]
@@ -157,13 +163,16 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
     unsettled = () if settled else ((float(at[0]), float(at[-1])),)
     std = np.sqrt(np.maximum(np.einsum("kii->ki", smoothed.covariance), 0.0))[:, nx:] * spread
     return Balances(
-        at, states, lay, found * spread, std, smoothed.log_likelihood, smoothed.covariance[:, :, nx:].astype(np.float32),
+        at, states, lay, found * spread, std, smoothed.log_likelihood,
+        smoothed.covariance[:, :, nx:].astype(np.float32),
         smoothed.gains.astype(np.float32), unsettled, float(vapour_pressure(model.P)),
     )  # fmt: skip
 
 
 def _joined(parts: list[Balances]) -> Balances:
-    """Return stretches, which are used up, one after the other; the last instant of one is the first of the next, and errors across are independent."""
+    """Return stretches, which are used up, one after the other; the last instant of one is the first of the next, and
+    errors across are independent.
+    """
     ends = [slice(None, -1)] * (len(parts) - 1) + [slice(None)]
     for part in parts[:-1]:
         part._gains[-2] = 0.0
@@ -189,7 +198,8 @@ def _stride(data: FitData) -> int:
 
 @dataclass(frozen=True)
 class Steps:
-    """The model made linear around a trajectory, from one instant of the smoother to the next; scaled by `jump_of` and `spread_of`.
+    """The model made linear around a trajectory, from one instant of the smoother to the next; scaled by `jump_of` and
+    `spread_of`.
 
     Deviations x (nx,) and inputs d (b,): x_k+1 = A_k x_k + B_k d_k + jump_k, y_k = C_k x_k.
 
@@ -214,7 +224,9 @@ class Steps:
 def linearised(
     model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray, inputs: np.ndarray, stride: int
 ) -> Steps:
-    """Return the model made linear around the trajectory that starts anew at each knot, with inputs (N, b) on the grid."""
+    """Return the model made linear around the trajectory that starts anew at each knot, with inputs (N, b) on the
+    grid.
+    """
     X, A, B, jump = _transitions(model, data, starts, knots, inputs)
     scale = jump_of(model.crane.layout)[: model.nx]
     A, B, jump = A * (scale / scale[:, None]), B * (spread_of(model.crane.layout) / scale[:, None]), jump / scale
@@ -265,7 +277,8 @@ def _transitions(
     )
     if run.status != 0 or not np.isfinite(run.X).all():
         raise CraneError(
-            f"{data.name}: the model cannot follow this recording at t = {data.time[max(run.failed, 0)]:.3f} s (a pose or pressure "
+            f"{data.name}: the model cannot follow this recording at t = {data.time[max(run.failed, 0)]:.3f} s (a pose "
+            "or pressure "
             "out of its reach). Is it another machine, or a channel with another sign or unit?"
         )
     arrived, response = run.X[1:].copy(), run.S[1:, :, nx:].copy()
@@ -344,7 +357,9 @@ def _smooth(steps: Steps) -> _Smoothed:
 
 
 def _augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return F (K-1, n, n), constant (K-1, n) and Q (n, n) of [x d]: d_k+1 = forget · d_k + noise, about the inputs found before."""
+    """Return F (K-1, n, n), constant (K-1, n) and Q (n, n) of [x d]: d_k+1 = forget · d_k + noise, about the inputs
+    found before.
+    """
     K, nx = steps.states.shape
     n = nx + steps.inputs.shape[1]
     F = np.zeros((K - 1, n, n))

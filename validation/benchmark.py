@@ -129,7 +129,9 @@ def _cycle(crane: Crane, engine: Any) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def filters(results: Results, crane: Crane) -> None:
-    """The paper's UKF at 1 kHz as real-time factors: Exudyn, semi-recursive, and the naive way; and where the time goes."""
+    """The paper's UKF at 1 kHz as real-time factors: Exudyn, semi-recursive, and the naive way; and where the time
+    goes.
+    """
     from . import paper
 
     experiment = paper.real_system(crane, 1, "semi-recursive", seed=0, duration=_BEGIN + STRETCH)
@@ -176,7 +178,9 @@ def _estimator(crane: Crane, experiment: Any, engine: str) -> Any:
 
 @contextmanager
 def _split(engine: Any, clocks: dict[str, float], name: str) -> Iterator[None]:
-    """Add up in `clocks` the time within the engine: all of it, and on Exudyn restoring states and Exudyn's residual."""
+    """Add up in `clocks` the time within the engine: all of it, and on Exudyn restoring states and Exudyn's
+    residual.
+    """
     from crane_exudyn import engine as module
 
     places: list[tuple[Any, str, str]] = [(engine, "propagate", "engine")]
@@ -267,7 +271,9 @@ def diagnosis(results: Results, crane: Crane) -> None:
 
 
 def leaking_recording(crane: Crane, rate: float = 200.0) -> Any:
-    """Return a recording of the paper's cycle on a crane whose first cylinder leaks: coordinates and all pressures, with noise."""
+    """Return a recording of the paper's cycle on a crane whose first cylinder leaks: coordinates and all pressures,
+    with noise.
+    """
     from crane_exudyn.recording import Recording
     from crane_exudyn.simulation import simulate
     from ukf.process import engine_of

@@ -3,10 +3,10 @@
     comparison = compare("patu655", "lift.csv")
     comparison.where[0].text      # "between 7.6 and 8.5 s, while the tilt cylinder extends, chamber p3 receives …"
 
-Three looks at one recording. Open loop: the crane starts where the recording starts (the start is fitted, because a wrong one alone
-makes errors of thirty times the noise) and then sees nothing but the commands. Filtered: the Kalman filter sees every sample and
-predicts the next. Balances: the smoother is given an unknown flow into each chamber and an unknown moment at each joint
-(`balances`), so that what the model lacks shows in the equation in which it is lacking.
+Three looks at one recording. Open loop: the crane starts where the recording starts (the start is fitted, because a
+wrong one alone makes errors of thirty times the noise) and then sees nothing but the commands. Filtered: the Kalman
+filter sees every sample and predicts the next. Balances: the smoother is given an unknown flow into each chamber and an
+unknown moment at each joint (`balances`), so that what the model lacks shows in the equation in which it is lacking.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ if TYPE_CHECKING:
 Engine = Literal["semi-recursive", "exudyn"]
 Series = dict[str, tuple[np.ndarray, np.ndarray]]
 
-#: what the filter allows the model to be wrong by: next to nothing, so that whatever the model lacks is left in the innovations
+#: what the filter allows the model to be wrong by: next to nothing, so that whatever the model lacks is left in the
+#: innovations
 _TRUSTING: tuple[Mapping[str, float], float] = ({"rad": 1e-6, "m": 1e-6}, 1e6)
 #: s at the start over which measured and simulated are compared, and by how many times the noise they may differ there
 _FIRST, _OFF = 0.1, 3.0
@@ -80,8 +81,8 @@ class Comparison:
         where: where the model fails, worst first.
         measured, simulated: channel -> (time (n,), values (n,)), the open-loop run at the measured instants.
         commands: time (n,) and spool commands (n, valves).
-        nis_bounds: what holds the filter's mean NIS with 99 % if the model is right; wider than χ² alone where the noise of the
-            sensors had to be estimated from the recording.
+        nis_bounds: what holds the filter's mean NIS with 99 % if the model is right; wider than χ² alone where the
+            noise of the sensors had to be estimated from the recording.
         notes: what a reader should know about the recording.
     """
 
@@ -129,7 +130,8 @@ class Comparison:
             return size + " No channel and no balance of the model is clearly off in any phase of work."
         if self.everywhere:
             return (
-                f"{size} Every balance of the model is violated, worst the {balance_words(self.violated[0])}: no single place stands out. "
+                f"{size} Every balance of the model is violated, worst the {balance_words(self.violated[0])}: no "
+                "single place stands out. "
                 "Several parameters, or the recording itself, may be wrong."
             )
         first = next((f for f in self.where if f.kind == "equation"), self.where[0])
@@ -175,7 +177,8 @@ class Comparison:
     def to_csv(self, path: str | Path) -> None:
         """Write what was measured and what the open-loop run gave in SI to .csv, .csv.gz, .parquet or .mat.
 
-        One row an instant of any channel, `z1_measured[rad]`, `z1_simulated[rad]`, …; NaN where a channel has no sample.
+        One row an instant of any channel, `z1_measured[rad]`, `z1_simulated[rad]`, …; NaN where a channel has no
+        sample.
         """
         from crane_exudyn import channels
         from crane_exudyn.formats import write_table
@@ -219,7 +222,8 @@ class Comparison:
     def __repr__(self) -> str:
         filtered = "consistent" if self.consistent else "NOT consistent"
         return (
-            f"<Comparison of {self.recording} with {self.crane}: open-loop error {self.error:.3g} noise units, filter {filtered} "
+            f"<Comparison of {self.recording} with {self.crane}: open-loop error {self.error:.3g} noise units, filter "
+            f"{filtered} "
             f"(mean NIS {self.estimate.nis_mean:.3g}), {len(self.where)} places where the model fails>"
         )
 
@@ -236,8 +240,8 @@ def compare(
     Args:
         crane: the crane with its effects, or a name or file.
         recording: the recording, or its file.
-        engine: which engine runs open loop and in the filter; the start and the residual balances are always found with the
-            semi-recursive one, the only one that takes unknown inputs.
+        engine: which engine runs open loop and in the filter; the start and the residual balances are always found with
+            the semi-recursive one, the only one that takes unknown inputs.
         progress: called with the fraction done.
 
     Raises:
@@ -266,10 +270,12 @@ def compare(
         notes.append(f"the commands act {1e3 * late:.1f} ms after their stamps; this is allowed for")
     for begin, end in balances.unsettled:
         notes.append(
-            f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: their ± is too small"
+            f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: their "
+            "± is too small"
         )
     return Comparison(
-        recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured, simulated,
+        recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured,
+        simulated,
         (data.command_time, data.commands), nis_bounds(estimate, kept, crane), tuple(notes),
     )  # fmt: skip
 
@@ -282,7 +288,8 @@ def compare_all(
     per_recording: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> list[Comparison]:
-    """Return one comparison a recording, each with its own value of the nominal parameters `per_recording`, which is fitted.
+    """Return one comparison a recording, each with its own value of the nominal parameters `per_recording`, which is
+    fitted.
 
     Raises:
         CraneError: as `compare`, or one of them is no parameter of the crane that is uncertain.
@@ -299,8 +306,8 @@ def compare_all(
 def started(crane: Crane, data: FitData) -> Fit:
     """Return the crane as it is, its first state chosen so that the open-loop run explains the recording best.
 
-    Beside the start, only the lateness of the commands against the sensors (a few ms at most) is free: it belongs to the
-    recorder, not to the crane.
+    Beside the start, only the lateness of the commands against the sensors (a few ms at most) is free: it belongs to
+    the recorder, not to the crane.
     """
     timing = (timing_of(data),)
     return staged(crane, data, timing, np.zeros(1), first_knots(crane, data), (LOOSE, TIGHT, STIFF, WHOLE))
@@ -323,7 +330,8 @@ def _open_loop_errors(
 
 
 def open_loop(crane: Crane, data: FitData, starts: np.ndarray, engine: Engine) -> tuple[Series, Series]:
-    """Return measured and simulated channels, (time, values) each at the measured instants, of a run that sees only commands.
+    """Return measured and simulated channels, (time, values) each at the measured instants, of a run that sees only
+    commands.
 
     It begins with `starts`, (nx,) or (S, nx) for each stretch of known commands.
 
@@ -341,7 +349,9 @@ def open_loop(crane: Crane, data: FitData, starts: np.ndarray, engine: Engine) -
 
 
 def from_one_start(recording: Recording, cranes: Mapping[str, Crane]) -> dict[str, Series]:
-    """Return what was measured, and open-loop runs of several cranes, by label, from the start that suits the last one best."""
+    """Return what was measured, and open-loop runs of several cranes, by label, from the start that suits the last one
+    best.
+    """
     kept, (*_, last) = usable(recording), cranes.values()
     start = started(last, FitData.of(kept, last))
     lines: dict[str, Series] = {}
@@ -354,14 +364,18 @@ def from_one_start(recording: Recording, cranes: Mapping[str, Crane]) -> dict[st
 
 
 class _Following(Estimator):
-    """An estimator without limits on the angles: a recording may pass a dead centre, and measured angles say on which side."""
+    """An estimator without limits on the angles: a recording may pass a dead centre, and measured angles say on which
+    side.
+    """
 
     def _all_bounds(self, lengths: Any) -> Any:
         return super()._all_bounds(None)
 
 
 def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[float], None] | None = None) -> Estimate:
-    """Return the run of a filter that trusts the model, and believes every sample; it begins anew after unknown commands."""
+    """Return the run of a filter that trusts the model, and believes every sample; it begins anew after unknown
+    commands.
+    """
     noise = {s.channel: s.noise for s in data.samples}
     estimator = _Following(
         crane, engine, sensors=noise, noise=ProcessNoise.of(crane.layout, *_TRUSTING), max_step=data.step, gate=None

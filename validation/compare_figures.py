@@ -53,7 +53,9 @@ def _stacked(ratios: Sequence[float], height: float) -> Figure:
 
 
 def where_figure(comparison: Comparison) -> Figure:
-    """Return a map of time against channels and equations: the darker, the worse the model; what the crane did stands above."""
+    """Return a map of time against channels and equations: the darker, the worse the model; what the crane did stands
+    above.
+    """
     scores = comparison.scores
     rows = [*scores.channel_names, *map(balance_words, scores.layout.equations)]
     values = np.column_stack([scores.channels, np.abs(scores.equations) / (VIOLATED / PREDICTED_BADLY)]).T
@@ -203,7 +205,8 @@ def traces_figure(lines: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]
     """Return the channels in which the first model errs most, over time, and below the worst one where it is worst.
 
     Args:
-        lines: "measured", then models by label: channel -> (time (n,), values (n,)), as `compare.from_one_start` gives them.
+        lines: "measured", then models by label: channel -> (time (n,), values (n,)), as `compare.from_one_start` gives
+            them.
         layout: of the machine.
     """
     measured, first = lines["measured"], lines[next(label for label in lines if label != "measured")]

@@ -1,8 +1,8 @@
 """Cross-check of the two engines: every intermediate quantity first, then the static start, then trajectories.
 
-The engines share the crane file and the effects' definitions, and no equation. What one gets wrong the other must get wrong
-in the same way to hide it. Quantities are compared in the order in which one follows from another, so that the first that
-differs names the fault.
+The engines share the crane file and the effects' definitions, and no equation. What one gets wrong the other must get
+wrong in the same way to hide it. Quantities are compared in the order in which one follows from another, so that the
+first that differs names the fault.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ Progress = Callable[[float], None]
 #: inner step at which trajectories are judged, and the falling steps (of inputs sampled at the first) for the order
 FINE_STEP = 1e-4
 ORDER_STEPS = (4e-3, 2e-3, 1e-3)
-#: RMS differences, rad and Pa, of runs that differ by no more than what both Newton's methods leave: these do not fall with the step
+#: RMS differences, rad and Pa, of runs that differ by no more than what both Newton's methods leave: these do not fall
+#: with the step
 NOISE = (1e-9, 1.0)
 
 
@@ -65,7 +66,8 @@ class Group:
         names: of the terms.
         tolerance: largest accepted difference relative to the quantity's largest value over the states.
         reason: why that much.
-        floor: smallest value that the difference is taken relative to, in SI: rounding of what the quantity is a sum of.
+        floor: smallest value that the difference is taken relative to, in SI: rounding of what the quantity is a sum
+            of.
         angle: whether values that differ by full turns are equal.
     """
 
@@ -123,7 +125,9 @@ def groups_of(crane: Crane) -> tuple[Group, ...]:
 
 
 def split_by_pendulum(crane: Crane) -> tuple[str, ...]:
-    """Return terms of a payload on a pendulum that each engine may split differently between M and Q; their sum, ddz, is compared."""
+    """Return terms of a payload on a pendulum that each engine may split differently between M and Q; their sum, ddz,
+    is compared.
+    """
     names = ("mass matrix", "gravity forces", "velocity forces", "joint and tip forces")
     return tuple(n for group in groups_of(crane) if group.text in names for n in group.names)
 
@@ -160,8 +164,8 @@ class Quantity:
 class Run:
     """A trajectory of both engines: states (n, nx) at time (n,) with one inner step.
 
-    Pressures are those in the chambers; `boils` is the index of the first sample with a chamber at vapour pressure, n where
-    there is none.
+    Pressures are those in the chambers; `boils` is the index of the first sample with a chamber at vapour pressure, n
+    where there is none.
     """
 
     name: str
@@ -280,7 +284,8 @@ def compare_runs(
 ) -> tuple[list[Quantity], list[Run]]:
     """Return quantities and runs of both engines from the static start of the crane file.
 
-    The difference must fall with the square of the step, and at `step` be below 1e-6 rad and 1e-4 of the pressures' ranges.
+    The difference must fall with the square of the step, and at `step` be below 1e-6 rad and 1e-4 of the pressures'
+    ranges.
     """
     crane = first.crane
     x0 = initial_state(crane, second)
@@ -311,7 +316,8 @@ def _as_asked(engine: Engine) -> Engine:
 
 
 def _orders(layout: Layout, runs: Sequence[Run]) -> list[Quantity]:
-    """Return how far the order of the difference in the step is below 2, for positions and pressures: two forms of one rule.
+    """Return how far the order of the difference in the step is below 2, for positions and pressures: two forms of one
+    rule.
 
     A difference that ends in the noise has no order; one that is nothing at all is not that of two engines.
     """
@@ -437,7 +443,8 @@ def _effects(
 
 
 def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.random.Generator) -> Quantity:
-    """Return the worst quantity of two engines whose crane has an effect, over `count` states drawn for the crane without it.
+    """Return the worst quantity of two engines whose crane has an effect, over `count` states drawn for the crane
+    without it.
 
     Static starts are among the quantities: what an effect holds at rest is not in the pressures.
 
@@ -458,12 +465,15 @@ def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.ra
     return worst
 
 
-#: largest accepted RMS differences of the engines along a run at their default accuracy, rad and Pa: what each promises of itself
+#: largest accepted RMS differences of the engines along a run at their default accuracy, rad and Pa: what each promises
+#: of itself
 ALONG = (1e-5, 0.1e5)
 
 
 def run_effect(key: str, first: Engine, second: Engine) -> Quantity:
-    """Return how far two engines come apart along 5 s that excite the effect of their crane, at their default accuracy."""
+    """Return how far two engines come apart along 5 s that excite the effect of their crane, at their default
+    accuracy.
+    """
     crane = second.crane
     if "end_stop" in key:
         crane = cases.without_short_strokes(crane)
@@ -493,7 +503,9 @@ def manoeuvres(
 
 
 def figure_of(layout: Layout, runs: Sequence[Run]) -> Figure:
-    """Return a figure of one manoeuvre: both engines on top of each other, and below each their difference at every step."""
+    """Return a figure of one manoeuvre: both engines on top of each other, and below each their difference at every
+    step.
+    """
     from . import plots
 
     columns = {name: layout.index(name) for name in (*layout.coordinates, *layout.chambers)}

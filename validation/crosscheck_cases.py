@@ -1,4 +1,6 @@
-"""What a cross-check is run on: random feasible states, other cranes, probes of every effect, random joystick inputs."""
+"""What a cross-check is run on: random feasible states, other cranes, probes of every effect, random joystick
+inputs.
+"""
 
 from __future__ import annotations
 
@@ -66,8 +68,9 @@ class States:
 def random_states(crane: Crane, count: int, rng: np.random.Generator) -> States:
     """Return `count` states at which the loops close well and the cylinders are inside their strokes.
 
-    Coordinates are uniform over what is feasible, rates normal with 0.3 rad/s, pressures uniform up to 1.5 times the pump's (in a third
-    of the states up to a tenth of that, one in twenty at vapour pressure), spool positions uniform; half of the inputs carry measured supply pressures.
+    Coordinates are uniform over what is feasible, rates normal with 0.3 rad/s, pressures uniform up to 1.5 times the
+    pump's (in a third of the states up to a tenth of that, one in twenty at vapour pressure), spool positions uniform;
+    half of the inputs carry measured supply pressures.
 
     Raises:
         CraneError: hardly any pose of this crane is feasible.
@@ -135,7 +138,9 @@ def _shortest_chamber(terms: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def other_cranes(crane: Crane, rng: np.random.Generator) -> dict[str, Crane]:
-    """Return cranes of other numbers: a longer boom with a heavier payload, and one drawn at random within feasibility."""
+    """Return cranes of other numbers: a longer boom with a heavier payload, and one drawn at random within
+    feasibility.
+    """
     body, point = crane.machine.payload
     kin = {"drawn at random": _drawn_crane(crane, rng)}
     if not body:
@@ -174,7 +179,9 @@ def _drawn_crane(crane: Crane, rng: np.random.Generator) -> Crane:
 
 
 def effect_probes(crane: Crane) -> dict[str, Crane]:
-    """Return {"name@place": crane with that effect} for every effect that acts inside an engine, its parameters typical."""
+    """Return {"name@place": crane with that effect} for every effect that acts inside an engine, its parameters
+    typical.
+    """
     probes = {}
     for key in registry.all_keys(crane.layout):
         effect, _ = registry.split_key(key)
@@ -193,7 +200,9 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
 
 
 def exciting(crane: Crane, to_its_end: str = "") -> tuple[np.ndarray, np.ndarray]:
-    """Return time (n,) s and inputs w (n, .) of 5 s in which all cylinders go both ways, or one goes against the end of its stroke."""
+    """Return time (n,) s and inputs w (n, .) of 5 s in which all cylinders go both ways, or one goes against the end of
+    its stroke.
+    """
     time, cylinders = np.arange(round(5.0 / SAMPLE) + 1) * SAMPLE, crane.layout.cylinders
     ways = [
         (1.0 if c % 2 == 0 else -1.0) * np.sin((2.5 - 0.8 * c) * time) * (time > 0.5 * c) for c in range(len(cylinders))
@@ -207,8 +216,8 @@ def exciting(crane: Crane, to_its_end: str = "") -> tuple[np.ndarray, np.ndarray
 def joystick(crane: Crane, x0: np.ndarray, seconds: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return time (n,) s and commands (n, levers) of a random driver who keeps the cylinders off their ends.
 
-    Each valve is ramped within 0.2 s to a new random position (one in four is rest), which is held up to 1.5 s. The driver
-    only does what he can still stop in time.
+    Each valve is ramped within 0.2 s to a new random position (one in four is rest), which is held up to 1.5 s. The
+    driver only does what he can still stop in time.
     """
     engine, n, levers = SemiRecursiveEngine(crane), round(seconds / SAMPLE) + 1, len(crane.layout.cylinders)
     stop = round(0.6 / SAMPLE)

@@ -1,4 +1,6 @@
-"""Which physical effect is missing: the search to two effects (`selection.search`), its verdict, and the errors that go with it."""
+"""Which physical effect is missing: the search to two effects (`selection.search`), its verdict, and the errors that go
+with it.
+"""
 
 from __future__ import annotations
 
@@ -67,8 +69,10 @@ class Diagnosis:
         candidates: everything that was weighed, best first.
         crane: the crane file with what was found (the one given where nothing was).
         where: for "unknown", where and when something is left, worst first.
-        recordings: with several recordings, the errors by recording, and what differs from one to another, as in the JSON.
-        misses_check: whether what explains the recording does not predict the check recording; then the verdict is "unknown".
+        recordings: with several recordings, the errors by recording, and what differs from one to another, as in the
+            JSON.
+        misses_check: whether what explains the recording does not predict the check recording; then the verdict is
+            "unknown".
     """
 
     recording: str
@@ -169,8 +173,9 @@ def diagnose(
 ) -> Diagnosis:
     """Return what the recording, or several of one machine, say that the crane file lacks.
 
-    Models with the nominal parameters moved within their uncertainty, and with up to two effects at any of their places, are searched and weighed by
-    their marginal likelihood. Without known effects that explain the recordings the verdict is "unknown".
+    Models with the nominal parameters moved within their uncertainty, and with up to two effects at any of their
+    places, are searched and weighed by their marginal likelihood. Without known effects that explain the recordings the
+    verdict is "unknown".
 
     Args:
         crane: the crane file; effects that it has stay, and are fitted along.
@@ -198,7 +203,9 @@ def searched(
     jobs: int,
     progress: Progress,
 ) -> tuple[Path, list[str]]:
-    """Return the path of the search to at most so many effects, and notes on the recordings, after they were looked at."""
+    """Return the path of the search to at most so many effects, and notes on the recordings, after they were looked
+    at.
+    """
     from .fitness import check_all
 
     recordings = several(recording)
@@ -214,15 +221,20 @@ def several(recording: Recording | Sequence[Recording]) -> tuple[Recording, ...]
 
 
 def diagnosis_of(path: Path, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:
-    """Return the diagnosis that a path gives, with the errors that it leaves; the check recording is predicted, and chooses nothing."""
+    """Return the diagnosis that a path gives, with the errors that it leaves; the check recording is predicted, and
+    chooses nothing.
+    """
     verdict, problem = verdict_of(path), path.problem
     named = verdict.kind in ("effect", "tied")
     lean = leaner(problem.crane, problem.data, verdict.chosen) if named else verdict.chosen
     result = Diagnosis(
-        problem.data.name, verdict.kind, problem.crane if verdict.kind in ("adequate", "unknown") else lean.fit.crane, problem.crane,
-        {} if verdict.kind in ("adequate", "unknown") else moved_parameters(problem, lean), _candidates(path, verdict, lean),
+        problem.data.name, verdict.kind, problem.crane if verdict.kind in ("adequate", "unknown") else lean.fit.crane,
+        problem.crane,
+        {} if verdict.kind in ("adequate", "unknown") else moved_parameters(problem, lean),
+        _candidates(path, verdict, lean),
         verdict.chosen.keys if named else (), tuple(" + ".join(w.keys) or "parameters" for w in verdict.ties),
-        next_manoeuvre=_telling(problem, lean, verdict.ties[0]) if verdict.ties else "", notes=(*verdict.notes, *notes), late=lean.fit.late,
+        next_manoeuvre=_telling(problem, lean, verdict.ties[0]) if verdict.ties else "", notes=(*verdict.notes, *notes),
+        late=lean.fit.late,
     )  # fmt: skip
     if verdict.kind == "unknown":
         result = replace(result, where=_where(problem) or left_over(path.best or path.parameters))
@@ -230,7 +242,8 @@ def diagnosis_of(path: Path, check: Recording | None, notes: Sequence[str] = ())
 
 
 def _held_to_check(d: Diagnosis) -> Diagnosis:
-    """Return the diagnosis; "unknown", if what explains the recording leaves most of what is wrong on the check recording.
+    """Return the diagnosis; "unknown", if what explains the recording leaves most of what is wrong on the check
+    recording.
 
     Then the candidates stay, but none of them is what the machine lacks, or the check recording is of another machine.
     """
@@ -239,17 +252,21 @@ def _held_to_check(d: Diagnosis) -> Diagnosis:
         return d
     found = " and ".join(d.effects) or "the model" + " with moved parameters" * (d.verdict == "parameters")
     note = (
-        f"{found} explains the recording, but does not predict the check recording (error {before:.3g} -> {after:.3g} noise units). Is it of "
+        f"{found} explains the recording, but does not predict the check recording (error {before:.3g} -> {after:.3g} "
+        "noise units). Is it of "
         "the same machine, with the same load and the same units?"
     )
     return replace(
-        d, verdict="unknown", crane=d.given, effects=(), tied_with=(), next_manoeuvre="", misses_check=True, notes=(note, *d.notes),
+        d, verdict="unknown", crane=d.given, effects=(), tied_with=(), next_manoeuvre="", misses_check=True,
+        notes=(note, *d.notes),
         error_after=d.error_before, check_error_after=before,
     )  # fmt: skip
 
 
 def _where(problem: Problem) -> tuple[Mapping[str, Any], ...]:
-    """Return which balance is violated when, as `compare` finds it, worst first; with several recordings also in which."""
+    """Return which balance is violated when, as `compare` finds it, worst first; with several recordings also in
+    which.
+    """
     from .compare import compare
 
     found = [
@@ -266,7 +283,9 @@ def _telling(problem: Problem, chosen: Fitted, other: Fitted) -> str:
 
 
 def _candidates(path: Path, verdict: Verdict, lean: Fitted) -> tuple[Candidate, ...]:
-    """Return all that was weighed, best first, by the evidence of fits to the same point; what was chosen with its fewest moved parameters."""
+    """Return all that was weighed, best first, by the evidence of fits to the same point; what was chosen with its
+    fewest moved parameters.
+    """
     everything = sorted([path.parameters, *path.weighed], key=lambda w: -w.evidence)
     weights = np.exp(np.clip([w.evidence - everything[0].evidence for w in everything], -700, 0))
     shown = {verdict.chosen.keys: lean, (): path.fewest}
@@ -300,7 +319,9 @@ def moved_parameters(problem: Problem, chosen: Fitted) -> dict[str, dict[str, An
 
 
 def _posterior(chosen: Fitted, prior: Mapping[str, float]) -> dict[str, float]:
-    """Return the standard deviation of each nominal parameter: the informed directions' from the fit, the others' from the prior."""
+    """Return the standard deviation of each nominal parameter: the informed directions' from the fit, the others' from
+    the prior.
+    """
     variance = {n: s**2 for n, s in prior.items()}
     directions = [(i, v) for i, v in enumerate(chosen.fit.variables) if hasattr(v, "weights")]
     cov = chosen.fit.cov
@@ -334,7 +355,9 @@ def left_over(w: Fitted) -> tuple[Mapping[str, Any], ...]:
 
 
 def _with_errors(d: Diagnosis, path: Path, check: Recording | None) -> Diagnosis:
-    """Add open-loop errors on all recordings: of the crane as given, of the candidates that came near, of the choice."""
+    """Add open-loop errors on all recordings: of the crane as given, of the candidates that came near, of the
+    choice.
+    """
     problem = path.problem
     recordings = problem.recordings
     best = max((c.evidence for c in d.candidates), default=0.0)
@@ -356,7 +379,8 @@ def _with_errors(d: Diagnosis, path: Path, check: Recording | None) -> Diagnosis
         for i, r in enumerate(recordings)
     ]
     return replace(
-        d, recordings=tuple(by_recording) if len(recordings) > 1 else (), error_after=learned[k], check_error_after=checked[k], **before,
+        d, recordings=tuple(by_recording) if len(recordings) > 1 else (), error_after=learned[k],
+        check_error_after=checked[k], **before,
         candidates=tuple(replace(c, **before, **after.get(c.effects, {})) for c in d.candidates),
     )  # fmt: skip
 

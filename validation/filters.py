@@ -45,7 +45,9 @@ class Timed:
 
 @dataclass(frozen=True)
 class Row:
-    """One filter: accuracy by state, NIS (one a sensor expected) and cost of a step in microseconds of processor time."""
+    """One filter: accuracy by state, NIS (one a sensor expected) and cost of a step in microseconds of processor
+    time.
+    """
 
     method: str
     tuning: str

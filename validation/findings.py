@@ -1,4 +1,6 @@
-"""Where a model fails, in sentences: which channel is badly predicted or which balance violated, when, and during what work."""
+"""Where a model fails, in sentences: which channel is badly predicted or which balance violated, when, and during what
+work.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,8 @@ _TURNING = 5e-3
 class Finding:
     """One place where the model fails: a channel or an equation, from, to (s), phase of work, score, and a sentence.
 
-    The score is in standard deviations: for a channel of what the filter expects (RMS), for an equation of the mean residual.
-    `value` is in SI: the RMS innovation of a channel, the mean residual of an equation.
+    The score is in standard deviations: for a channel of what the filter expects (RMS), for an equation of the mean
+    residual. `value` is in SI: the RMS innovation of a channel, the mean residual of an equation.
     """
 
     kind: Literal["channel", "equation"]
@@ -53,9 +55,11 @@ class Scores:
     """How well each phase is explained; F phases, k channels, b equations.
 
     Attributes:
-        channels (F, k): RMS innovation over what the filter expects, NaN with fewer than five samples; errors (F, k): in SI.
+        channels (F, k): RMS innovation over what the filter expects, NaN with fewer than five samples; errors (F, k):
+            in SI.
         samples (F, k): number of samples.
-        means, stds (F, b): mean residual of each balance and its standard deviation, SI; infinite where it cannot be known.
+        means, stds (F, b): mean residual of each balance and its standard deviation, SI; infinite where it cannot be
+            known.
         turning (F, n): mean rates of the joints, rad/s or m/s.
         layout: of the machine, for names and words.
     """
@@ -84,7 +88,10 @@ class Scores:
         found = []
         for i, j in np.argwhere(self.channels > limit):
             phase, name, score = self.phases[i], self.channel_names[j], float(self.channels[i, j])
-            text = f"{phase.words}, {name} is {told(name, self.errors[i, j], self.layout)} (RMS) off what the filter expects"
+            text = (
+                f"{phase.words}, {name} is {told(name, self.errors[i, j], self.layout)} (RMS) off what the filter "
+                "expects"
+            )
             text += f", {score:.1f} times what noise explains"
             found.append(
                 Finding("channel", name, phase.start, phase.end, phase.kind, score, text, float(self.errors[i, j]))
@@ -102,7 +109,8 @@ class Scores:
         return found
 
     def by_kind(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
-        """Return (kind of work, mean residuals (b,), standard deviations (b,)) over all phases of each kind, in the order of `kinds`.
+        """Return (kind of work, mean residuals (b,), standard deviations (b,)) over all phases of each kind, in the
+        order of `kinds`.
 
         NaN where no phase of a kind tells anything about a balance.
         """
@@ -166,7 +174,10 @@ def violation(equation: str, mean: float, std: float, layout: Layout, rate: floa
     amount = f"{rounded(abs(mean) / factor, 1.96 * std / factor)} {unit}"
     place = equation.rpartition(".")[2]
     if equation.startswith("flow."):
-        return f"chamber {place} ({layout.side_of(place)}) receives {amount} {'more' if mean > 0 else 'less'} than the model says"
+        return (
+            f"chamber {place} ({layout.side_of(place)}) receives {amount} {'more' if mean > 0 else 'less'} than the "
+            "model says"
+        )
     motion = ""
     if abs(rate) > _TURNING:
         motion = ", against its motion" if rate * mean < 0 else ", along with its motion"

@@ -21,7 +21,8 @@ Purpose = Literal["compare", "diagnose"]
 SHORTEST = 1.0
 #: a channel that stands at its extreme for more than this share of the time is saturated
 _STUCK_SHARE = 0.5
-#: seconds of closed valves in which slow errors of a sensor are looked for, and by how much they must exceed its white noise
+#: seconds of closed valves in which slow errors of a sensor are looked for, and by how much they must exceed its white
+#: noise
 _REST, _WAVERS = 0.25, 1.5
 #: seconds with an open valve that a sound sensor does not sit through without the slightest change
 _STUCK_SECONDS = 0.3
@@ -30,8 +31,9 @@ _STUCK_SECONDS = 0.3
 def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> list[str]:
     """Return notes on a recording (one sentence each); what cannot be used at all is refused with the reason.
 
-    Refused for any purpose: contents that cannot be true (`crane_exudyn.vetting`), no commands, no sensor, shorter than 1 s, sensors that overlap with the commands for less than
-    that, all sensors constant, a saturated sensor. Refused for "diagnose" also: a single sensor, and a crane that never moves.
+    Refused for any purpose: contents that cannot be true (`crane_exudyn.vetting`), no commands, no sensor, shorter than
+    1 s, sensors that overlap with the commands for less than that, all sensors constant, a saturated sensor. Refused
+    for "diagnose" also: a single sensor, and a crane that never moves.
 
     Raises:
         CraneError: what is wrong with the recording, and how to mend it.
@@ -43,7 +45,8 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
     where = recording.source or recording.name
     if len(constant) == len(recording.sensors):
         raise CraneError(
-            f"{where}: every sensor ({', '.join(constant)}) shows one value from beginning to end, so there is nothing to compare. "
+            f"{where}: every sensor ({', '.join(constant)}) shows one value from beginning to end, so there is nothing "
+            "to compare. "
             "Check that the sensors were connected and the logger was running."
         )
     for name in recording.sensors:
@@ -52,7 +55,8 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
     moves = _moves(recording, crane, commands)
     if purpose == "diagnose" and not moves:
         raise CraneError(
-            f"{where}: nothing moves: no valve is opened by more than {OPEN:g} and no angle leaves its noise. A diagnosis needs "
+            f"{where}: nothing moves: no valve is opened by more than {OPEN:g} and no angle leaves its noise. A "
+            "diagnosis needs "
             "motion; record a run in which every cylinder extends and retracts."
         )
     notes = _notes(recording, crane, time, commands, constant, moves)
@@ -60,7 +64,8 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
 
 
 def check_all(recordings: Sequence[Recording], check: Recording | None, crane: Crane) -> list[str]:
-    """Return notes on recordings to be diagnosed and the one that is only predicted, each with its recording's name where there are several.
+    """Return notes on recordings to be diagnosed and the one that is only predicted, each with its recording's name
+    where there are several.
 
     Raises:
         CraneError: one of them cannot be used.
@@ -89,7 +94,8 @@ def check_check(check: Recording, learned: Sequence[Recording], crane: Crane) ->
     sensors = list(dict.fromkeys(c for r in learned for c in r.sensors))
     if not set(check.sensors) & set(sensors):
         raise CraneError(
-            f"{where}: has {', '.join(check.sensors)}, but no sensor of {', '.join(r.name for r in learned)} ({', '.join(sensors)}). "
+            f"{where}: has {', '.join(check.sensors)}, but no sensor of {', '.join(r.name for r in learned)} "
+            f"({', '.join(sensors)}). "
             "A check recording is of the same machine, with the same sensors."
         )
     if any(same(check, r) for r in learned):
@@ -106,7 +112,9 @@ def same(one: Recording, other: Recording) -> bool:
 
 
 def usable(recording: Recording) -> Recording:
-    """Return the recording without sensors that show one value throughout: they have no noise to be measured against."""
+    """Return the recording without sensors that show one value throughout: they have no noise to be measured
+    against.
+    """
     dead = {name for name in recording.sensors if _is_constant(recording[name])}
     return recording.select([n for n in recording.channels if n not in dead]) if dead else recording
 
@@ -128,7 +136,8 @@ def _refuse_short(recording: Recording, command_time: np.ndarray) -> None:
     few = next((n for n in recording.sensors if len(recording[n]) < 10), None)
     if few is not None:
         raise CraneError(
-            f"{where}: channel {few} has only {len(recording[few])} samples; at least 10 are needed. Leave it out, or sample faster."
+            f"{where}: channel {few} has only {len(recording[few])} samples; at least 10 are needed. Leave it out, or "
+            "sample faster."
         )
 
 
@@ -137,7 +146,9 @@ def _is_constant(channel: Channel) -> bool:
 
 
 def _refuse_saturated(where: str, name: str, channel: Channel, time: np.ndarray, command: np.ndarray) -> None:
-    """Refuse a channel that sits exactly at its largest or smallest value most of the time, also while its valve is open."""
+    """Refuse a channel that sits exactly at its largest or smallest value most of the time, also while its valve is
+    open.
+    """
     valve = np.abs(np.interp(channel.time, time, command)) > OPEN
     step = float(np.median(np.diff(channel.time)))
     for value, word in ((channel.values.max(), "largest"), (channel.values.min(), "smallest")):
@@ -145,8 +156,10 @@ def _refuse_saturated(where: str, name: str, channel: Channel, time: np.ndarray,
         share, through = float(stuck.mean()), float((stuck & valve).sum()) * step
         if share > _STUCK_SHARE and through > _STUCK_SECONDS:
             raise CraneError(
-                f"{where}: sensor {name} stands exactly at its {word} value ({value:g} SI) for {share:.0%} of the time, and for "
-                f"{through:.1f} s of it while its valve is open: it is saturated, frozen or not connected. Mend its range, or "
+                f"{where}: sensor {name} stands exactly at its {word} value ({value:g} SI) for {share:.0%} of the "
+                "time, and for "
+                f"{through:.1f} s of it while its valve is open: it is saturated, frozen or not connected. Mend its "
+                "range, or "
                 "leave the channel out."
             )
 
@@ -173,7 +186,8 @@ def _notes(
     notes += [f"the {name} valve is never opened" for name, command in valves if not _opened(command)]
     if free := recording.noise_free():
         notes.append(
-            f"{', '.join(free)} show{'s' * (len(free) == 1)} no noise, as simulations do: noise is added as [sensors] of the crane file says, "
+            f"{', '.join(free)} show{'s' * (len(free) == 1)} no noise, as simulations do: noise is added as [sensors] "
+            "of the crane file says, "
             f"or {USUAL_SENSOR:g} of the channel's range"
         )
     if not moves:
@@ -192,7 +206,8 @@ def _notes(
 def _wavering(
     recording: Recording, crane: Crane, time: np.ndarray, commands: np.ndarray, constant: list[str]
 ) -> list[str]:
-    """Name the sensors that waver at rest by more than neighbouring samples differ: hum, a logger that smooths, or a machine that rings.
+    """Name the sensors that waver at rest by more than neighbouring samples differ: hum, a logger that smooths, or a
+    machine that rings.
 
     Noise is estimated from neighbouring samples. Where it is slower than that, a right model seems to leave something.
     """
@@ -209,13 +224,15 @@ def _wavering(
     if not found:
         return []
     return [
-        f"at rest sensors waver by more than neighbouring samples differ: {', '.join(found)}. Unless the machine itself rings there, this is "
+        f"at rest sensors waver by more than neighbouring samples differ: {', '.join(found)}. Unless the machine "
+        "itself rings there, this is "
         "their noise: write it into [sensors] of the crane file, or what is only hum will look like something missing"
     ]
 
 
 def noise_at_rest(channel: Channel, time: np.ndarray, commands: np.ndarray) -> float:
-    """Return the standard deviation (SI) of a sensor about parabolas through stretches of closed valves; 0 without such stretches.
+    """Return the standard deviation (SI) of a sensor about parabolas through stretches of closed valves; 0 without such
+    stretches.
 
     The quietest quarter of the stretches counts, because after a motion the machine itself rings.
     """

@@ -1,8 +1,9 @@
 """Recordings with a hidden effect, for testing the diagnosis: random machines, manoeuvres, sensors and severities.
 
-`make_case(seed)` draws one machine and two manoeuvres, runs them on the Exudyn engine (the diagnosis searches on the other one)
-and returns what sensors would have recorded, with the answer. `python -m validation.hidden -o DIR` writes many as files.
-The semi-recursive engine only serves to try drafts: whether a manoeuvre stays within reach, whether an effect can be seen.
+`make_case(seed)` draws one machine and two manoeuvres, runs them on the Exudyn engine (the diagnosis searches on the
+other one) and returns what sensors would have recorded, with the answer. `python -m validation.hidden -o DIR` writes
+many as files. The semi-recursive engine only serves to try drafts: whether a manoeuvre stays within reach, whether an
+effect can be seen.
 """
 
 from __future__ import annotations
@@ -55,9 +56,9 @@ class HiddenCase:
 
     Attributes:
         learn, check: two recordings of the machine.
-        answer: "verdict" and "effects" as a right diagnosis gives them; "parameters" of each effect; "machine" parameters that are
-            not nominal; "visibility": by how many noise standard deviations (RMS, best channel) each of these moves the learn
-            recording; and what else was drawn.
+        answer: "verdict" and "effects" as a right diagnosis gives them; "parameters" of each effect; "machine"
+            parameters that are not nominal; "visibility": by how many noise standard deviations (RMS, best channel)
+            each of these moves the learn recording; and what else was drawn.
     """
 
     seed: int
@@ -213,7 +214,9 @@ def _corners(
 
 
 def _ramp(rng: np.random.Generator, hold: float) -> float:
-    """Return how long a command takes to its value, s: one in five steps, the others show in several samples at 100 Hz."""
+    """Return how long a command takes to its value, s: one in five steps, the others show in several samples at 100
+    Hz.
+    """
     return 0.0 if rng.random() < 0.2 else float(rng.uniform(0.03, min(max(hold, 0.05), 0.4)))
 
 
@@ -278,7 +281,9 @@ def _draft(crane: Crane, manoeuvre: Manoeuvre) -> dict[str, np.ndarray]:
 
 
 def readings(crane: Crane, states: np.ndarray) -> dict[str, np.ndarray]:
-    """Return what the sensors of a machine show without noise, every ms, as its effects say; those that lag begin settled."""
+    """Return what the sensors of a machine show without noise, every ms, as its effects say; those that lag begin
+    settled.
+    """
     shown = Measurement.of(crane).shown(states, _GRID[: len(states)], settled=True)
     return dict(zip(crane.layout.sensors, shown.T, strict=True))
 
@@ -294,8 +299,9 @@ def visibility(
 
 
 def draw_machine(crane: Crane, rng: np.random.Generator, *, errors: bool, payload: bool) -> Crane:
-    """Return a machine whose parameters are a little off: some by half their standard uncertainty (times a normal draw),
-    and, if asked, with another payload between 0 and 200 kg."""
+    """Return a machine whose parameters are a little off: some by half their standard uncertainty (times a normal
+    draw), and, if asked, with another payload between 0 and 200 kg.
+    """
     moved = {}
     for name, known in crane.uncertainty.items():
         if math.isfinite(known.std) and errors and rng.random() < 0.3:
@@ -392,7 +398,9 @@ def _machine(nominal: Crane, rng: np.random.Generator, kind: str, off: bool) -> 
 
 
 def _until_it_does(seed: int, s: _Setting) -> HiddenCase:
-    """Return a case; manoeuvres and severities (and errors of parameters, where they are the secret) are drawn until they do."""
+    """Return a case; manoeuvres and severities (and errors of parameters, where they are the secret) are drawn until
+    they do.
+    """
     problem: CraneError | None = None
     for attempt in range(_MOST_DRAWS):
         if attempt and s.kind == "parameters":
@@ -424,7 +432,9 @@ def _try_case(seed: int, s: _Setting) -> HiddenCase:
 
 
 def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law] = ()) -> dict[str, np.ndarray]:
-    """Return what the machine's sensors show without noise, by the Exudyn engine unless swapped; laws act beside its effects."""
+    """Return what the machine's sensors show without noise, by the Exudyn engine unless swapped; laws act beside its
+    effects.
+    """
     from crane_exudyn.engine import ExudynEngine
     from crane_exudyn.statics import static_start
 
@@ -457,7 +467,9 @@ def _in_dialect(machine: Crane) -> tuple[Crane, list[Dialect]]:
 
 
 def _seen(s: _Setting, machine: Crane, manoeuvre: Manoeuvre) -> dict[str, float]:
-    """Return the visibility of each effect and of the parameter errors; CraneError where an effect is not as visible as asked."""
+    """Return the visibility of each effect and of the parameter errors; CraneError where an effect is not as visible as
+    asked.
+    """
     whole = _draft(machine, manoeuvre)
     seen = {}
     for key in s.keys:

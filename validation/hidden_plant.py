@@ -1,8 +1,9 @@
-"""A crane on the Exudyn engine whose laws are changed from outside: laws that are in no effect file, and laws in a dialect.
+"""A crane on the Exudyn engine whose laws are changed from outside: laws that are in no effect file, and laws in a
+dialect.
 
-The library's effects are compiled into the engine. The laws here are asked before each step of 1 ms and change parameters,
-flows or forces for that step. So they can hold what the library cannot say (`LAWS`), and the library's effects as another
-maker's machine would have them (`DIALECTS`): a soft edge, a lag, another order of the same elements.
+The library's effects are compiled into the engine. The laws here are asked before each step of 1 ms and change
+parameters, flows or forces for that step. So they can hold what the library cannot say (`LAWS`), and the library's
+effects as another maker's machine would have them (`DIALECTS`): a soft edge, a lag, another order of the same elements.
 """
 
 from __future__ import annotations
@@ -199,7 +200,9 @@ def _churning_joint(crane: Crane, i: int, joint: str, torque: float) -> Law:
 
 
 def _quadratic_line(crane: Crane, name: str, sign: float, which: int, drop: float) -> Law:
-    """Return a law: a line loses pressure with the square of its flow, drop at 40 l/min; `which`: 2 drawn, 3 returned."""
+    """Return a law: a line loses pressure with the square of its flow, drop at 40 l/min; `which`: 2 drawn, 3
+    returned.
+    """
     P, E, topology, at = crane.parameter_vector(), crane.effect_vector(), crane.machine.topology, {"drop": 0.0}
 
     def law(now: Now) -> Mapping[str, float]:
@@ -220,7 +223,9 @@ def _log(rng: np.random.Generator, low: float, high: float) -> float:
 
 @dataclass(frozen=True)
 class Hidden:
-    """A law for the study of learning: what acts, and what is to be found: effect with place, argument, and the curve (SI)."""
+    """A law for the study of learning: what acts, and what is to be found: effect with place, argument, and the curve
+    (SI).
+    """
 
     law: Law
     effect: str
@@ -238,7 +243,9 @@ class Hidden:
 
 
 def draw_law(name: str, crane: Crane, rng: np.random.Generator, visited: Mapping[str, np.ndarray]) -> Hidden:
-    """Return a law of LEARNABLE with random severity at a random place; `visited` are "s1", "s2", "z1", "z4" along the manoeuvre."""
+    """Return a law of LEARNABLE with random severity at a random place; `visited` are "s1", "s2", "z1", "z4" along the
+    manoeuvre.
+    """
     c = int(rng.integers(2)) if name != "hunting_pump" else 0
     place, joint = crane.layout.cylinders[c], crane.layout.joints[c]
     told: dict[str, Any]
@@ -321,7 +328,8 @@ def draw_law(name: str, crane: Crane, rng: np.random.Generator, visited: Mapping
 
 #: the laws of the study of learning; none of them is in an effect file
 LEARNABLE = (
-    "scored_bore", "hunting_pump", "progressive_spool", "choked_valve", "quadratic_drag", "root_friction", "orifice_leak", "early_relief",
+    "scored_bore", "hunting_pump", "progressive_spool", "choked_valve", "quadratic_drag", "root_friction",
+    "orifice_leak", "early_relief",
     "hose_spring", "churning_joint", "thin_supply_line", "thin_return_line",
 )  # fmt: skip
 
@@ -359,7 +367,8 @@ def dialect(key: str, values: Mapping[str, float], crane: Crane) -> Dialect | No
 def inputs(
     crane: Crane, time: np.ndarray, stamps: np.ndarray, commands: np.ndarray, dialects: Sequence[Dialect] = ()
 ) -> np.ndarray:
-    """Return [U1 U2 pp pt] (N, 4) of a machine at `time`: spools behind the lag (16) and what the dialects make of them.
+    """Return [U1 U2 pp pt] (N, 4) of a machine at `time`: spools behind the lag (16) and what the dialects make of
+    them.
 
     Args:
         time: (N,) s.

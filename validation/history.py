@@ -26,8 +26,8 @@ def added(before: Crane, after: Crane, **evidence: Any) -> Crane:
 def removed(crane: Crane, key: str) -> Crane:
     """Return the crane without what the history says was added under that name, exactly as it was before.
 
-    Only the last entry of the history can be undone together with the parameters that moved with it; an effect from further back
-    is taken out alone.
+    Only the last entry of the history can be undone together with the parameters that moved with it; an effect from
+    further back is taken out alone.
 
     Raises:
         CraneError: the crane has no such effect.
@@ -54,7 +54,9 @@ def _undone(crane: Crane, entry: Mapping[str, Any]) -> Crane:
 
 
 def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
-    """Return the crane with an effect at the given values, or where none are given at values that are met in practice."""
+    """Return the crane with an effect at the given values, or where none are given at values that are met in
+    practice.
+    """
     effect, _ = registry.split_key(key)
     if crane.effect(key) is not None:
         raise CraneError(f"{crane.name} has {key!r} already. Remove it first, or fit it anew with `patu improve`.")

@@ -1,4 +1,6 @@
-"""The search to many effects, each step confirmed on the Exudyn engine; where no two explain a recording, one after the other (`selection.many`)."""
+"""The search to many effects, each step confirmed on the Exudyn engine; where no two explain a recording, one after the
+other (`selection.many`).
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ AGREEMENT = 0.05
 class Step:
     """One step: what was added (None: the model as given, "parameters", or effects) and what that did to the errors.
 
-    Errors are open-loop RMS in noise units on the Exudyn engine; search_error is the one that the search's engine reported.
+    Errors are open-loop RMS in noise units on the Exudyn engine; search_error is the one that the search's engine
+    reported.
     """
 
     added: str | None
@@ -55,7 +58,8 @@ class Step:
 class Improvement:
     """The steps from the crane as given to the one that explains the recording as far as effects are justified.
 
-    `many`: what was found where no single effect explained the recording, with the evidence for each effect; None otherwise.
+    `many`: what was found where no single effect explained the recording, with the evidence for each effect; None
+    otherwise.
     """
 
     recording: str
@@ -67,7 +71,9 @@ class Improvement:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to know about the recordings; and what the data demand, cannot separate and leave, where several effects were taken in."""
+        """What to know about the recordings; and what the data demand, cannot separate and leave, where several effects
+        were taken in.
+        """
         about = self.diagnoses[0].notes if self.diagnoses else ()
         return about if self.many is None else (*about, *explained(self.many))
 
@@ -158,7 +164,9 @@ def improve(
 
 
 def _chosen(d: Diagnosis) -> Candidate | None:
-    """Return what a diagnosis justifies to add: its choice, or the best candidate if the error falls by a tenth all the same."""
+    """Return what a diagnosis justifies to add: its choice, or the best candidate if the error falls by a tenth all the
+    same.
+    """
     if d.verdict == "adequate" or d.misses_check:
         return None
     if d.verdict != "unknown":
@@ -176,7 +184,9 @@ class _Judge:
     own: tuple[str, ...]
 
     def step(self, name: str | None, crane: Crane, verdict: str, text: str) -> Step:
-        """Return a step to a crane: errors on the Exudyn engine and on that of the search, on the check recording, and the filter's mean NIS."""
+        """Return a step to a crane: errors on the Exudyn engine and on that of the search, on the check recording, and
+        the filter's mean NIS.
+        """
         found = [exudyn_error(crane, r, self.own) for r in self.recordings]
         exudyn, searched = (together(self.recordings, e) for e in ([f[0] for f in found], [f[1] for f in found]))
         check_error = exudyn_error(crane, self.check, self.own)[0] if self.check is not None else math.nan
@@ -193,8 +203,9 @@ def _disagreement(error: float, searched: float) -> str:
 
 
 def exudyn_error(crane: Crane, recording: Recording, own: Sequence[str] = ()) -> tuple[float, float, Crane]:
-    """Return the open-loop RMS error in noise units on the Exudyn engine, and on that of the search, from the same start, and the crane with
-    the recording's own parameters."""
+    """Return the open-loop RMS error in noise units on the Exudyn engine, and on that of the search, from the same
+    start, and the crane with the recording's own parameters.
+    """
     from crane_exudyn.engine import ExudynEngine
 
     searched, fit = open_loop_error(crane, recording, own=own)
@@ -204,7 +215,9 @@ def exudyn_error(crane: Crane, recording: Recording, own: Sequence[str] = ()) ->
 
 
 def nis_mean(crane: Crane, recording: Recording) -> float:
-    """Return the mean normalised innovation squared of the filter over a recording (expected: the number of sensors)."""
+    """Return the mean normalised innovation squared of the filter over a recording (expected: the number of
+    sensors).
+    """
     from ukf.estimator import Estimator
 
     noise = recording.noise()
@@ -221,7 +234,8 @@ def explained(found: Many) -> list[str]:
         ]
         if near:
             texts.append(
-                f"Not separated: when {step.key} was taken in, {', '.join(near)} would have brought half its evidence or more"
+                f"Not separated: when {step.key} was taken in, {', '.join(near)} would have brought half its evidence "
+                "or more"
             )
     for (first, other), r in sorted(found.alike.items(), key=lambda p: -abs(p[1]))[:5]:
         texts.append(f"Not separated: {first} and {other} (correlation {r:+.2f}); only what they do together is known")
@@ -234,7 +248,9 @@ def explained(found: Many) -> list[str]:
 
 
 def _identified(found: Many) -> list[str]:
-    """Return the sentences on the nominal parameters: the furthest moved with their intervals, and those not to be believed."""
+    """Return the sentences on the nominal parameters: the furthest moved with their intervals, and those not to be
+    believed.
+    """
     furthest = sorted((n for n, u in found.moved.items() if abs(u) > CRITERIA.told), key=lambda n: -abs(found.moved[n]))
     values = [
         f"{n} = {found.crane[n]:.4g} ± {found.deviations.get(n, math.inf):.2g} {unit_of(n)}".strip() for n in furthest
@@ -245,7 +261,8 @@ def _identified(found: Many) -> list[str]:
     if strained:
         far = ", ".join(f"{n} by {abs(found.moved[n]):.1f}" for n in strained)
         texts.append(
-            f"Hardly plausible, as many standard uncertainties from the crane file: {far}. They do the work of something that is "
+            f"Hardly plausible, as many standard uncertainties from the crane file: {far}. They do the work of "
+            "something that is "
             "not in the model, or that this recording does not separate from them"
         )
     return texts

@@ -35,7 +35,8 @@ from .selection.moves import scaled
 from .selection.screen import likely, screened
 from .selection.search import Progress, in_parallel, silent
 
-#: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to the end
+#: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to
+#: the end
 LOOSELY, FITTED, CARRIED = 4, 3, 2
 #: laws are sifted in loosely joined windows with so many iterations
 SIFT = Stage(LOOSE.seconds, LOOSE.stiffness, 3)
@@ -161,7 +162,8 @@ def learn(
     jobs: int = 2,
     progress: Progress = silent,
 ) -> Learned:
-    """Return the laws that recordings show and that neither the crane nor the library has; none where the library's do as well.
+    """Return the laws that recordings show and that neither the crane nor the library has; none where the library's do
+    as well.
 
     Args:
         crane: effects that it has stay, and are fitted along.
@@ -213,7 +215,9 @@ def _searched(
 
 
 def _chosen(found: Sequence[Explained], best: Explained) -> Explained | None:
-    """Return the best of the explanations that bring the proof; one with a law must bring it against those without a further one as well."""
+    """Return the best of the explanations that bring the proof; one with a law must bring it against those without a
+    further one as well.
+    """
     proven = [e for e in found if e.evidence > best.evidence + CRITERIA.proof and _sound(e)]
     plain = next((e for e in proven if len(e.laws) == len(best.laws)), None)
     if plain is not None and plain.evidence > proven[0].evidence - CRITERIA.proof:
@@ -243,7 +247,8 @@ def _grown(search: _Search, best: Explained, before: Fit, progress: Progress) ->
 
 
 def _anew(search: _Search, e: Explained) -> Explained:
-    """Return an explanation fitted anew from the crane as given with its parts as they were found, where that does no worse.
+    """Return an explanation fitted anew from the crane as given with its parts as they were found, where that does no
+    worse.
 
     Parameters that did a law's work before it was there come back slowly.
     """
@@ -262,7 +267,8 @@ def _anew(search: _Search, e: Explained) -> Explained:
 def _promising(search: _Search, fit: Fit) -> list[Part]:
     """Return the laws and the effects of the library that a screen at a fit finds most promising.
 
-    Parameters that have moved further than they may do a law's work and hide it: then the crane as given is screened too.
+    Parameters that have moved further than they may do a law's work and hide it: then the crane as given is screened
+    too.
     """
     laws, effects = _screened(search, fit)
     if fit is search.base and not plausible(fit):
@@ -315,7 +321,8 @@ def _predicts(search: _Search, before: Explained, after: Explained, notes: list[
         return True
     law = after.laws[-1]
     notes.append(
-        f"{law.key} would gain {inside:.0f} units of log-likelihood where it was fitted, but {outside:.0f} on blocks left out: it does not predict"
+        f"{law.key} would gain {inside:.0f} units of log-likelihood where it was fitted, but {outside:.0f} on blocks "
+        "left out: it does not predict"
     )
     return False
 
@@ -370,7 +377,9 @@ def _concluded(
 
 
 def _names(best: Explained, ties: Sequence[Explained]) -> tuple[str, ...]:
-    """Return what is tied, the parts in which it differs from the best: "learned_force@lift over speed" or an effect of the library."""
+    """Return what is tied, the parts in which it differs from the best: "learned_force@lift over speed" or an effect of
+    the library.
+    """
     own = {_name(p) for p in best.parts}
     return tuple(" + ".join(n for n in map(_name, e.parts) if n not in own) for e in ties)
 
@@ -395,7 +404,8 @@ def _told(search: _Search, e: Explained, part: Part, tied: tuple[str, ...], evid
     form = resembles(law.x, y, cov, law.over, curve.unit, law.key, law.against)
     text = form.text + (f", which is {form.library}" if form.library else "")
     return LearnedLaw(
-        law.key, law.over.name, unit_over(law, search.crane.layout), curve.unit, law.x, y, np.sqrt(np.maximum(np.diag(cov), 0.0)),
+        law.key, law.over.name, unit_over(law, search.crane.layout), curve.unit, law.x, y,
+        np.sqrt(np.maximum(np.diag(cov), 0.0)),
         law.against, text, tied, evidence, law, form,
     )  # fmt: skip
 
@@ -408,9 +418,12 @@ def _with_errors(
     jobs: int,
     before: Learned | None = None,
 ) -> Learned:
-    """Add open-loop errors of its crane on all recordings; those of the crane as given are the same, or those of `before`."""
+    """Add open-loop errors of its crane on all recordings; those of the crane as given are the same, or those of
+    `before`.
+    """
     tasks: list[tuple[Any, ...]] = [
-        (run_error, found.crane, r, None if found.crane is found.given else e.fit.of(i)) for i, r in enumerate(recordings)
+        (run_error, found.crane, r, None if found.crane is found.given else e.fit.of(i))
+        for i, r in enumerate(recordings)
     ]
     tasks += [(run_error, found.crane, check, None)] if check is not None else []
     errors = in_parallel(jobs, tasks)

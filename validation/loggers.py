@@ -1,7 +1,7 @@
 """Mistakes that loggers make, and how well `crane_exudyn.vetting` finds them.
 
-python -m validation.loggers lift_learn.csv lower_learn.csv      # what is found in each recording, made wrong in each way
-python -m validation.loggers --seeds 5000-5009                   # in recordings of hidden cases
+python -m validation.loggers lift_learn.csv lower_learn.csv      # what is found in each recording, made wrong in each
+way python -m validation.loggers --seeds 5000-5009                   # in recordings of hidden cases
 """
 
 from __future__ import annotations
@@ -151,7 +151,9 @@ def _begun_in_motion(recording: Recording, crane: Crane) -> Iterator[Mistake]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print how often each mistake is told first, with the right kind and channels, and as an error; and what is told of sound recordings."""
+    """Print how often each mistake is told first, with the right kind and channels, and as an error; and what is told
+    of sound recordings.
+    """
     parser = argparse.ArgumentParser(prog="python -m validation.loggers", description=main.__doc__)
     parser.add_argument("recordings", nargs="*", type=Path)
     parser.add_argument("--seeds", metavar="FIRST-LAST", help="hidden cases to make")

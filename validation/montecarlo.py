@@ -1,11 +1,12 @@
 """Is the filter consistent? Many runs of a crane that is shaken as the filter believes it to be.
 
-In each run the true start is drawn from the filter's own start belief, the true state gets the filter's own process noise at every
-step, and the sensors their noise. If model, filter and covariances agree, NEES is χ² with 8 degrees of freedom at any instant
-over the runs, and NIS χ² with as many as there are sensors. With model errors they do not agree, and the same numbers say so.
+In each run the true start is drawn from the filter's own start belief, the true state gets the filter's own process
+noise at every step, and the sensors their noise. If model, filter and covariances agree, NEES is χ² with 8 degrees of
+freedom at any instant over the runs, and NIS χ² with as many as there are sensors. With model errors they do not agree,
+and the same numbers say so.
 
-Runs go through joblib, on the cores of one machine or on a Dask cluster. Every finished run is a line of a file, so that a
-killed series goes on where it stopped.
+Runs go through joblib, on the cores of one machine or on a Dask cluster. Every finished run is a line of a file, so
+that a killed series goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ class Settings:
 
     Attributes:
         model_error: of the booms' masses in the filter's model (`paper.wrong_crane`); 0 for a perfect model.
-        inputs: input set of `paper.INPUT_SETS`; 3 keeps all chambers full of oil, so that nothing but the laws is nonlinear.
+        inputs: input set of `paper.INPUT_SETS`; 3 keeps all chambers full of oil, so that nothing but the laws is
+            nonlinear.
         duration, step: length of a run and time between two samples, s.
         engine, method: which engine and which filter.
         acceleration, pressure: densities of the process noise, rad²/s³ and Pa²/s.
@@ -143,7 +145,9 @@ class Series:
 
     @property
     def nees_bounds(self) -> tuple[float, float]:
-        """Interval that holds each of these means with 99.8 %, so that all of them together stay inside with about 99 %."""
+        """Interval that holds each of these means with 99.8 %, so that all of them together stay inside with about 99
+        %.
+        """
         return mean_bounds(8, len(self.runs), 0.998)
 
     @property
@@ -272,5 +276,6 @@ def append(path: Path, result: dict[str, Any]) -> None:
             stream.write(json.dumps(result) + "\n")
     except OSError as problem:
         raise CraneError(
-            f"{path}: run {result['run']} cannot be added: {problem.strerror}. Make room; the series goes on from there."
+            f"{path}: run {result['run']} cannot be added: {problem.strerror}. Make room; the series goes on from "
+            "there."
         ) from problem

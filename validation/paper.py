@@ -1,13 +1,15 @@
-"""The paper's experiment: synthetic real system, simulation model, estimation model, with the paper's errors and tuning.
+"""The paper's experiment: synthetic real system, simulation model, estimation model, with the paper's errors and
+tuning.
 
-The real system is the crane as given. The simulation and the estimation model share its errors (Tables 3 and 4 as far as they
-are known): masses and inertias of both booms, brackets, payload, joint coordinates, pump pressure and start. The simulation
-model runs open loop; the estimation model is corrected by the filter from noisy z1, z4, p1, p4 at 1 kHz.
+The real system is the crane as given. The simulation and the estimation model share its errors (Tables 3 and 4 as far
+as they are known): masses and inertias of both booms, brackets, payload, joint coordinates, pump pressure and start.
+The simulation model runs open loop; the estimation model is corrected by the filter from noisy z1, z4, p1, p4 at 1 kHz.
 
-Three rows: `paper`, the paper's tuning (32), (33) and P0 to the letter; `paper-0.15-bar`, the same with gauges of 0.15 instead of 1.5 bar;
-`own`, the estimator's own means: what the model may be wrong about is estimated along with the state, so that the process
-noise can be small. How wrong it may be follows from the crane file's uncertainties, one, two or four times as wide: the innovations of
-the first ten seconds say which is likeliest. `own-file`, `own-half` and `own-twice` take them as they are, half and twice as wide.
+Three rows: `paper`, the paper's tuning (32), (33) and P0 to the letter; `paper-0.15-bar`, the same with gauges of 0.15
+instead of 1.5 bar; `own`, the estimator's own means: what the model may be wrong about is estimated along with the
+state, so that the process noise can be small. How wrong it may be follows from the crane file's uncertainties, one, two
+or four times as wide: the innovations of the first ten seconds say which is likeliest. `own-file`, `own-half` and
+`own-twice` take them as they are, half and twice as wide.
 """
 
 from __future__ import annotations
@@ -44,7 +46,8 @@ PUBLISHED = dict(zip(STATES, (0.33, 1.07, 2.05, 2.58, 0.1209, 1.91, 5.92, 0.3127
 MODEL_ERRORS = (0.05, 0.15, 0.25)
 STEP, DURATION = 1e-3, 25.0
 SENSOR_STD = {"z1": np.radians(1.0), "z4": np.radians(1.0), "p1": 1.5e5, "p4": 1.5e5}
-#: noise of the paper's sensors by unit; a range of a state that is smaller than twice of it is nothing to divide an error by
+#: noise of the paper's sensors by unit; a range of a state that is smaller than twice of it is nothing to divide an
+#: error by
 _NOISE = {"rad": np.radians(1.0), "Pa": 1.5e5, "rad/s": np.radians(1.0)}
 #: start of the models off the real system's: +2° in z1, -3° in z4, +3 bar in each pressure
 START_ERROR = np.array([np.radians(2.0), np.radians(-3.0), 0.0, 0.0, 3e5, 3e5, 3e5, 3e5])
@@ -57,7 +60,9 @@ _LISTENING = 10.0
 
 @dataclass(frozen=True)
 class Tuning:
-    """What a row of the table says, the noise of its gauges in Pa (the paper's where none), and how wide the priors of `own` may be."""
+    """What a row of the table says, the noise of its gauges in Pa (the paper's where none), and how wide the priors of
+    `own` may be.
+    """
 
     text: str
     gauges: float | None = None
@@ -85,7 +90,9 @@ def _pulses(time: np.ndarray, pulses: Sequence[tuple[int, float, float, float]])
 
 
 def both_at_once(time: np.ndarray) -> np.ndarray:
-    """Return the second input set (n, 2): both booms move at the same time, at other speeds than in the paper's cycle."""
+    """Return the second input set (n, 2): both booms move at the same time, at other speeds than in the paper's
+    cycle.
+    """
     lift = ((0, 1.5, 5.5, 0.35), (0, 10.0, 12.0, -0.30), (0, 16.0, 18.5, -0.40))
     tilt = ((1, 3.0, 6.0, 0.30), (1, 11.0, 14.0, -0.25), (1, 17.0, 18.5, 0.30))
     return _pulses(time, (*lift, *tilt))
@@ -106,7 +113,9 @@ INPUT_SETS: dict[int, Callable[[np.ndarray], np.ndarray]] = {1: paper_cycle, 2: 
 
 
 def wrong_crane(crane: Crane, model_error: float) -> Crane:
-    """Return the estimation model: `crane` with the paper's errors; `model_error` is that of the booms' mass and inertia."""
+    """Return the estimation model: `crane` with the paper's errors; `model_error` is that of the booms' mass and
+    inertia.
+    """
     changes = {"payload.mass": _PAYLOAD, "supply.pump_pressure": crane["supply.pump_pressure"] + _PUMP_ERROR}
     for bodies, factor in (("lift_boom", "outer_boom"), 1 + model_error), (("bracket_1", "bracket_2"), 1.05):
         for name in (f"bodies.{b}.{q}" for b in bodies for q in ("mass", "inertia")):
@@ -120,10 +129,10 @@ def wrong_crane(crane: Crane, model_error: float) -> Crane:
 def unknowns(crane: Crane, width: float = 1.0) -> tuple[Augment, ...]:
     """Return what the estimator's own means estimate along with the state, for an estimation model.
 
-    Payload, pump, masses and inertias of the booms, coordinates of the joints, each with `width` times the standard deviation that the crane
-    file states; a payload that the file calls unknown has that of its range. Nothing is taken from the errors that the experiment
-    makes. Every quantity drifts by a thousandth of its uncertainty per √s, for what is not among them, so that the filter never
-    becomes surer than its model is right.
+    Payload, pump, masses and inertias of the booms, coordinates of the joints, each with `width` times the standard
+    deviation that the crane file states; a payload that the file calls unknown has that of its range. Nothing is taken
+    from the errors that the experiment makes. Every quantity drifts by a thousandth of its uncertainty per √s, for what
+    is not among them, so that the filter never becomes surer than its model is right.
     """
     masses = [f"bodies.{b}.{q}" for b in ("lift_boom", "outer_boom") for q in ("mass", "inertia")]
     joints = [f"joints.{j}.{axis}" for j in "ABCD" for axis in "xy"]
@@ -135,7 +144,9 @@ def unknowns(crane: Crane, width: float = 1.0) -> tuple[Augment, ...]:
 
 @dataclass(frozen=True)
 class Experiment:
-    """The real system's run: time (N,), commands (N, 2), inputs (N, 4), states (N, 8), noisy measurements as signals, and their noise in SI."""
+    """The real system's run: time (N,), commands (N, 2), inputs (N, 4), states (N, 8), noisy measurements as signals,
+    and their noise in SI.
+    """
 
     crane: Crane
     time: np.ndarray
@@ -285,7 +296,8 @@ def noisy_sensors(
 
 
 def sensors_of(names: Sequence[str], noise: Mapping[str, float], layout: Layout) -> dict[str, float]:
-    """Return {channel: noise in SI} of some sensors: as given, else the paper's for the channel's unit, else a usual one.
+    """Return {channel: noise in SI} of some sensors: as given, else the paper's for the channel's unit, else a usual
+    one.
 
     Raises:
         CraneError: an unknown sensor, or noise of one that is not used.
@@ -374,7 +386,8 @@ def run_case(
         engine: "exudyn" or "semi-recursive", for all three models.
         seed: of the sensors' noise.
         tuning: one of `TUNINGS`: "paper", or "own" for the estimator's own means.
-        filter: one of `ukf.methods.METHODS`, or a function that makes a filter of one's own (which the tuning has no part in).
+        filter: one of `ukf.methods.METHODS`, or a function that makes a filter of one's own (which the tuning has no
+            part in).
         sensors: channels that the filter gets.
         noise: their noise in SI where it is not the paper's (1°, 1.5 bar).
         crane: the real system; default the built-in crane.
@@ -481,7 +494,9 @@ def _all_tunings(
 
 @dataclass(frozen=True)
 class Told:
-    """What some sensors tell: the payload found, mean and standard deviation in kg at `INSTANTS`, and PN-RMSE in % by state."""
+    """What some sensors tell: the payload found, mean and standard deviation in kg at `INSTANTS`, and PN-RMSE in % by
+    state.
+    """
 
     sensors: tuple[str, ...]
     payload: tuple[tuple[float, float], ...]
@@ -509,7 +524,9 @@ def what_sensors_tell(
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> list[Told]:
-    """Return what the paper's four sensors tell of the 15 % case with the estimator's own means, and what more sensors would."""
+    """Return what the paper's four sensors tell of the 15 % case with the estimator's own means, and what more sensors
+    would.
+    """
     crane = crane if crane is not None else Crane.load("patu655")
     experiment = real_system(crane, 1, engine, seed)
     tasks = [(_told_by, engine, seed, crane, experiment, (*SENSOR_STD, *more)) for more in _MORE]
@@ -543,8 +560,8 @@ def pressure_floor(std: float = SENSOR_STD["p1"], variance: float | None = None)
     """Return the error (Pa) that a sensor's noise alone leaves in a pressure which the filter takes for a random walk.
 
     With a variance q a step (the paper's σ_p²) and a sensor variance r the stationary Riccati equation gives
-    P⁻ = (q + √(q² + 4 q r))/2 and the gain K = P⁻/(P⁻ + r). Even if the model predicted every step exactly, the error would
-    obey e' = (1 - K) e + K ν, whose variance is r K/(2 - K).
+    P⁻ = (q + √(q² + 4 q r))/2 and the gain K = P⁻/(P⁻ + r). Even if the model predicted every step exactly, the error
+    would obey e' = (1 - K) e + K ν, whose variance is r K/(2 - K).
     """
     from ukf.noise import PAPER_PRESSURE
 

@@ -73,7 +73,9 @@ _CLOSER = (((4.8, 6.0), "p2"), ((11.8, 13.0), "p3"))
 
 
 def following_figure(case: Case) -> Figure:
-    """Return true, simulated and estimated states: angles over the whole cycle, pressures without a sensor over short times."""
+    """Return true, simulated and estimated states: angles over the whole cycle, pressures without a sensor over short
+    times.
+    """
     made = plots.figure(4, height=1.5, sharex=False)
     time = case.experiment.time
     panels = [((time[0], time[-1]), "z1"), ((time[0], time[-1]), "z4"), *_CLOSER]

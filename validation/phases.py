@@ -56,7 +56,9 @@ def _doing(kind: str, sides: tuple[int, ...], layout: Layout) -> str:
 
 
 def _together(sides: tuple[int, ...], layout: Layout) -> str:
-    """Return what the cylinders do that are driven at once; without sides, or where no two are, that they are driven."""
+    """Return what the cylinders do that are driven at once; without sides, or where no two are, that they are
+    driven.
+    """
     driven = [(name, _WAYS[side]) for name, side in zip(layout.cylinders, sides, strict=False) if side]
     both = "both cylinders" if len(layout.cylinders) == 2 else "several cylinders"
     if len(driven) < 2:
@@ -80,7 +82,9 @@ SHORTEST, LONGEST = 0.15, 3.0
 
 @dataclass(frozen=True)
 class Phase:
-    """A stretch of one kind of work: instants first … last (exclusive), its times in s, which way each valve is open (-1, 0, 1)."""
+    """A stretch of one kind of work: instants first … last (exclusive), its times in s, which way each valve is open
+    (-1, 0, 1).
+    """
 
     kind: str
     first: int
@@ -132,13 +136,16 @@ def _sides(spool: np.ndarray) -> np.ndarray:
 
 
 def labels(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Return the kind of work at every instant as an index into `kinds` (N,); special states come before plain motion."""
+    """Return the kind of work at every instant as an index into `kinds` (N,); special states come before plain
+    motion.
+    """
     side, names = _sides(spool), kinds(crane.layout)
     kind = np.full(len(time), names.index(REST))
     empty = states[:, crane.layout.pressures] < LOW * crane["supply.tank_pressure"]
     for chosen, name in (
         *((side[:, c] == way, name) for (c, way), name in moving(crane.layout).items()),
-        ((side != 0).sum(axis=1) > 1, together(crane.layout)), (np.any([_reverses(time, one) for one in side.T], axis=0), REVERSAL),
+        ((side != 0).sum(axis=1) > 1, together(crane.layout)),
+        (np.any([_reverses(time, one) for one in side.T], axis=0), REVERSAL),
         (empty.any(axis=1), LOW_PRESSURE), (_at_end(crane, states), STROKE_END),
     ):  # fmt: skip
         if chosen.any():
@@ -169,7 +176,8 @@ def _at_end(crane: Crane, states: np.ndarray) -> np.ndarray:
 
 
 def _smooth(code: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return codes of work (0 is rest) with the pieces shorter than SHORTEST joined to the longer neighbour, shortest first.
+    """Return codes of work (0 is rest) with the pieces shorter than SHORTEST joined to the longer neighbour, shortest
+    first.
 
     A short motion is never joined to a rest: its errors would be read as errors at rest.
     """

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from crane_exudyn.layout import Layout
 
 __all__ = [
-    "LOOKS", "OTHERS", "WIDTH", "Look", "Shown", "bars", "draw_lines", "empty_figure", "figure", "legend_above", "look", "mark_intervals", "name_axes", "png", "save",
+    "LOOKS", "OTHERS", "WIDTH", "Look", "Shown", "bars", "draw_lines", "empty_figure", "figure", "legend_above", "look",
+    "mark_intervals", "name_axes", "png", "save",
     "shown", "style", "thin", "trajectories",
 ]  # fmt: skip
 

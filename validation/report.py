@@ -1,8 +1,8 @@
 """Reports: one HTML file with the verdict first, then figures, tables, and what is needed to repeat it.
 
-The file needs no network and no second file: pictures stand inside as data, the style is in the page. A report is made of
-sections; a section is a title and parts; a part is a paragraph (text), a `Table`, a `Picture`, a matplotlib figure, or `Links` to files
-beside it.
+The file needs no network and no second file: pictures stand inside as data, the style is in the page. A report is made
+of sections; a section is a title and parts; a part is a paragraph (text), a `Table`, a `Picture`, a matplotlib figure,
+or `Links` to files beside it.
 
     write_report("out/report", "Lift test", "The model explains the recording.",
                  [("Angles", [figure, "The lift boom follows.", Table(("channel", "RMSE"), [("z1", 0.02)])])])

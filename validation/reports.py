@@ -1,7 +1,7 @@
 """The report of a comparison, a diagnosis and an improvement, all in one order.
 
-First the verdict and what to do next; then measured and modelled over time, the place on the machine, the law with its numbers,
-how sure that is; the details last. Errors are open-loop RMS in units of the sensors' noise everywhere.
+First the verdict and what to do next; then measured and modelled over time, the place on the machine, the law with its
+numbers, how sure that is; the details last. Errors are open-loop RMS in units of the sensors' noise everywhere.
 """
 
 from __future__ import annotations
@@ -84,7 +84,8 @@ def comparison_sections(c: Comparison, crane: Crane, examined: Examined) -> list
     headings, by_work = balance_table(c)
     sections: list[Section] = [
         ("What to do next", _after_comparison(c, examined)),
-        ("Measured and simulated", [Picture(traces_figure(lines, c.layout), f"The channels with the largest errors. {c.started}")]),
+        ("Measured and simulated", [Picture(traces_figure(lines, c.layout), "The channels with the largest errors. "
+                                                                            f"{c.started}")]),
     ]  # fmt: skip
     if c.violated and not c.everywhere:
         sections.append(("Where", where_parts(crane, [c.violated[0].rpartition(".")[2]])))
@@ -92,13 +93,21 @@ def comparison_sections(c: Comparison, crane: Crane, examined: Examined) -> list
         table = Table(("score", "where"), worst, note="Scores are standard deviations.")
         sections.append(("Where the model fails", [Picture(found["where"], _CAPTIONS["where"]), table]))
     sections += [
-        ("Details: open loop", [Table(ERROR_COLUMNS, error_rows(c), note=_ERRORS), Picture(found["open_loop"], c.started)]),
-        ("Details: what the balances lack", [
-            Table([balance_words(h) for h in headings], by_work, note="± 95 %; a star marks what is clearly not zero."),
-            *(Picture(found[n], _CAPTIONS[n]) for n in ("balances_by_work", "balances")),
-        ]),
+        (
+            "Details: open loop",
+            [Table(ERROR_COLUMNS, error_rows(c), note=_ERRORS), Picture(found["open_loop"], c.started)],
+        ),
+        (
+            "Details: what the balances lack",
+            [
+                Table(
+                    [balance_words(h) for h in headings], by_work, note="± 95 %; a star marks what is clearly not zero."
+                ),
+                *(Picture(found[n], _CAPTIONS[n]) for n in ("balances_by_work", "balances")),
+            ],
+        ),
         ("Details: the filter", [filter_words(c), *(f"Note: {note}." for note in c.notes)]),
-    ]  # fmt: skip
+    ]
     return sections
 
 
@@ -122,7 +131,9 @@ def filter_words(c: Comparison) -> str:
 
 
 def balance_table(c: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not zero."""
+    """Return columns and rows of what each balance lacks in each kind of work; a star marks what is clearly not
+    zero.
+    """
     equations = c.layout.equations
     units = [people_unit(e, c.layout) for e in equations]
     columns = ("work", *(f"{e} {unit}" for e, (unit, _) in zip(equations, units, strict=True)))
@@ -139,7 +150,8 @@ def balance_table(c: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]
 
 
 _CAPTIONS = {
-    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, dark is bad.",
+    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, "
+    "dark is bad.",
     "balances": "Flow and moment that each balance lacks, with 95 % interval from the sensors' noise.",
     "balances_by_work": "The same, averaged over each kind of work.",
 }
@@ -149,7 +161,8 @@ def _after_comparison(c: Comparison, examined: Examined) -> list[Part]:
     typed = examined.typed
     if not c.where:
         return [
-            "Nothing has to be done for this recording. Another one, with other loads and speeds, tells whether the model holds there."
+            "Nothing has to be done for this recording. Another one, with other loads and speeds, tells whether the "
+            "model holds there."
         ]
     check = f"`patu check {typed}` tells whether the recording is what it says it is: signs, exchanged channels, units."
     find = f"`patu diagnose {typed}` finds which physical effect is missing; give a second recording with `--check`."
@@ -191,7 +204,8 @@ def verdict(d: Diagnosis) -> str:
         text += f", or {' or '.join(in_words(e) for e in d.tied_with)}: this recording cannot tell"
     check = f", of the check recording from {d.check_error_before:.3g} to {d.check_error_after:.3g}"
     return (
-        f"{text[0].upper()}{text[1:]}. The open-loop error falls from {d.error_before:.3g} to {d.error_after:.3g} times the "
+        f"{text[0].upper()}{text[1:]}. The open-loop error falls from {d.error_before:.3g} to {d.error_after:.3g} "
+        "times the "
         f"sensors' noise{'' if math.isnan(d.check_error_before) else check}."
     )
 
@@ -238,14 +252,22 @@ def after_diagnosis(d: Diagnosis, examined: Examined | None) -> list[Part]:
         "A second recording, given with `--check`, is only predicted: an effect that predicts it too is to be believed."
     )  # fmt: skip
     todo = {
-        "adequate": "Nothing has to be added for this recording. Another one, with other loads and speeds, tells whether the model holds there.",
-        "parameters": f"`patu improve {typed} -o new.toml` writes the moved parameters into a crane file. Those that moved most are worth measuring.",
-        "effect": f"`patu improve {typed} -o new.toml` adds what was found to the crane file, and looks whether anything is left.",
-        "tied": f"The explanations differ in another manoeuvre: {d.next_manoeuvre or 'one with other loads and speeds'}",
-        "unknown": f"`patu improve {typed} -o new.toml` takes effects in one after the other where none alone explains the recording.",
+        "adequate": "Nothing has to be added for this recording. Another one, with other loads and speeds, tells "
+                    "whether the model holds there.",
+        "parameters": f"`patu improve {typed} -o new.toml` writes the moved parameters into a crane file. Those that "
+                      "moved most are worth measuring.",
+        "effect": f"`patu improve {typed} -o new.toml` adds what was found to the crane file, and looks whether "
+                  "anything is left.",
+        "tied": "The explanations differ in another manoeuvre: "
+                f"{d.next_manoeuvre or 'one with other loads and speeds'}",
+        "unknown": f"`patu improve {typed} -o new.toml` takes effects in one after the other where none alone explains "
+                   "the recording.",
     }[d.verdict]  # fmt: skip
     if d.misses_check and examined is not None and examined.check is not None:
-        todo = f"`patu check {' '.join(map(_file, (*examined.recordings, examined.check)))}` tells whether all are what they say they are."
+        todo = (
+            f"`patu check {' '.join(map(_file, (*examined.recordings, examined.check)))}` tells whether all are what "
+            "they say they are."
+        )
     return list(filter(None, (todo, unchecked)))
 
 
@@ -259,7 +281,8 @@ def sureness(d: Diagnosis) -> list[Part]:
     columns = ("explanation", "log evidence", "probability", "error / noise", "on check")
     note = f"Log evidence is relative to the best: 5 less is a hundred times less likely. {_ERRORS}"
     caption = (
-        "How much likelier than moved parameters alone each explanation makes the recording (in full colour what was chosen), "
+        "How much likelier than moved parameters alone each explanation makes the recording (in full colour what was "
+        "chosen), "
         "and the error."
     )
     return [*_rivals(d), Picture(d.plot(), caption), Table(columns, rows, note=note)]
@@ -316,7 +339,10 @@ def _parameter_rows(c: Candidate) -> list[tuple[object, ...]]:
 
 def before_and_after(recordings: Sequence[Recording], given: Crane, improved: Crane) -> list[Part]:
     """Return pictures of what was measured, and of the given and the improved model from the same start."""
-    caption = "What was measured, and what the crane file as given and the improved one do from the same start, seeing only the commands."
+    caption = (
+        "What was measured, and what the crane file as given and the improved one do from the same start, seeing only "
+        "the commands."
+    )
     return [
         Picture(
             traces_figure(from_one_start(r, {"as given": given, "improved": improved}), given.layout),
@@ -373,7 +399,10 @@ def report_improvement(
         n: p for d in result.diagnoses for c in d.candidates if c.effects == d.effects for n, p in _keyed(c).items()
     }
     rows = [(in_words(s.added or "as given"), s.error, s.check_error, s.nis_mean, s.text) for s in result.steps]
-    expected = f"NIS is that of the filter with its usual process noise, and is no error; expected is the number of sensors. {_ERRORS}"
+    expected = (
+        "NIS is that of the filter with its usual process noise, and is no error; expected is the number of sensors. "
+        f"{_ERRORS}"
+    )
     table = Table(("step", "error / noise", "on check", "filter's NIS", "what was found"), rows, note=expected)
     sections: list[Section] = [("What to do next", _after_improvement(result))]
     traces = before_and_after(examined.recordings, first.given, result.crane) if examined is not None and added else []
@@ -399,7 +428,9 @@ def _keyed(c: Candidate) -> dict[str, Mapping[str, Any]]:
 
 
 def _complete(crane: Crane, keys: Iterable[str], known: Parameters) -> dict[str, Mapping[str, Any]]:
-    """Return the parameters of a crane's effects: as they were found, and without uncertainty where only the crane knows them."""
+    """Return the parameters of a crane's effects: as they were found, and without uncertainty where only the crane
+    knows them.
+    """
     from crane_exudyn.crane_toml import unit_at
 
     found: dict[str, Mapping[str, Any]] = {}

@@ -1,4 +1,6 @@
-"""Recordings to play with: of a sound machine, of one with a hidden effect, and of loggers with their own names, units and mistakes."""
+"""Recordings to play with: of a sound machine, of one with a hidden effect, and of loggers with their own names, units
+and mistakes.
+"""
 
 from __future__ import annotations
 
@@ -85,10 +87,14 @@ def samples(crane: Crane) -> list[Sample]:
     wrong = replace(sound, channels={**sound.channels, **exchanged})
     return [
         Sample("clean.csv", "a sound machine as the crane file describes it", "patu compare {}/clean.csv", sound.save),
-        Sample("hidden_learn.csv", "a machine with a hidden effect", "patu diagnose {0}/hidden_learn.csv --check {0}/hidden_check.csv", learn.save),
-        Sample("hidden_check.csv", "the same machine, another manoeuvre", "patu compare {}/hidden_check.csv", check.save),
-        Sample("logger.csv", "the sound machine, by a logger with names and units of its own", "patu check {0}/logger.csv --map-file {0}/logger.toml", partial(write_table, columns=table)),
-        Sample("logger.toml", "what that logger's columns are", "patu compare {0}/logger.csv --map-file {0}/logger.toml", lambda path: write_text(path, map_text(mapping, lay))),
+        Sample("hidden_learn.csv", "a machine with a hidden effect", "patu diagnose {0}/hidden_learn.csv --check "
+                                                                     "{0}/hidden_check.csv", learn.save),
+        Sample("hidden_check.csv", "the same machine, another "
+                                   "manoeuvre", "patu compare {}/hidden_check.csv", check.save),
+        Sample("logger.csv", "the sound machine, by a logger with names and units of its "
+            "own", "patu check {0}/logger.csv --map-file {0}/logger.toml", partial(write_table, columns=table)),
+        Sample("logger.toml", "what that logger's columns are", "patu compare {0}/logger.csv --map-file "
+            "{0}/logger.toml", lambda path: write_text(path, map_text(mapping, lay))),
         Sample("mistaken.csv", "the sound machine, columns named wrongly", "patu check {}/mistaken.csv", wrong.save),
     ]  # fmt: skip
 

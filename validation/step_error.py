@@ -1,7 +1,9 @@
-"""How far a run depends on the size of its steps: a second run, by the independent engine with a tenth of the local error, says it.
+"""How far a run depends on the size of its steps: a second run, by the independent engine with a tenth of the local
+error, says it.
 
-A local error that each step keeps small is small at the end too, as long as the machine forgets it. Where a machine makes it larger (a
-boom that bounces between voids, or on a stop that does not damp), no local estimate can tell; two runs that come apart do.
+A local error that each step keeps small is small at the end too, as long as the machine forgets it. Where a machine
+makes it larger (a boom that bounces between voids, or on a stop that does not damp), no local estimate can tell; two
+runs that come apart do.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The study of hidden effects: many cases of `validation.hidden` through the diagnosis, and tables of how it did.
 
-python -m validation.study run results.jsonl --seeds 5000-5119 --jobs 2     a line a case; finished cases are not run again
-python -m validation.study run results.jsonl --folder DIR                   cases that `python -m validation.hidden` wrote
-python -m validation.study tables results.jsonl                             what came out, as Markdown
+python -m validation.study run results.jsonl --seeds 5000-5119 --jobs 2     a line a case; finished cases are not run
+again python -m validation.study run results.jsonl --folder DIR                   cases that `python -m
+validation.hidden` wrote python -m validation.study tables results.jsonl                             what came out, as
+Markdown
 """
 
 from __future__ import annotations
@@ -73,8 +74,10 @@ def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]
 
     Returns:
         "right": verdict right, the effects first or among the tied; "first": they came first; "partly": one of two was
-        named; "alarm": something was blamed though nothing was hidden; "visibility": of the least visible effect, None where
-        nothing is hidden; "said": the verdict, or the effects named; "relative_errors" of the effects' parameters where right.
+        named; "alarm": something was blamed though nothing was hidden; "visibility": of the least visible effect, None
+            where
+        nothing is hidden; "said": the verdict, or the effects named; "relative_errors" of the effects' parameters where
+            right.
     """
     truth = frozenset(answer.get("effects", ()))
     named = [frozenset(found["effects"]), *(frozenset(t.split(" + ")) for t in found["tied_with"])]
@@ -150,7 +153,9 @@ def run(
     jobs: int = 1,
     say: Callable[[Mapping[str, Any]], str] | None = None,
 ) -> None:
-    """Run tasks (name, function, arguments) that `results` does not hold yet; a line is added as each is done, and said."""
+    """Run tasks (name, function, arguments) that `results` does not hold yet; a line is added as each is done, and
+    said.
+    """
     done = {line["name"] for line in read(results)} if results.exists() else set()
     left = [(f, *a) for name, f, a in tasks if name not in done]
     for line in results_of(left, jobs, "generator_unordered"):
@@ -245,7 +250,8 @@ def _by_severity(good: Sequence[Mapping[str, Any]]) -> str:
         ]
         errors = [max(g["judged"]["relative_errors"].values()) for g in inside if g["judged"]["relative_errors"]]
         rows.append((
-            f"{low:g} … {high:g}", _share(g["judged"]["right"] for g in inside), _share(g["judged"]["first"] for g in inside),
+            f"{low:g} … {high:g}", _share(g["judged"]["right"] for g in inside),
+            _share(g["judged"]["first"] for g in inside),
             _median([g["diagnosis"]["check_error_before"] for g in inside]),
             _median([g["diagnosis"]["check_error_after"] for g in inside if g["judged"]["right"]]),
             _median([100.0 * e for e in errors]),

@@ -17,7 +17,8 @@ CYLINDERS, CHAMBERS, JOINTS, SENSORS, EVERYWHERE = "cylinders", "chambers", "joi
 
 @dataclass(frozen=True)
 class Hook:
-    """What a hook is given after the effect's own parameters, and what it returns (docs/architecture.md says what they mean).
+    """What a hook is given after the effect's own parameters, and what it returns (docs/architecture.md says what they
+    mean).
 
     `neutral` are the first results of an effect that is switched off; without, it returns what it is given.
 
@@ -48,7 +49,8 @@ _NOTHING = (0.0,)
 HOOKS: Mapping[str, Hook] = {
     "command": Hook("u", "u"), "delay": Hook("", "T", _NOTHING), "backlash": Hook("", "b", _NOTHING),
     "creep": Hook("", "share, tau", _NOTHING), "opening": Hook("U", "U"), "supply_drop": Hook("dp", "dp"),
-    "return_gain": Hook("p_own, p_other, load_side", "factor", (1.0,), "drop"), "leakage": Hook("pa, pb", "qa, qb", (0.0, 0.0)),
+    "return_gain": Hook("p_own, p_other, load_side", "factor", (1.0,), "drop"),
+    "leakage": Hook("pa, pb", "qa, qb", (0.0, 0.0)),
     "supply_pressure": Hook("pp, q", "pp"), "tank_pressure": Hook("pt, q", "pt"),
     "free_gas": Hook("p", "share, compliance", (0.0, 0.0)), "cylinder_force": Hook("v, pa, pb, la, lb", "F", _NOTHING),
     "series_compliance": Hook("", "1/k", _NOTHING), "joint_torque": Hook("omega", "torque", _NOTHING, "angle"),
@@ -59,19 +61,32 @@ HOOKS: Mapping[str, Hook] = {
 CHAMBER_LEAKAGE = Hook("p", "q", _NOTHING)
 #: kinds of places at which a hook may act; one that is not here acts on the whole machine
 ACTS_AT: Mapping[str, tuple[str, ...]] = {
-    "leakage": (CYLINDERS, CHAMBERS), "joint_torque": (JOINTS,), "measurement": (SENSORS,), "lag": (SENSORS,),
+    "leakage": (CYLINDERS, CHAMBERS),
+    "joint_torque": (JOINTS,),
+    "measurement": (SENSORS,),
+    "lag": (SENSORS,),
     **dict.fromkeys(
-        ("command", "delay", "backlash", "creep", "opening", "supply_drop", "return_gain", "cylinder_force", "series_compliance"),
+        (
+            "command",
+            "delay",
+            "backlash",
+            "creep",
+            "opening",
+            "supply_drop",
+            "return_gain",
+            "cylinder_force",
+            "series_compliance",
+        ),
         (CYLINDERS,),
     ),
-}  # fmt: skip
+}
 
 
 class Effect:
     """A physical effect. Subclasses fill in the class variables and define their hooks as static functions.
 
-    `places` is the kind of places at which it acts: CYLINDERS, CHAMBERS, JOINTS, SENSORS, or EVERYWHERE for the whole machine; or a
-    tuple of names of such places, which become `only` when the effect is registered.
+    `places` is the kind of places at which it acts: CYLINDERS, CHAMBERS, JOINTS, SENSORS, or EVERYWHERE for the whole
+    machine; or a tuple of names of such places, which become `only` when the effect is registered.
     """
 
     name: ClassVar[str] = ""
@@ -80,7 +95,8 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     #: parameter values at which a search starts; one line a start
     probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
-    #: of a law that is a curve through knots: its parameters are those of the curve, and its hooks are given (E, at, …), for `curve.value`
+    #: of a law that is a curve through knots: its parameters are those of the curve, and its hooks are given (E, at,
+    #: …), for `curve.value`
     curve: ClassVar[Curve | None] = None
 
     @classmethod
@@ -95,7 +111,9 @@ class Effect:
 
     @classmethod
     def signature(cls) -> str:
-        """Return what a recording shows of the effect: the paragraph of the docstring that begins with "Signature:"; "" without."""
+        """Return what a recording shows of the effect: the paragraph of the docstring that begins with "Signature:"; ""
+        without.
+        """
         return next((p.removeprefix("Signature: ") for p in _paragraphs(cls) if p.startswith("Signature: ")), "")
 
     @classmethod

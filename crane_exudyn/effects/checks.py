@@ -1,8 +1,9 @@
-"""Whether an effect that somebody wrote can take part: refused with its file, its hook and the signature that was expected.
+"""Whether an effect that somebody wrote can take part: refused with its file, its hook and the signature that was
+expected.
 
-Compiled code holds every effect, so one that does not fit would end every command in pages of the compiler's own words. Each hook
-is compiled alone first and tried over what a crane may give it: at the neutral values it must change nothing, to the last bit,
-and at typical values it must return numbers.
+Compiled code holds every effect, so one that does not fit would end every command in pages of the compiler's own words.
+Each hook is compiled alone first and tried over what a crane may give it: at the neutral values it must change nothing,
+to the last bit, and at typical values it must return numbers.
 """
 
 from __future__ import annotations
@@ -31,9 +32,11 @@ _PRESSURES = (0.0, 1e5, 60e5, 200e5)
 #: what the hooks are tried with: values that a crane may give them, by the name of the argument
 _TRIED: Mapping[str, tuple[float, ...]] = {
     "u": (-1.0, -0.2, 0.0, 0.2, 1.0), "U": (-1.0, -0.2, 0.0, 0.2, 1.0), "dp": (-200e5, -1e5, 0.0, 1e5, 200e5),
-    "p": _PRESSURES, "pa": _PRESSURES, "pb": _PRESSURES, "p_own": _PRESSURES, "p_other": _PRESSURES, "load_side": (0.0, 1.0),
+    "p": _PRESSURES, "pa": _PRESSURES, "pb": _PRESSURES, "p_own": _PRESSURES, "p_other": _PRESSURES,
+    "load_side": (0.0, 1.0),
     "pp": (1e5, 100e5), "pt": (1e5, 20e5), "q": (-1e-3, 0.0, 1e-3), "inv_bulk": (6e-10, 1e-8),
-    "v": (-0.5, -1e-3, 0.0, 1e-3, 0.5), "la": (0.01, 0.3, 1.0), "lb": (0.01, 0.3, 1.0), "omega": (-1.0, -1e-3, 0.0, 1e-3, 1.0),
+    "v": (-0.5, -1e-3, 0.0, 1e-3, 0.5), "la": (0.01, 0.3, 1.0), "lb": (0.01, 0.3, 1.0),
+    "omega": (-1.0, -1e-3, 0.0, 1e-3, 1.0),
     "t": (0.0, 7.0, 600.0), "m": (0.0, 100.0), "gx": (-1.0, 0.0), "gy": (-9.81,), "y": (-1.0, 0.0, 0.5, 60e5),
 }  # fmt: skip
 
@@ -79,7 +82,9 @@ def _check_description(effect: type[Effect], where: str) -> None:
 
 
 def _kind_of(effect: type[Effect]) -> str:
-    """Return the kind of the places that an effect names one by one: that of its hooks; a leakage of one pressure is a chamber's."""
+    """Return the kind of the places that an effect names one by one: that of its hooks; a leakage of one pressure is a
+    chamber's.
+    """
     for hook, function in effect.hooks().items() if any(effect.places) else ():
         kinds = ACTS_AT.get(hook, ())
         if hook == "leakage" and len(inspect.signature(function).parameters) == len(effect.parameters) + 1:
@@ -107,7 +112,8 @@ def _check_parameter(parameter: Any, where: str) -> None:
     for key in ("neutral", "typical"):
         if not parameter.lower <= getattr(parameter, key) <= parameter.upper:
             raise CraneError(
-                f"{where}: {key} is {getattr(parameter, key):g}, expected a value from lower = {parameter.lower:g} to upper = "
+                f"{where}: {key} is {getattr(parameter, key):g}, expected a value from lower = {parameter.lower:g} to "
+                "upper = "
                 f"{parameter.upper:g}. The order is name, unit, neutral, lower, upper, typical, text."
             )
 
@@ -118,7 +124,9 @@ def _form(effect: type[Effect], name: str) -> Hook:
 
 
 def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, function: Callable[..., Any]) -> None:
-    """Refuse a hook of another signature, one that does not compile, is not neutral when it should be, or returns no numbers."""
+    """Refuse a hook of another signature, one that does not compile, is not neutral when it should be, or returns no
+    numbers.
+    """
     kinds = ACTS_AT.get(name, (EVERYWHERE,))
     if effect.places not in (*kinds, EVERYWHERE):
         known = " or ".join(kind or "the whole machine" for kind in kinds)
@@ -137,7 +145,8 @@ def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, functio
         if values is neutral and result[: len(wanted)] != wanted:
             at = _at(function, (*values, *given))
             raise CraneError(
-                f"{where}: hook {name} returns {_shown(result)} at {at}, expected {_shown(wanted)}: at the neutral values "
+                f"{where}: hook {name} returns {_shown(result)} at {at}, expected {_shown(wanted)}: at the neutral "
+                "values "
                 "an effect changes nothing. Mend the law, or the parameters' neutral values."
             )
 

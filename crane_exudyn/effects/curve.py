@@ -10,7 +10,8 @@ from typing import Any
 from ..errors import CraneError, nearest
 from .parameter import Parameter
 
-#: the most knots of a curve; in E stand their number, what the curve runs over, whether it acts against motion, all x, all y
+#: the most knots of a curve; in E stand their number, what the curve runs over, whether it acts against motion, all x,
+#: all y
 KNOTS = 12
 NUMBER, OVER, AGAINST, X, Y = 0, 1, 2, 3, 3 + KNOTS
 
@@ -27,7 +28,8 @@ class Argument:
         against: whether it acts against motion; both where it may do either, the usual one first.
         slope: of the neutral curve: 1 for an opening, which is the spool's position.
         level: of the neutral curve: 1 for a factor.
-        origin: last part of the name of the cylinder's parameter that is taken off x before it is compared with what hooks are given.
+        origin: last part of the name of the cylinder's parameter that is taken off x before it is compared with what
+            hooks are given.
     """
 
     name: str
@@ -123,11 +125,13 @@ class Curve:
                 raise CraneError(f"{where}: x must ascend, found {a:g} before {b:g}. Sort the knots by x.")
         if t.over.magnitude and t.x[0] < 0.0:
             raise CraneError(
-                f"{where}: x = {t.x[0]:g} is below 0, but the curve runs over the magnitude of the {t.over.name}. Begin at 0."
+                f"{where}: x = {t.x[0]:g} is below 0, but the curve runs over the magnitude of the {t.over.name}. "
+                "Begin at 0."
             )
         if t.over.from_zero and (t.x[0] != 0.0 or t.y[0] != 0.0):
             raise CraneError(
-                f"{where}: the first knot is ({t.x[0]:g}, {t.y[0]:g}), expected (0, 0): without {t.over.name} nothing acts."
+                f"{where}: the first knot is ({t.x[0]:g}, {t.y[0]:g}), expected (0, 0): without {t.over.name} nothing "
+                "acts."
             )
         if t.against_motion not in t.over.against:
             raise CraneError(
@@ -136,10 +140,11 @@ class Curve:
 
 
 def value(E: Any, at: int, x: float, slope: float) -> float:
-    """Return the curve whose parameters begin at E[at]: a cubic a stretch, with a continuous derivative, linear in all y.
+    """Return the curve whose parameters begin at E[at]: a cubic a stretch, with a continuous derivative, linear in all
+    y.
 
-    The derivative in a knot is that of the parabola through it and its neighbours. Beyond the ends it turns, within the width
-    of the last stretch, into `slope`.
+    The derivative in a knot is that of the parabola through it and its neighbours. Beyond the ends it turns, within the
+    width of the last stretch, into `slope`.
     """
     n = int(E[at])
     a, b = at + 3, at + 15  # X, Y

@@ -6,7 +6,8 @@ from .base import CHAMBERS, Effect, Parameter
 class ExternalLeakage(Effect):
     """Flow k p out of one chamber.
 
-    Signature: the chamber loses pressure at rest and the cylinder gives way on that side only; the opposite chamber follows.
+    Signature: the chamber loses pressure at rest and the cylinder gives way on that side only; the opposite chamber
+    follows.
     """
 
     name = "external_leakage"

@@ -1,8 +1,8 @@
 """The hooks of all effects at all places, composed into one compiled function a hook.
 
 Engines call these at fixed places of their equations (docs/architecture.md lists them). Every effect always takes part,
-switched off by its neutral parameters, so that adding one to a crane compiles nothing. The text of each composed function is
-written from the registry; `source()` shows it.
+switched off by its neutral parameters, so that adding one to a crane compiles nothing. The text of each composed
+function is written from the registry; `source()` shows it.
 """
 
 from __future__ import annotations

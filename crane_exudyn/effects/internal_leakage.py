@@ -6,8 +6,8 @@ from .base import CYLINDERS, Effect, Parameter
 class InternalLeakage(Effect):
     """Flow k (pa - pb) from the piston side to the rod side of one cylinder.
 
-    Signature: with its valve closed a loaded cylinder creeps, the two pressures drift towards each other's balance, and the
-    creep grows with the load; the driven speed changes little.
+    Signature: with its valve closed a loaded cylinder creeps, the two pressures drift towards each other's balance, and
+    the creep grows with the load; the driven speed changes little.
     """
 
     name = "internal_leakage"

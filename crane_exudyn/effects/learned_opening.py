@@ -5,7 +5,8 @@ from .curve import Argument, Curve, value
 
 
 class LearnedOpening(Effect):
-    """The opening is a curve over the spool's position, or the flow through both open edges a factor over their pressure drop.
+    """The opening is a curve over the spool's position, or the flow through both open edges a factor over their
+    pressure drop.
 
     Signature: speed differs from the expected by a share that depends on the command alone, or on the load alone.
     """

@@ -7,7 +7,8 @@ from .curve import Argument, Curve, value
 class LearnedReturn(Effect):
     """Tank pressure pt + a curve over the flow returned to tank by all valves.
 
-    Signature: the chamber that drains stands higher while oil flows, for either cylinder's motion, but not in proportion to the flow.
+    Signature: the chamber that drains stands higher while oil flows, for either cylinder's motion, but not in
+    proportion to the flow.
     """
 
     name = "learned_return"

@@ -7,9 +7,11 @@ from .curve import Argument, Curve, value
 
 
 class LearnedTorque(Effect):
-    """A torque over the joint's angle, as a spring or against motion, or against motion over its rate; on a sliding joint a force.
+    """A torque over the joint's angle, as a spring or against motion, or against motion over its rate; on a sliding
+    joint a force.
 
-    Signature: the cylinder's force differs by an amount that depends on the joint's angle or on its rate, whatever the cylinder's friction.
+    Signature: the cylinder's force differs by an amount that depends on the joint's angle or on its rate, whatever the
+    cylinder's friction.
     """
 
     name = "learned_torque"

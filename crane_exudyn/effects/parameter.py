@@ -16,7 +16,8 @@ class Parameter:
         lower, upper: the range that is accepted and searched.
         typical: a value of the size that is met in practice; sets the scale of searches and pictures.
         text: what it is, in words.
-        shape: True for a parameter that only shapes the law (a time, a Stribeck speed): it has a value, but no neutral one.
+        shape: True for a parameter that only shapes the law (a time, a Stribeck speed): it has a value, but no neutral
+            one.
     """
 
     name: str

@@ -23,7 +23,8 @@ BUILT_IN = (
     "seal_friction", "pressure_dependent_friction", "joint_coulomb_friction", "joint_viscous_friction",
     "structural_compliance", "payload_change", "payload_swing", "tip_contact_force", "base_tilt", "end_stop",
     "sensor_bias", "sensor_scale", "sensor_lag", "released_air", "stuck_seal", "spool_creep",
-    "learned_opening", "learned_force", "learned_leakage", "learned_flow", "learned_torque", "learned_supply", "learned_return",
+    "learned_opening", "learned_force", "learned_leakage", "learned_flow", "learned_torque", "learned_supply",
+    "learned_return",
 )  # fmt: skip
 #: packages may offer effects of their own under this entry point group
 ENTRY_POINTS = "crane_exudyn.effects"
@@ -62,7 +63,8 @@ def split_key(key: str, layout: Layout | None = None) -> tuple[type[Effect], str
     """Return effect and place of "name@place" (or "name" for an effect of the whole machine).
 
     Raises:
-        CraneError: unknown effect, no place where one is needed, or one that the machine of the layout (if given) does not have.
+        CraneError: unknown effect, no place where one is needed, or one that the machine of the layout (if given) does
+            not have.
     """
     name, _, place = key.partition("@")
     effect = find(name)
@@ -132,7 +134,8 @@ def load_file(path: str | Path) -> list[type[Effect]]:
         raise CraneError(f"{file}: there is no such file. --effects wants a Python file that defines an Effect.")
     if file.suffix != ".py":
         raise CraneError(f"{file}: this is no Python file. --effects wants one, NAME.py, that defines an Effect.")
-    # the folder is in the name: files of one name in two folders are two modules, and compiled code refers to them by name
+    # the folder is in the name: files of one name in two folders are two modules, and compiled code refers to them by
+    # name
     folder = hashlib.sha256(str(file.parent).encode()).hexdigest()[:8]
     spec = importlib.util.spec_from_file_location(f"user_effects_{file.stem}_{folder}", file)
     assert spec is not None and spec.loader is not None

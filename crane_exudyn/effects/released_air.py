@@ -14,11 +14,11 @@ class ReleasedAir(Effect):
     """1/Bo is raised by alpha * 1 bar / p^2 in chambers below the saturation pressure ps, and is as it was above it.
 
     By Henry's law the free share of the air falls linearly to nothing at ps, by the gas law its volume is
-    alpha * 1 bar * (1/p - 1/ps); the derivative of that volume is the compliance. p is taken as not below 0.2 bar, and the
-    compliance fades out between 0.8 ps and ps.
+    alpha * 1 bar * (1/p - 1/ps); the derivative of that volume is the compliance. p is taken as not below 0.2 bar, and
+    the compliance fades out between 0.8 ps and ps.
 
-    Signature: a chamber that stands near tank pressure is filled for seconds before its pressure rises, and rises ever faster;
-    all chambers above the saturation pressure are as stiff as without air (entrained air softens them too).
+    Signature: a chamber that stands near tank pressure is filled for seconds before its pressure rises, and rises ever
+    faster; all chambers above the saturation pressure are as stiff as without air (entrained air softens them too).
     """
 
     name = "released_air"
@@ -34,7 +34,8 @@ class ReleasedAir(Effect):
             return 0.0, 0.0
         p_air, knee = max(p, _LEAST), (1.0 - _FADE) * ps
         fading = max(p_air, knee)
-        # the integral of the compliance from p to ps: where it fades out, where it is whole, and below the least pressure
+        # the integral of the compliance from p to ps: where it fades out, where it is whole, and below the least
+        # pressure
         share = alpha * 1e5 / (_FADE * ps) * (ps / fading - 1.0 - math.log(ps / fading))
         share += alpha * 1e5 * max(1.0 / p_air - 1.0 / knee, 0.0)
         compliance = alpha * 1e5 / (p_air * p_air) * min((ps - p_air) / (_FADE * ps), 1.0)

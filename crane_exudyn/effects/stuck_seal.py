@@ -8,14 +8,15 @@ from .base import CYLINDERS, Effect, Parameter
 class StuckSeal(Effect):
     """Adds -Fc tanh((l - l0) / delta), l the length of the piston-side chamber: presliding friction without memory.
 
-    Friction by speed alone cannot hold a load: it lets go within milliseconds. A seal at rest deforms by some tenths of a millimetre
-    before it slides, and holds up to Fc either way for ever, as the last motion left it.
+    Friction by speed alone cannot hold a load: it lets go within milliseconds. A seal at rest deforms by some tenths of
+    a millimetre before it slides, and holds up to Fc either way for ever, as the last motion left it.
 
-    Valid while the cylinder stays within the deformation, which is to say for a cylinder whose valve remains closed, and for one
-    stroke in one direction out of rest; it forgets nothing and so is wrong after a reversal of a moving cylinder.
+    Valid while the cylinder stays within the deformation, which is to say for a cylinder whose valve remains closed,
+    and for one stroke in one direction out of rest; it forgets nothing and so is wrong after a reversal of a moving
+    cylinder.
 
-    Signature: at rest the pressures of a cylinder do not balance the load, always by the same force, and they answer a change of
-    load by less than the whole of it.
+    Signature: at rest the pressures of a cylinder do not balance the load, always by the same force, and they answer a
+    change of load by less than the whole of it.
     """
 
     name = "stuck_seal"

@@ -1,13 +1,14 @@
 """Equation of state of a chamber: which amount of oil stands at which pressure in which volume.
 
-The amount N is the volume that the oil would fill at the pressure 0; only flows change it. With the softness of oil and wall
-1/B = 1/Bo + 1/Bc, gas as a share x of the oil, and what the hose gives beyond that, 1/Bw = 1/Bh - 1/Bc, the pressure equation (34)
-with (14) and (41) is the total derivative of
+The amount N is the volume that the oil would fill at the pressure 0; only flows change it. With the softness of oil and
+wall 1/B = 1/Bo + 1/Bc, gas as a share x of the oil, and what the hose gives beyond that, 1/Bw = 1/Bh - 1/Bc, the
+pressure equation (34) with (14) and (41) is the total derivative of
 
     N(p, V) = V exp(p/B - x(p)) + Vh (exp(p/B) - 1) B/Bw,     dN/dt = exp(p/B - x) Q.
 
-Oil cannot be stretched: below vapour pressure a void opens. The state remembers it as the pressure y < p_vapour that the oil
-would have if it could be stretched (linearly, without gas); the chamber itself stays at vapour pressure until the void has filled.
+Oil cannot be stretched: below vapour pressure a void opens. The state remembers it as the pressure y < p_vapour that
+the oil would have if it could be stretched (linearly, without gas); the chamber itself stays at vapour pressure until
+the void has filled.
 """
 
 import math
@@ -45,8 +46,8 @@ def filling(E, y, chamber_volume, hose_volume, softness, hose_softness, vapour, 
 def pressure_of(E, amount, chamber_volume, hose_volume, softness, hose_softness, vapour, zero, guess):
     """Return the state's pressure y at which a chamber holds an amount (m^3); arguments as in `filling`, guess in Pa.
 
-    Without gas in closed form. With gas N is concave in y, so that Newton's method climbs from below; from above one step may
-    lead below the root, but not below vapour pressure while there is no void.
+    Without gas in closed form. With gas N is concave in y, so that Newton's method climbs from below; from above one
+    step may lead below the root, but not below vapour pressure while there is no void.
     """
     if hooks.free_gas(E, vapour + zero)[0] == 0.0:
         volume = chamber_volume + hose_volume

@@ -1,4 +1,6 @@
-"""Chamber lengths and volumes of a cylinder; the chamber grows as its side of the piston retreats (see erratum of (38))."""
+"""Chamber lengths and volumes of a cylinder; the chamber grows as its side of the piston retreats (see erratum of
+(38)).
+"""
 
 from ..compiled import njit
 

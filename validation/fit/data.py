@@ -15,15 +15,19 @@ from crane_exudyn.recording import Recording
 from crane_exudyn.signals import NO_SENSOR
 
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
-#: local error of a step in a fit, in units of the engine's: 0.03 bar and 1e-7 rad, a tenth of what good sensors show; beyond it a step is halved
+#: local error of a step in a fit, in units of the engine's: 0.03 bar and 1e-7 rad, a tenth of what good sensors show;
+#: beyond it a step is halved
 ACCURACY = 10.0
-#: seconds after a gap in the commands until the spools have forgotten it, and the shortest stretch between two gaps that is worth a start of its own
+#: seconds after a gap in the commands until the spools have forgotten it, and the shortest stretch between two gaps
+#: that is worth a start of its own
 _FORGOTTEN, _SHORTEST = 0.25, 0.5
 
 
 @dataclass(frozen=True)
 class Samples:
-    """One channel's samples: where they lie on the grid (index and fraction of a step), values in SI, noise std in SI."""
+    """One channel's samples: where they lie on the grid (index and fraction of a step), values in SI, noise std in
+    SI.
+    """
 
     channel: str
     index: np.ndarray
@@ -48,7 +52,8 @@ class FitData:
         command_time, commands: (n,) s and (n, valves), linear between, on their own clock.
         supply: (N, 2) measured pump and tank pressure in Pa, NaN where not recorded.
         samples: one entry a measured channel; none where the commands are not known.
-        blind: spans (from, to) in s in which a command was not recorded, or is still felt; the model is not run through them.
+        blind: spans (from, to) in s in which a command was not recorded, or is still felt; the model is not run through
+            them.
     """
 
     name: str
@@ -62,7 +67,9 @@ class FitData:
 
     @cached_property
     def stretches(self) -> list[tuple[int, int]]:
-        """Return first and last grid point of each stretch in which the commands are known; one, where they always are."""
+        """Return first and last grid point of each stretch in which the commands are known; one, where they always
+        are.
+        """
         start, end = float(self.time[0]), float(self.time[-1])
         bounds = [start, *(min(max(t, start), end) for span in self.blind for t in span), end]
         known = [(a, b) for a, b in zip(bounds[::2], bounds[1::2], strict=True) if b - a > 1e-3 * self.step]
@@ -98,8 +105,9 @@ class FitData:
     def of(cls, recording: Recording, crane: Crane, *, step: float | None = None, rate: float = 200.0) -> FitData:
         """Return the data of a recording, averaged down to at most `rate` samples a second and channel.
 
-        The commands are those that the crane's valve calibration makes of the recording. Noise standard deviations are the crane
-        file's or, where it names none, estimated from the data; a channel free of noise, as of a simulation, is given some.
+        The commands are those that the crane's valve calibration makes of the recording. Noise standard deviations are
+        the crane file's or, where it names none, estimated from the data; a channel free of noise, as of a simulation,
+        is given some.
 
         Raises:
             CraneError: commands or sensors are missing, or no stretch with known commands is long enough.
@@ -166,7 +174,9 @@ class FitData:
 
 @dataclass(frozen=True)
 class Joint:
-    """Several recordings of one machine that are fitted together: start and clocks are each one's own, and what `own` names."""
+    """Several recordings of one machine that are fitted together: start and clocks are each one's own, and what `own`
+    names.
+    """
 
     parts: tuple[FitData, ...]
     own: tuple[str, ...] = ()
@@ -195,7 +205,8 @@ Data = FitData | Joint
 
 
 def data_of(recordings: Sequence[Recording], crane: Crane, own: Sequence[str] = ()) -> Data:
-    """Return the data of one recording, or of several that are fitted together, of which parameters `own` differ from one to another.
+    """Return the data of one recording, or of several that are fitted together, of which parameters `own` differ from
+    one to another.
 
     Raises:
         CraneError: as `FitData.of`, or one of `own` is no parameter of the crane that is uncertain.
@@ -221,7 +232,9 @@ def known_parameters(crane: Crane, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _blind(recording: Recording, start: float, end: float) -> tuple[tuple[float, float], ...]:
-    """Return the spans from `start` to `end` in which a command is unknown or still felt, in order, none touching another."""
+    """Return the spans from `start` to `end` in which a command is unknown or still felt, in order, none touching
+    another.
+    """
     spans = sorted((float(a), float(b) + _FORGOTTEN) for g in recording.unknown_commands().values() for a, b in g)
     found: list[tuple[float, float]] = []
     for a, b in spans:
@@ -233,7 +246,8 @@ def _blind(recording: Recording, start: float, end: float) -> tuple[tuple[float,
         found[-1] = (found[-1][0], end)
     if found and found[0] == (start, end):
         raise CraneError(
-            f"{recording.source or recording.name}: nowhere are the commands known for {_SHORTEST:g} s on end. Record the commands with the sensors."
+            f"{recording.source or recording.name}: nowhere are the commands known for {_SHORTEST:g} s on end. Record "
+            "the commands with the sensors."
         )
     return tuple(found)
 
@@ -275,7 +289,9 @@ def _samples(
 
 
 def _sharing(samples: Iterable[Samples]) -> tuple[Samples, ...]:
-    """Return the samples, those that lie at the same places with the same arrays of places: ten minutes of them are 10 MB a channel."""
+    """Return the samples, those that lie at the same places with the same arrays of places: ten minutes of them are 10
+    MB a channel.
+    """
     found: list[Samples] = []
     for s in samples:
         like = next(

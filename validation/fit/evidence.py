@@ -1,8 +1,8 @@
 """How well a fitted model explains a recording, as a log marginal likelihood.
 
-The likelihood counts each short window of the recording with an error level of its own (`linear.robust`): thousands of correlated
-residuals of a wrong model are not thousands of independent proofs. Priors and the share of the prior volume that the data leave
-(the Occam factor of Laplace's approximation) charge for every parameter.
+The likelihood counts each short window of the recording with an error level of its own (`linear.robust`): thousands of
+correlated residuals of a wrong model are not thousands of independent proofs. Priors and the share of the prior volume
+that the data leave (the Occam factor of Laplace's approximation) charge for every parameter.
 """
 
 from __future__ import annotations

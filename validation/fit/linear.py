@@ -1,8 +1,8 @@
 """A fit's model made linear: windows of the recording swept with sensitivities, summed up to normal equations.
 
-The recording is cut into windows. Each begins with a state of its own (a knot), and neighbouring windows are held together by a
-penalty on the jump between them, so that a model that lacks something stays near the machine instead of drifting away. One
-window is an open-loop run.
+The recording is cut into windows. Each begins with a state of its own (a knot), and neighbouring windows are held
+together by a penalty on the jump between them, so that a model that lacks something stays near the machine instead of
+drifting away. One window is an open-loop run.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ RATE: Mapping[str, float] = {"rad": 0.3, "m": 0.3, "rad/s": 0.3, "m/s": 0.3, "Pa
 
 @cache
 def jump_of(layout: Layout) -> np.ndarray:
-    """Return the size of a jump between two windows that is taken as one standard deviation, for each state that there may be."""
+    """Return the size of a jump between two windows that is taken as one standard deviation, for each state that there
+    may be.
+    """
     return np.array([*layout.sized(layout.states, _JUMP), *[_JUMP_OF_PENDULUM] * len(layout.added)])
 
 
@@ -66,9 +68,9 @@ class Linear:
     """Normal equations of one linearised fit: knots x (K, nx) in units of `jump` (nx,), variables u (m,).
 
     Hxx (K, nx, nx), Hxo (K-1, nx, nx) between knot k and k+1, Hxu (K, nx, m), Huu (m, m); gx, gu are the gradients.
-    squares, counts: sum of squared residuals in noise units and number of samples, by channel. window_error (K,): RMS residual of
-    each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`. weak (nx,): weights of a weak prior that holds
-    the first state near its guess. volume: what lagging sensors' unknown first
+    squares, counts: sum of squared residuals in noise units and number of samples, by channel. window_error (K,): RMS
+    residual of each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`. weak (nx,):
+    weights of a weak prior that holds the first state near its guess. volume: what lagging sensors' unknown first
     values add to minus twice the log evidence, see `forgotten`.
     """
 
@@ -102,9 +104,9 @@ class Linear:
 def robust(squares: float, number: int) -> tuple[float, float]:
     """Return cost and weight of a group of residuals with that sum of squares (noise units).
 
-    Up to what noise makes (squares = number) the cost is the sum of squares; beyond, it grows with the logarithm only, which is the
-    likelihood of a group whose own error level is unknown. So what a model cannot explain anywhere in a short stretch is counted
-    once, instead of bending all parameters.
+    Up to what noise makes (squares = number) the cost is the sum of squares; beyond, it grows with the logarithm only,
+    which is the likelihood of a group whose own error level is unknown. So what a model cannot explain anywhere in a
+    short stretch is counted once, instead of bending all parameters.
     """
     excess = max(squares - number, 0.0)
     return min(squares, number) + number * float(np.log1p(excess / number)), 1.0 / (1.0 + excess / number)
@@ -208,7 +210,9 @@ def with_states(knots: np.ndarray, nx: int) -> np.ndarray:
 
 
 def joined(parts: Sequence[Linear]) -> Linear:
-    """Return the normal equations of several recordings as one: variables in common, knots one recording after the other."""
+    """Return the normal equations of several recordings as one: variables in common, knots one recording after the
+    other.
+    """
     if len(parts) == 1:
         return parts[0]
     nx = len(parts[0].jump)
@@ -222,8 +226,10 @@ def joined(parts: Sequence[Linear]) -> Linear:
         n: np.concatenate([getattr(p, n) for p in parts]) for n in ("Hxx", "Hxu", "gx", "window_error", "window_cost")
     }
     return Linear(
-        Hxo=np.concatenate(apart), jump_cost=np.concatenate(jumps), Huu=np.sum([p.Huu for p in parts], axis=0), gu=np.sum([p.gu for p in parts], axis=0),
-        squares=dict(squares), counts=dict(counts), jump=parts[0].jump, weak=parts[0].weak, volume=sum(p.volume for p in parts),
+        Hxo=np.concatenate(apart), jump_cost=np.concatenate(jumps), Huu=np.sum([p.Huu for p in parts], axis=0),
+        gu=np.sum([p.gu for p in parts], axis=0),
+        squares=dict(squares), counts=dict(counts), jump=parts[0].jump, weak=parts[0].weak,
+        volume=sum(p.volume for p in parts),
         failed=any(p.failed for p in parts), **together,
     )  # fmt: skip
 
@@ -260,8 +266,9 @@ def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
 
 @dataclass
 class Swept:
-    """One window swept: sums of squared residuals (noise units) and counts by channel; J'J and J'r by first state and variables;
-    end state and its derivative."""
+    """One window swept: sums of squared residuals (noise units) and counts by channel; J'J and J'r by first state and
+    variables; end state and its derivative.
+    """
 
     squares: list[float]
     counts: list[int]
@@ -313,10 +320,12 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
 
 
 def forgotten(columns: np.ndarray, sample: Samples, step: float, tau: float, rate: float) -> tuple[np.ndarray, float]:
-    """Return columns (n, m) of a sensor, in noise units, without what its unknown first value in a window may have done, and the cost of that.
+    """Return columns (n, m) of a sensor, in noise units, without what its unknown first value in a window may have
+    done, and the cost of that.
 
-    A sensor that lags (by tau, s) remembers what was before the window. Its first value is one more unknown, of which only a size is known, tau times `rate`,
-    and dies out as exp(-t / tau); it is integrated out. The cost is minus twice the log of the share that is left of its prior volume.
+    A sensor that lags (by tau, s) remembers what was before the window. Its first value is one more unknown, of which
+    only a size is known, tau times `rate`, and dies out as exp(-t / tau); it is integrated out. The cost is minus twice
+    the log of the share that is left of its prior volume.
     """
     shape = np.exp(-step * (sample.index + sample.fraction) / tau) * (tau * rate / sample.noise)
     size = 1.0 + float(shape @ shape)
@@ -328,7 +337,9 @@ def forgotten(columns: np.ndarray, sample: Samples, step: float, tau: float, rat
 def _add_own(
     dZ: np.ndarray, Z: np.ndarray, measurement: Measurement, X: np.ndarray, time: np.ndarray, columns: Columns
 ) -> None:
-    """Add to derivatives dZ (n, channels, m) by the variables what the sensors show otherwise of equal states X: by pins, bias, lag, …"""
+    """Add to derivatives dZ (n, channels, m) by the variables what the sensors show otherwise of equal states X: by
+    pins, bias, lag, …
+    """
     for k, size in enumerate(columns.size):
         if measurement.differs(columns.P[k], columns.E[k]):
             moved = measurement.beside(columns.P[k], columns.E[k]).shown(X, time)

@@ -20,7 +20,9 @@ from .data import FitData
 
 @dataclass(frozen=True)
 class Model:
-    """Vectors of one crane for one recording: P, E, the inputs W (N, valves + 2) on the recording's grid; and the commands' lateness, s."""
+    """Vectors of one crane for one recording: P, E, the inputs W (N, valves + 2) on the recording's grid; and the
+    commands' lateness, s.
+    """
 
     crane: Crane
     P: np.ndarray
@@ -48,8 +50,8 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None 
     """Return the model of a crane driven by the commands of a recording, `late` seconds after their stamps.
 
     Args:
-        near: a model of hardly another crane with equal lateness, from which the spool positions are extrapolated where only time
-            constants of the valves differ (many joint moves of parameters change them a little each).
+        near: a model of hardly another crane with equal lateness, from which the spool positions are extrapolated where
+            only time constants of the valves differ (many joint moves of parameters change them a little each).
     """
     P, E = crane.parameter_vector(), crane.effect_vector()
     spool = None if near is None else _extrapolated(near, crane, P, E, data, late)
@@ -69,14 +71,17 @@ def _paths(crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: floa
     )
 
 
-#: share of a time constant by which it may differ for the spool's path to be extrapolated, and that of the difference quotient
+#: share of a time constant by which it may differ for the spool's path to be extrapolated, and that of the difference
+#: quotient
 _NEAR, _QUOTIENT = 1e-2, 1e-4
 
 
 def _extrapolated(
     near: Model, crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: float
 ) -> np.ndarray | None:
-    """Return spool positions (N, valves) from those of a model nearby, or None if more than the time constants differ."""
+    """Return spool positions (N, valves) from those of a model nearby, or None if more than the time constants
+    differ.
+    """
     if late != near.late or _commanded(crane) != _commanded(near.crane):
         return None
     spool = near.W[:, crane.layout.spools].copy()
@@ -101,7 +106,8 @@ def _commanded(crane: Crane) -> tuple[object, ...]:
 def _valve_path(crane: Crane, data: FitData, c: int, valve: Valve, late: float) -> np.ndarray:
     """Return the positions (N,) of one spool on the grid; equal commands and valves are computed once."""
     key = (
-        id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), _commanded(crane), c, valve, late,
+        id(data.commands), float(data.command_time[0]), float(data.time[0]), len(data.time), _commanded(crane), c,
+        valve, late,
     )  # fmt: skip
     path = _LAST.get(key)
     if path is None:
@@ -111,7 +117,9 @@ def _valve_path(crane: Crane, data: FitData, c: int, valve: Valve, late: float) 
 
 
 class _Paths:
-    """The spool paths that were asked for last, no more than `most` bytes of them: those of ten minutes are 5 MB each."""
+    """The spool paths that were asked for last, no more than `most` bytes of them: those of ten minutes are 5 MB
+    each.
+    """
 
     def __init__(self, most: int) -> None:
         self._most, self._bytes = most, 0

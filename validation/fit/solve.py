@@ -1,4 +1,6 @@
-"""Gauss-Newton on the windows of a recording: knots eliminated, variables within bounds, unexplained stretches weighted down."""
+"""Gauss-Newton on the windows of a recording: knots eliminated, variables within bounds, unexplained stretches weighted
+down.
+"""
 
 from __future__ import annotations
 
@@ -60,19 +62,24 @@ class Fit:
     data: Data = field(repr=False)
 
     def of(self, recording: int) -> Fit:
-        """Return the fit as one of its recordings sees it: its own parameters, clock and knots; errors stay those of all."""
+        """Return the fit as one of its recordings sees it: its own parameters, clock and knots; errors stay those of
+        all.
+        """
         if isinstance(self.data, FitData):
             return self
         mine = [k for k, w in enumerate(self.windows) if w.recording == recording]
         kept = [i for i, v in enumerate(self.variables) if acts(v, recording)]
         return replace(
             self, crane=with_variables(self.origin, self.variables, self.u, recording), u=self.u[kept],
-            variables=tuple(alone(self.variables[i]) for i in kept), cov=self.cov[np.ix_(kept, kept)], knots=self.knots[mine],
+            variables=tuple(alone(self.variables[i]) for i in kept), cov=self.cov[np.ix_(kept, kept)],
+            knots=self.knots[mine],
             windows=tuple(replace(self.windows[k], recording=0) for k in mine), data=self.data.parts[recording],
         )  # fmt: skip
 
     def begun(self, origin: Crane, variables: Sequence[Variable], u: np.ndarray) -> Fit:
-        """Return where a fit of a crane by other variables begins: at these knots, with values u, nothing known of their spread yet."""
+        """Return where a fit of a crane by other variables begins: at these knots, with values u, nothing known of
+        their spread yet.
+        """
         cov = np.full((len(u), len(u)), math.nan)
         return replace(self, origin=origin, variables=tuple(variables), u=u, cov=cov)
 
@@ -211,7 +218,9 @@ def _evaluate(
 
 
 def _reduced(point: _Point, guess: np.ndarray) -> Reduced | None:
-    """Return the variables' normal equations; a model that runs away (a negative payload, say) has none: beyond all digits."""
+    """Return the variables' normal equations; a model that runs away (a negative payload, say) has none: beyond all
+    digits.
+    """
     try:
         return reduce(point.linear, guess, point.knots)
     except LinAlgError:
@@ -220,7 +229,9 @@ def _reduced(point: _Point, guess: np.ndarray) -> Reduced | None:
 
 
 def _widened(guess: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Return guessed knots with as many states as `knots`: a fit may give the payload a pendulum on its way, or take it away."""
+    """Return guessed knots with as many states as `knots`: a fit may give the payload a pendulum on its way, or take it
+    away.
+    """
     if guess.shape == knots.shape:
         return guess
     wide = knots.copy()
@@ -281,14 +292,18 @@ def _finish(
 
 
 def covariance(H: np.ndarray) -> np.ndarray:
-    """Return the inverse of a Hessian (m, m); what the data do not determine gets a huge variance, where a pseudo-inverse gives none."""
+    """Return the inverse of a Hessian (m, m); what the data do not determine gets a huge variance, where a
+    pseudo-inverse gives none.
+    """
     size = np.sqrt(np.maximum(np.diag(H), 1e-12))
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
     return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(size, size)
 
 
 def reknot(fit: Fit, windows: Sequence[Window]) -> np.ndarray:
-    """Return first states (K, nx) of other windows: those of the fit's own, and where they begin within one of these its run's."""
+    """Return first states (K, nx) of other windows: those of the fit's own, and where they begin within one of these
+    its run's.
+    """
     if isinstance(fit.data, Joint):
         each = range(len(fit.data.parts))
         own = [[replace(w, recording=0) for w in windows if w.recording == i] for i in each]

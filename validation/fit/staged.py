@@ -1,7 +1,7 @@
 """From short windows to one open-loop run: the way by which a fit finds its minimum without getting lost.
 
-In short windows the model stays near the machine even when it lacks something, and the cost is nearly quadratic; the long run has
-the full power of the data, and false minima. Each stage starts where the one before ended.
+In short windows the model stays near the machine even when it lacks something, and the cost is nearly quadratic; the
+long run has the full power of the data, and false minima. Each stage starts where the one before ended.
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ from .variables import NominalDirection, Timing, Variable, principal, uncertain_
 
 Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
-#: windows of the stages in s, and iterations; the last stage is one window (or windows of this length in very long recordings)
+#: windows of the stages in s, and iterations; the last stage is one window (or windows of this length in very long
+#: recordings)
 SHORT, LONG = 0.25, 60.0
 #: share of a direction's prior variance that the data must remove for the direction to be kept in a fit
 INFORMED = 0.2
-#: median error of short windows, in noise units, from which on an unknown load is also begun at these shares of its range
+#: median error of short windows, in noise units, from which on an unknown load is also begun at these shares of its
+#: range
 OFF, STARTS = 2.0, (0.15, 0.5, 0.85)
 
 
@@ -42,7 +44,8 @@ class Stage:
     step: float = 2.5e-3
 
 
-#: a ring of 7 Hz loses a thousandth of its frequency to a step of 2.5 ms: nothing in a quarter of a second, but not in 25 s
+#: a ring of 7 Hz loses a thousandth of its frequency to a step of 2.5 ms: nothing in a quarter of a second, but not in
+#: 25 s
 FINE = 1e-3
 LOOSE, TIGHT, STIFF = Stage(SHORT, 1.0, 5), Stage(SHORT, 10.0, 5), Stage(SHORT, 100.0, 6, FINE)
 STAGES = (LOOSE, TIGHT, STIFF)
@@ -59,7 +62,9 @@ def staged(
     before: Fit | np.ndarray,
     stages: Sequence[Stage] = STAGES,
 ) -> Fit:
-    """Return the fit after all stages, from variable values u and the knots of an earlier fit (or knots for the first stage)."""
+    """Return the fit after all stages, from variable values u and the knots of an earlier fit (or knots for the first
+    stage).
+    """
     result: Fit | None = before if isinstance(before, Fit) else None
     for stage in stages:
         data = data.stepped(stage.step)
@@ -103,7 +108,8 @@ def residuals(
 
     Args:
         crane, data: the model and what it is held against.
-        starts: first state (nx,), or (S, nx) of each stretch with known commands; where there are fewer, the others begin as measured.
+        starts: first state (nx,), or (S, nx) of each stretch with known commands; where there are fewer, the others
+            begin as measured.
         late: seconds by which the commands come after their stamps.
         simulate: (x0, time (n,), inputs (n, valves + 2)) -> states (n, nx); by default the semi-recursive engine.
     """
@@ -168,7 +174,8 @@ def timing_of(data: FitData) -> Timing:
 def _over_the_range(
     crane: Crane, data: Data, unknown: Sequence[Variable], knots: np.ndarray, stages: Sequence[Stage]
 ) -> Fit:
-    """Return the fit of what is openly unknown, from the file's values, and where these are far off from some over the whole range.
+    """Return the fit of what is openly unknown, from the file's values, and where these are far off from some over the
+    whole range.
 
     A window that a load leaves unexplained says little about which way to go; so the load is also begun elsewhere.
     """
@@ -181,10 +188,11 @@ def _over_the_range(
 
 
 def all_parameters(crane: Crane, data: Data, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
-    """Return the fit of all uncertain nominal parameters in windows: first what is unknown, then what is uncertain as well.
+    """Return the fit of all uncertain nominal parameters in windows: first what is unknown, then what is uncertain as
+    well.
 
-    A payload of which only a range is known may be far from the file's value; fitted at once with everything else, many other parameters
-    would move a little to do its work, from where the fit comes back slowly.
+    A payload of which only a range is known may be far from the file's value; fitted at once with everything else, many
+    other parameters would move a little to do its work, from where the fit comes back slowly.
     """
     clocks = timings(data)
     variables: list[Variable] = [*uncertain_parameters(crane, data.own, len(data.parts)), *clocks]

@@ -19,8 +19,8 @@ _ANGLE_SPAN, _PRESSURE_SPAN = 0.12, 0.03
 def knots_of(crane: Crane, data: FitData, windows: Sequence[Window]) -> np.ndarray:
     """Return guessed states (K, nx) at the start of each window.
 
-    Coordinates and rates come from a straight line through the samples around, pressures from their mean; a pressure that is not
-    measured is the one that balances the load at rest.
+    Coordinates and rates come from a straight line through the samples around, pressures from their mean; a pressure
+    that is not measured is the one that balances the load at rest.
     """
     samples = {s.channel: s for s in data.samples}
     engine = SemiRecursiveEngine(crane.nominal())
@@ -61,7 +61,9 @@ def _complete(crane: Crane, name: str, pressures: list[float | None], rest: np.n
 
 
 def _near(data: FitData, sample: Samples, t: float, span: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return times against t and values of the samples that are at most `span` (s) from t, at least of the four nearest ones."""
+    """Return times against t and values of the samples that are at most `span` (s) from t, at least of the four nearest
+    ones.
+    """
     reach = np.array([-span, span]) + (t - data.time[0])
     first, last = np.searchsorted(sample.index, reach / data.step + [-1.0, 2.0])
     around = slice(max(first - 4, 0), last + 4)

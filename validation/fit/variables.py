@@ -1,7 +1,7 @@
 """What may move in a fit: nominal parameters within their uncertainty, and parameters of effects.
 
-Every variable is a number u of order one: 0 is the starting value, the step of 1 is one standard uncertainty (nominal parameters) or one
-typical size (effects). A vector of such numbers turns the crane as given into another crane.
+Every variable is a number u of order one: 0 is the starting value, the step of 1 is one standard uncertainty (nominal
+parameters) or one typical size (effects). A vector of such numbers turns the crane as given into another crane.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ PLAUSIBLE = 3.0
 SUPPLY = ("supply.pump_pressure", "supply.tank_pressure")
 #: share of the pump's pressure that the tank's is kept below
 _TANK_SHARE = 0.9
-#: by how many seconds a moment is shifted to see what that does: something that happens within a simulation step has no derivative
+#: by how many seconds a moment is shifted to see what that does: something that happens within a simulation step has no
+#: derivative
 _MOMENT = 0.01
 
 
@@ -57,7 +58,8 @@ class EffectParameter:
     """One parameter of an effect at a place. Where the neutral value is infinite, u is typical / value.
 
     Attributes:
-        stated: the crane file has the effect: u = 0 is the file's value, known to a third like a rough nominal parameter.
+        stated: the crane file has the effect: u = 0 is the file's value, known to a third like a rough nominal
+            parameter.
     """
 
     key: str
@@ -74,7 +76,9 @@ class EffectParameter:
 
     @property
     def prior(self) -> float:
-        """Standard deviation of u: what needs many times the size that is met in practice explains nothing; none for what only shapes a law."""
+        """Standard deviation of u: what needs many times the size that is met in practice explains nothing; none for
+        what only shapes a law.
+        """
         if self._about_start:
             return 1.0
         return math.inf if self.parameter.shape or self.stated else PLAUSIBLE
@@ -134,7 +138,8 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class CurveDirection:
-    """A joint move of the values of a curve (`Effect.curve`): value k moves by weights[k] (SI) per unit of u, whose prior deviation is 1.
+    """A joint move of the values of a curve (`Effect.curve`): value k moves by weights[k] (SI) per unit of u, whose
+    prior deviation is 1.
 
     `start` are the effect's parameters at u = 0.
     """
@@ -165,8 +170,8 @@ class CurveDirection:
 class Timing:
     """Lateness of the recorded commands against the sensors, common to all valves; one is `scale` seconds.
 
-    A recorder's clocks agree no better than its sampling, and a command is held for a part of a control step: this is no
-    property of the crane.
+    A recorder's clocks agree no better than its sampling, and a command is held for a part of a control step: this is
+    no property of the crane.
     """
 
     scale: float
@@ -199,7 +204,9 @@ def lateness(variables: Sequence[Variable], u: np.ndarray, recording: int | None
 
 
 def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
-    """Return a parameter of an effect at a place: what has the unit of the sensor there gets it, and that sensor's telling size."""
+    """Return a parameter of an effect at a place: what has the unit of the sensor there gets it, and that sensor's
+    telling size.
+    """
     if parameter.unit != "channel":
         return parameter
     telling = layout.sensors[place].sizes.telling
@@ -207,7 +214,9 @@ def at_place(parameter: Parameter, place: str, layout: Layout) -> Parameter:
 
 
 def stated_effects(crane: Crane) -> list[EffectVariable]:
-    """Return the variables of the effects that a crane file has, held near its values (those of curves have a prior of their own)."""
+    """Return the variables of the effects that a crane file has, held near its values (those of curves have a prior of
+    their own).
+    """
     found = [v for e in crane.effects for v in effect_variables(e.key, e.parameters, crane.layout)]
     return [replace(v, stated=True) if isinstance(v, EffectParameter) else v for v in found]
 
@@ -236,7 +245,8 @@ def curve_variables(key: str, start: Mapping[str, float], root: np.ndarray) -> l
 
 
 def prior_root(table: Table, size: float | None = None, length: float = 0.2) -> np.ndarray:
-    """Return B (knots, m) of a curve's prior y = neutral + B u, u standard normal: a line and a smooth departure from it (Matérn 5/2).
+    """Return B (knots, m) of a curve's prior y = neutral + B u, u standard normal: a line and a smooth departure from
+    it (Matérn 5/2).
 
     Args:
         table: knots; a curve that begins in (0, 0) keeps that.
@@ -263,7 +273,9 @@ def is_moment(parameter: Parameter) -> bool:
 
 
 def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray, recording: int | None = None) -> Crane:
-    """Return the crane that the values u (one each variable) describe, as it was in a recording (None: what all share)."""
+    """Return the crane that the values u (one each variable) describe, as it was in a recording (None: what all
+    share).
+    """
     values = dict(crane.values)
     effects: dict[str, dict[str, float]] = {}
     for variable, number in zip(variables, u, strict=True):
@@ -302,7 +314,9 @@ def physical(crane: Crane, values: Mapping[str, float]) -> dict[str, float]:
 
 
 def uncertain_parameters(crane: Crane, own: Sequence[str] = (), recordings: int = 1) -> list[NominalDirection]:
-    """Return one variable a nominal parameter that is not exactly known, in the order of P; of `own`, one a recording."""
+    """Return one variable a nominal parameter that is not exactly known, in the order of P; of `own`, one a
+    recording.
+    """
     found = []
     for name in (n for n in crane.values if n in crane.uncertainty):
         known, value = crane.uncertainty[name], crane.values[name]

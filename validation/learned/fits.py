@@ -22,7 +22,9 @@ from .screen import Found
 
 @dataclass(frozen=True)
 class Part:
-    """One effect of an explanation: its variables, and where they begin. `found` is None for an effect of the library."""
+    """One effect of an explanation: its variables, and where they begin. `found` is None for an effect of the
+    library.
+    """
 
     key: str
     variables: tuple[EffectVariable, ...]
@@ -81,7 +83,9 @@ def _root(part: Part) -> np.ndarray:
 def explain(
     crane: Crane, data: Data, shared: Sequence[Variable], before: Fit, parts: Sequence[Part], stages: Sequence[Stage]
 ) -> Explained:
-    """Return parts fitted through the stages with the shared variables, from the knots (and where it has them the values) of an earlier fit."""
+    """Return parts fitted through the stages with the shared variables, from the knots (and where it has them the
+    values) of an earlier fit.
+    """
     known = values_of(before)
     u = [known.get(v.name, begin(v, before, {} if parts else known)) for v in shared]
     for part in parts:
@@ -95,7 +99,9 @@ def explain(
 
 
 def kept(windows: Sequence[Window], block: float, out: int, number: int) -> np.ndarray:
-    """Return (K,) whether a window lies in none of the blocks of time (s) that are left out, every `number`-th from `out` on."""
+    """Return (K,) whether a window lies in none of the blocks of time (s) that are left out, every `number`-th from
+    `out` on.
+    """
     begin = windows[0].data.time[0]
     return np.array([int((w.data.time[0] - begin) / block) % number != out for w in windows])
 
@@ -103,10 +109,11 @@ def kept(windows: Sequence[Window], block: float, out: int, number: int) -> np.n
 def left_out_gain(
     crane: Crane, shared: Sequence[Variable], before: Explained, after: Explained, block: float, number: int = 3
 ) -> tuple[float, float]:
-    """Return what a further part gains where it was not fitted, in log-likelihood: on blocks of time left out in turn, and on all others.
+    """Return what a further part gains where it was not fitted, in log-likelihood: on blocks of time left out in turn,
+    and on all others.
 
-    Both explanations are fitted again without each set of blocks, from where they ended, and then run through them, the first
-    states of windows alone free.
+    Both explanations are fitted again without each set of blocks, from where they ended, and then run through them, the
+    first states of windows alone free.
     """
     inside = outside = 0.0
     for out in range(number):

@@ -1,4 +1,6 @@
-"""The laws that a recording may show: every learned effect at every place over everything it may run over, with knots where it went."""
+"""The laws that a recording may show: every learned effect at every place over everything it may run over, with knots
+where it went.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class Law:
 
     @property
     def one_sided(self) -> bool:
-        """Whether physics allows the curve one sign only: friction resists, oil leaks and loses pressure the way it flows."""
+        """Whether physics allows the curve one sign only: friction resists, oil leaks and loses pressure the way it
+        flows.
+        """
         return self.against or self.over.from_zero or self.over.name == "pressure"
 
     @property
@@ -62,7 +66,9 @@ class Law:
         return curve_at(x, y, self.x, self.over.slope)
 
     def refined(self, y: np.ndarray) -> Law:
-        """Return the law with as many knots as there may be over the same range, closer where the curve through y (K,) bends."""
+        """Return the law with as many knots as there may be over the same range, closer where the curve through y (K,)
+        bends.
+        """
         fine = np.linspace(self.x[0], self.x[-1], 401)
         bend = np.abs(np.gradient(np.gradient(curve_at(self.x, y, fine, self.over.slope))))
         spread = np.ones(len(fine)) / len(fine) + 2.0 * np.sqrt(bend) / max(float(np.sqrt(bend).sum()), 1e-300)
@@ -89,7 +95,9 @@ def curve_at(x: np.ndarray, y: np.ndarray, at: np.ndarray, slope: float) -> np.n
 
 
 def laws_of(fit: Fit) -> list[Law]:
-    """Return every law that could act along a fitted run and that its crane does not have; those over a range that was hardly visited are left out."""
+    """Return every law that could act along a fitted run and that its crane does not have; those over a range that was
+    hardly visited are left out.
+    """
     found, lay = [], fit.crane.layout
     visits = visited(fit)
     for effect in registry.known():
@@ -104,7 +112,9 @@ def laws_of(fit: Fit) -> list[Law]:
 
 
 def knots(visited: np.ndarray, over: Argument) -> np.ndarray:
-    """Return knots over the visited values: half by their range, half by how often they were met; closer at 0 where a curve begins there."""
+    """Return knots over the visited values: half by their range, half by how often they were met; closer at 0 where a
+    curve begins there.
+    """
     low, high = np.quantile(visited, [BEYOND, 1.0 - BEYOND])
     low = 0.0 if over.from_zero else max(low, 0.0) if over.magnitude else low
     shares = np.linspace(0.0, 1.0, COUNT)
@@ -119,7 +129,9 @@ def knots(visited: np.ndarray, over: Argument) -> np.ndarray:
 
 
 def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
-    """Return the values (n,) of each argument of each learned effect at each place along a fitted run, where the effect can act."""
+    """Return the values (n,) of each argument of each learned effect at each place along a fitted run, where the effect
+    can act.
+    """
     X, W, time = trajectory(fit)
     lay = fit.crane.layout
     t = SemiRecursiveEngine(fit.crane).terms_along(X, W, time)

@@ -23,7 +23,8 @@ _HOOKS = {
     ("learned_force", "speed"): ("cylinder_force", "abs(v)", "-share * y * math.tanh(v / 2e-3)"),
     ("learned_force", "stroke"): ("cylinder_force", "la", "-share * y * math.tanh(v / 2e-3)"),
     ("learned_force", "pressure_drop"): ("cylinder_force", "abs(pa - pb)", "-share * y * math.tanh(v / 2e-3)"),
-    ("learned_leakage", "pressure_drop"): ("leakage", "abs(pa - pb)", "-share * math.copysign(y, pa - pb), share * math.copysign(y, pa - pb)"),
+    ("learned_leakage", "pressure_drop"): ("leakage", "abs(pa - pb)", "-share * math.copysign(y, pa - pb), share * "
+                                                                      "math.copysign(y, pa - pb)"),
     ("learned_flow", "pressure"): ("leakage", "p", "-share * y"),
     ("learned_torque", "rate"): ("joint_torque", "abs(omega)", "-share * y * math.tanh(omega / 2e-3)"),
     ("learned_supply", "flow"): ("supply_pressure", "q", "pp - share * y"),
@@ -86,7 +87,9 @@ class {cls}(Effect):
 
 
 def own_effect(law: LearnedLaw, crane: Crane, recording: str, name: str) -> str:
-    """Return the text of a Python file that defines a law as an effect of that name, of which `share` = 1 is the curve as learned."""
+    """Return the text of a Python file that defines a law as an effect of that name, of which `share` = 1 is the curve
+    as learned.
+    """
     effect, place = registry.split_key(law.effect)
     hook, at, result = _of(law)
     origin = law.law.over.origin
@@ -94,9 +97,12 @@ def own_effect(law: LearnedLaw, crane: Crane, recording: str, name: str) -> str:
     given = _GIVEN.get(effect.name, HOOKS[hook].given)
     signature = inspect.cleandoc(effect.__doc__ or "").partition("Signature: ")[2]
     return _TEXT.format(
-        title=f"A {effect.name.replace('_', ' ')} at {place or 'the whole machine'}: {law.resembles or 'a curve'}", over=law.over.replace("_", " "),
-        unit_over=law.unit_over or "1", unit=law.unit or "1", recording=recording, x=_numbers(law.x), y=_numbers(law.y), cls=name.title().replace("_", ""),
-        signature=textwrap.fill(signature, 110, subsequent_indent="    "), name=name, place=place, hook=hook, given=given, at=at, result=result,
+        title=f"A {effect.name.replace('_', ' ')} at {place or 'the whole machine'}: "
+              f"{law.resembles or 'a curve'}", over=law.over.replace("_", " "),
+        unit_over=law.unit_over or "1", unit=law.unit or "1", recording=recording, x=_numbers(law.x), y=_numbers(law.y),
+        cls=name.title().replace("_", ""),
+        signature=textwrap.fill(signature, 110, subsequent_indent="    "), name=name, place=place, hook=hook,
+        given=given, at=at, result=result,
     )  # fmt: skip
 
 
@@ -104,7 +110,8 @@ def _of(law: LearnedLaw) -> tuple[str, str, str]:
     key = (law.effect.partition("@")[0], law.over)
     if key not in _HOOKS:
         raise CraneError(
-            f"{law.effect} over {law.over}: no hook of a user's own effect is given that. Keep it in the crane file, with -o."
+            f"{law.effect} over {law.over}: no hook of a user's own effect is given that. Keep it in the crane file, "
+            "with -o."
         )
     hook, at, result = _HOOKS[key]
     if law.over == "stroke" and not law.against_motion:

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 
 def figure(found: Learned) -> Any:
-    """Return a figure: a panel a law; its curve, 95 % interval, knots, nearest simple form, and how often each place was visited."""
+    """Return a figure: a panel a law; its curve, 95 % interval, knots, nearest simple form, and how often each place
+    was visited.
+    """
     laws = found.laws
     made = new_figure(max(1, len(laws)), height=3.4, sharex=False)
     with style():

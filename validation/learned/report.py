@@ -9,7 +9,8 @@ from ..learning import Learned, LearnedLaw, sentence
 from ..report import Mood, Picture, Section, Table, write_report
 
 _CAPTION = (
-    "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the places that carry it. Outside it is "
+    "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the "
+    "places that carry it. Outside it is "
     "not known, and the model goes on level."
 )
 
@@ -31,9 +32,12 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
         sections.append(("Remarks", remarks))
     errors = Table(
         ("", "before", "after"),
-        [("learned from", found.error_before, found.error_after), ("only predicted", found.check_error_before, found.check_error_after)],
+        [
+            ("learned from", found.error_before, found.error_after),
+            ("only predicted", found.check_error_before, found.check_error_after),
+        ],
         note="Open-loop RMS in units of the sensors' noise.",
-    )  # fmt: skip
+    )
     sections.append(("Errors", [errors]))
     parameters = {"crane": found.given.name, "recording": found.recording} | dict(given or {})
     mood: Mood = "good" if found.laws else "neutral"

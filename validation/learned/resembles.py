@@ -24,13 +24,16 @@ READ = {
     "m/s": "m/s",
     "": "",
 }
-#: a form is named if it leaves no more than so many standard errors (RMS over the knots), or that share of the curve's greatest departure
+#: a form is named if it leaves no more than so many standard errors (RMS over the knots), or that share of the curve's
+#: greatest departure
 _ERRORS, _SHARE = 2.0, 0.08
 
 
 @dataclass(frozen=True)
 class Form:
-    """A simple form f(x; p): its name, the law, starting values from (x, y), and its words from parameters in read units."""
+    """A simple form f(x; p): its name, the law, starting values from (x, y), and its words from parameters in read
+    units.
+    """
 
     name: str
     law: Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -40,7 +43,9 @@ class Form:
 
 @dataclass(frozen=True)
 class Resemblance:
-    """The form that a curve resembles, in words; values of its parameters in SI; the effect of the library that is this law, or ""."""
+    """The form that a curve resembles, in words; values of its parameters in SI; the effect of the library that is this
+    law, or "".
+    """
 
     name: str
     text: str
@@ -58,23 +63,57 @@ def _softplus(x: np.ndarray) -> np.ndarray:
 
 
 FORMS = (
-    Form("constant", lambda x, p: np.full_like(x, p[0]), lambda x, y: [[float(np.mean(y))]], lambda p, s, u, v: f"{p[0]:.3g} {u} throughout"),
-    Form("linear", lambda x, p: p[0] * x, lambda x, y: [[float(x @ y / (x @ x))]], lambda p, s, u, v: f"{p[0]:.3g} {_per(u, v)}"),
-    Form("square root", lambda x, p: p[0] * np.sign(x) * np.sqrt(np.abs(x)), lambda x, y: [[_greatest(y) / math.sqrt(float(np.abs(x).max()))]],
-         lambda p, s, u, v: f"{p[0]:.3g} {_per(u, f'√{v}' if v else '')}"),
-    Form("power", lambda x, p: p[0] * np.sign(x) * np.abs(x) ** p[1], lambda x, y: [[_greatest(y) / float(np.abs(x).max()) ** n, n] for n in (0.5, 1.5, 2.0)],
-         lambda p, s, u, v: f"{p[0]:.3g} {u} times the power {p[1]:.3g}{_of(v)}"),
-    Form("dead zone", lambda x, p: p[0] * (_softplus(x - abs(p[1])) - _softplus(-x - abs(p[1]))),
-         lambda x, y: [[_greatest(y) / float(np.abs(x).max()) / (1.0 - a), a * float(np.abs(x).max())] for a in (0.1, 0.4, 0.7)],
-         lambda p, s, u, v: f"nothing up to {abs(p[1]):.3g} {v}, then {p[0]:.3g} {_per(u, v)}"),
-    Form("saturation", lambda x, p: p[0] * np.tanh(x / p[1]), lambda x, y: [[_greatest(y), a * float(np.abs(x).max())] for a in (0.1, 0.4)],
-         lambda p, s, u, v: f"rises to {p[0]:.3g} {u} within {abs(p[1]):.3g} {v}"),
-    Form("bump", lambda x, p: p[0] * np.exp(-(((x - p[1]) / p[2]) ** 2)),
-         lambda x, y: [[_greatest(y), float(x[np.argmax(np.abs(y))]), a * float(np.ptp(x))] for a in (0.1, 0.3)],
-         lambda p, s, u, v: f"{p[0]:.3g} {u} within {p[1]:.3g} ± {abs(p[2]):.2g} {v}"),
-    Form("Stribeck", lambda x, p: p[0] + p[1] * np.exp(-np.abs(x / p[2])), lambda x, y: [[float(y[-1]), float(y[0] - y[-1]), 0.15 * float(np.ptp(x))]],
-         lambda p, s, u, v: f"{p[0]:.3g} {u}, and {p[1]:.3g} {u} more at rest that are gone at {abs(p[2]):.3g} {v}"),
-)  # fmt: skip
+    Form(
+        "constant",
+        lambda x, p: np.full_like(x, p[0]),
+        lambda x, y: [[float(np.mean(y))]],
+        lambda p, s, u, v: f"{p[0]:.3g} {u} throughout",
+    ),
+    Form(
+        "linear",
+        lambda x, p: p[0] * x,
+        lambda x, y: [[float(x @ y / (x @ x))]],
+        lambda p, s, u, v: f"{p[0]:.3g} {_per(u, v)}",
+    ),
+    Form(
+        "square root",
+        lambda x, p: p[0] * np.sign(x) * np.sqrt(np.abs(x)),
+        lambda x, y: [[_greatest(y) / math.sqrt(float(np.abs(x).max()))]],
+        lambda p, s, u, v: f"{p[0]:.3g} {_per(u, f'√{v}' if v else '')}",
+    ),
+    Form(
+        "power",
+        lambda x, p: p[0] * np.sign(x) * np.abs(x) ** p[1],
+        lambda x, y: [[_greatest(y) / float(np.abs(x).max()) ** n, n] for n in (0.5, 1.5, 2.0)],
+        lambda p, s, u, v: f"{p[0]:.3g} {u} times the power {p[1]:.3g}{_of(v)}",
+    ),
+    Form(
+        "dead zone",
+        lambda x, p: p[0] * (_softplus(x - abs(p[1])) - _softplus(-x - abs(p[1]))),
+        lambda x, y: [
+            [_greatest(y) / float(np.abs(x).max()) / (1.0 - a), a * float(np.abs(x).max())] for a in (0.1, 0.4, 0.7)
+        ],
+        lambda p, s, u, v: f"nothing up to {abs(p[1]):.3g} {v}, then {p[0]:.3g} {_per(u, v)}",
+    ),
+    Form(
+        "saturation",
+        lambda x, p: p[0] * np.tanh(x / p[1]),
+        lambda x, y: [[_greatest(y), a * float(np.abs(x).max())] for a in (0.1, 0.4)],
+        lambda p, s, u, v: f"rises to {p[0]:.3g} {u} within {abs(p[1]):.3g} {v}",
+    ),
+    Form(
+        "bump",
+        lambda x, p: p[0] * np.exp(-(((x - p[1]) / p[2]) ** 2)),
+        lambda x, y: [[_greatest(y), float(x[np.argmax(np.abs(y))]), a * float(np.ptp(x))] for a in (0.1, 0.3)],
+        lambda p, s, u, v: f"{p[0]:.3g} {u} within {p[1]:.3g} ± {abs(p[2]):.2g} {v}",
+    ),
+    Form(
+        "Stribeck",
+        lambda x, p: p[0] + p[1] * np.exp(-np.abs(x / p[2])),
+        lambda x, y: [[float(y[-1]), float(y[0] - y[-1]), 0.15 * float(np.ptp(x))]],
+        lambda p, s, u, v: f"{p[0]:.3g} {u}, and {p[1]:.3g} {u} more at rest that are gone at {abs(p[2]):.3g} {v}",
+    ),
+)
 
 
 def _per(unit: str, other: str) -> str:
@@ -95,9 +134,11 @@ def resembles(
     against: bool,
     where: np.ndarray | None = None,
 ) -> Resemblance:
-    """Return what a curve y (K,) with covariance (K, K) at knots x (K,) resembles, in SI; a Resemblance without name if nothing.
+    """Return what a curve y (K,) with covariance (K, K) at knots x (K,) resembles, in SI; a Resemblance without name if
+    nothing.
 
-    The forms compete by BIC. A curve over the spool is described as a whole, one over the pressure drop of a valve by its factor.
+    The forms compete by BIC. A curve over the spool is described as a whole, one over the pressure drop of a valve by
+    its factor.
     """
     fx, fy = factor_to_si(READ.get(over.unit, over.unit), over.unit), factor_to_si(READ.get(unit, unit), unit)
     X, Y, spread = x / fx, y / fy, _whitener(cov / fy**2, y / fy)

@@ -1,7 +1,8 @@
 """All laws looked at at once: linear in the knots' values around a fit, smoothness found by marginal likelihood.
 
-A fit's normal equations get one column a knot of every law. With everything else projected out, a law is a Gaussian linear model of its values y:
-the cost falls by b'y - y'Hy/2. Its prior (`fit.variables.prior_root`) has a size and a length, and those are taken that make the recording likeliest.
+A fit's normal equations get one column a knot of every law. With everything else projected out, a law is a Gaussian
+linear model of its values y: the cost falls by b'y - y'Hy/2. Its prior (`fit.variables.prior_root`) has a size and a
+length, and those are taken that make the recording likeliest.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ class Found:
     length: float = 0.0
 
     def refined(self, y: np.ndarray) -> Found:
-        """Return the law with as many knots as a curve may have, closest where the curve y (K,) bends most, and the same prior."""
+        """Return the law with as many knots as a curve may have, closest where the curve y (K,) bends most, and the
+        same prior.
+        """
         law = self.law.refined(y)
         root = prior_root(law.table(law.neutral), self.size, self.length)
         before = law.curve(self.law.x, y)
@@ -91,7 +94,9 @@ def equations(fit: Fit, laws: Sequence[Law], stiffness: float) -> tuple[np.ndarr
 
 
 def best_prior(law: Law, H: np.ndarray, b: np.ndarray) -> Found:
-    """Return a law with the prior of the greatest marginal likelihood under the cost y'Hy/2 - b'y of departures y (K,)."""
+    """Return a law with the prior of the greatest marginal likelihood under the cost y'Hy/2 - b'y of departures y
+    (K,).
+    """
     best: Found | None = None
     for length in LENGTHS:
         root = prior_root(law.table(law.neutral), abs(law.over.size), length)

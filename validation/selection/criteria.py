@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Criteria:
-    """Thresholds; logs are natural, levels and errors in units of the sensors' noise, moves in standard uncertainties."""
+    """Thresholds; logs are natural, levels and errors in units of the sensors' noise, moves in standard
+    uncertainties.
+    """
 
     # what is said of a model
     level: float = 1.04  # below it hardly more than noise is left: noise that is estimated is itself wrong by 2 %
@@ -33,7 +35,9 @@ class Criteria:
     promise: float = (
         1.0  # fall of the cost that the screen must expect where much is left; where little is left it is `proof`
     )
-    left: float = 0.5  # share of the excess squared error that a further effect may leave: many make good a little of a law that is nearly right
+    # share of the excess squared error that a further effect may leave: many make good a little of a law that is nearly
+    # right
+    left: float = 0.5
     repaired: float = 0.8  # what leaves something explains all the same if it repairs this share of the windows
     left_level: float = 1.3  # and leaves this level
     left_of_rest: float = (
@@ -43,7 +47,8 @@ class Criteria:
 
     # how far is searched
     beam: int = 3  # models that a round goes on from
-    singles: int = 7  # effects that are fitted to the crane without effects, beside each model of a beam, beside one that leaves hardly
+    # effects that are fitted to the crane without effects, beside each model of a beam, beside one that leaves hardly
+    singles: int = 7
     others: int = 5  # more than noise, and, where parameters may do an effect's work, from the machine as given
     nearly: int = 2
     as_given: int = 3

@@ -23,7 +23,9 @@ from .screen import screen
 
 
 def helped(document: Mapping[str, Any]) -> bool:
-    """Return whether a fit, as `fitted_effect` tells of it, made the open-loop error smaller with a likelihood that exists."""
+    """Return whether a fit, as `fitted_effect` tells of it, made the open-loop error smaller with a likelihood that
+    exists.
+    """
     return bool(np.isfinite(document["evidence"]) and document["error_after"] < document["error_before"])
 
 

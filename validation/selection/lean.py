@@ -1,8 +1,8 @@
 """The fewest nominal parameters that have to move.
 
-A fit that moves everything that is uncertain explains a recording as well as one that moves what was wrong, but predicts worse: small moves
-that the data hardly determine add up elsewhere. So the chosen explanation is fitted again with the nominal parameters held, and those are
-let go one by one that bring more evidence than their freedom costs.
+A fit that moves everything that is uncertain explains a recording as well as one that moves what was wrong, but
+predicts worse: small moves that the data hardly determine add up elsewhere. So the chosen explanation is fitted again
+with the nominal parameters held, and those are let go one by one that bring more evidence than their freedom costs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ _WORTH, _MOST, _MORE = 2.0, 10, 4
 
 
 def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
-    """Return the explanation with the fewest moved parameters, or `full` where moving everything is better supported."""
+    """Return the explanation with the fewest moved parameters, or `full` where moving everything is better
+    supported.
+    """
     held: list[Variable] = [*timings(data), *stated_effects(crane)]
     tried = [full, _with(crane, data, full, full.fit, held)]
     for most in (_MOST, _MORE):

@@ -1,8 +1,9 @@
-"""The error levels of a model that is wrong: one for each channel, and how many independent samples its errors are worth.
+"""The error levels of a model that is wrong: one for each channel, and how many independent samples its errors are
+worth.
 
-Where something is always left, the level of a channel is the model's error and not the sensor's alone, and samples count as many times as they are
-independent: errors of a wrong model drift, and taken as white noise they would prove anything. When only noise is left, the levels are one, and so is
-the factor.
+Where something is always left, the level of a channel is the model's error and not the sensor's alone, and samples
+count as many times as they are independent: errors of a wrong model drift, and taken as white noise they would prove
+anything. When only noise is left, the levels are one, and so is the factor.
 """
 
 from __future__ import annotations
@@ -17,14 +18,17 @@ from ..fit.data import Data, FitData
 from ..fit.solve import Fit
 from ..fit.staged import residuals
 
-#: errors are taken as independent at the latest after so many seconds, in windows, and in a run over the whole recording, which drifts
+#: errors are taken as independent at the latest after so many seconds, in windows, and in a run over the whole
+#: recording, which drifts
 APART, DRIFT = 0.25, 1.0
 Errors = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Error levels by channel in units of the sensors' noise, and the factor on them at which samples weigh what the independent ones are worth."""
+    """Error levels by channel in units of the sensors' noise, and the factor on them at which samples weigh what the
+    independent ones are worth.
+    """
 
     of: Errors
     factor: float = 1.0
@@ -57,9 +61,10 @@ def independent(r: np.ndarray) -> float:
 def levels_of(found: Fit, data: Data, most: Errors | None = None, apart: float = APART) -> Levels:
     """Return the error levels that a fit leaves.
 
-    A level is the channel's RMS error, at least its sensor's noise and at most `most` where that is given: a channel that a better model fits worse than
-    the one before must not be given up. The factor is the root of how many samples make an independent one, on the average of
-    the channels: one for each would weigh down just those channels that show best what is missing.
+    A level is the channel's RMS error, at least its sensor's noise and at most `most` where that is given: a channel
+    that a better model fits worse than the one before must not be given up. The factor is the root of how many samples
+    make an independent one, on the average of the channels: one for each would weigh down just those channels that show
+    best what is missing.
 
     Args:
         found: a fit to the data, whatever levels it was fitted with.
@@ -78,7 +83,9 @@ def levels_of(found: Fit, data: Data, most: Errors | None = None, apart: float =
 
 
 def window_errors(found: Fit, data: Data) -> dict[str, list[np.ndarray]]:
-    """Return by channel and recording the errors of all windows of a fit, one after the other, in units of the sensors' noise."""
+    """Return by channel and recording the errors of all windows of a fit, one after the other, in units of the sensors'
+    noise.
+    """
     errors: dict[str, list[np.ndarray]] = {}
     for i, part in enumerate(data.parts):
         fit, own = found.of(i), dict[str, list[np.ndarray]]()
@@ -93,12 +100,15 @@ def window_errors(found: Fit, data: Data) -> dict[str, list[np.ndarray]]:
 
 
 def falls(before: Errors, after: Errors) -> float:
-    """Return the mean over channels of the log of the error's fall; below its sensor's noise an error no longer counts."""
+    """Return the mean over channels of the log of the error's fall; below its sensor's noise an error no longer
+    counts.
+    """
     return float(np.mean([math.log(max(before[c], 1.0) / max(after[c], 1.0)) for c in before]))
 
 
 def likelihood(found: Fit, data: Data) -> float:
-    """Return the log-likelihood of a fit, each channel's level at its most likely value, with the log prior, up to a constant.
+    """Return the log-likelihood of a fit, each channel's level at its most likely value, with the log prior, up to a
+    constant.
 
     A channel that is given up costs the log of its level.
     """

@@ -45,7 +45,9 @@ def _pulses(height: float, *moments: float, length: float = 2.0) -> list[tuple[f
 
 
 def manoeuvres(layout: Layout) -> Iterator[Manoeuvre]:
-    """Yield the manoeuvres of a machine that are tried: each cylinder alone, all at once, and holding the load of the first."""
+    """Yield the manoeuvres of a machine that are tried: each cylinder alone, all at once, and holding the load of the
+    first.
+    """
     names, four = layout.cylinders, (2.0, 6.0, 10.0, 14.0)
     for c, name in enumerate(names):
         for speed, height, length in (("slowly", 0.08, 2.0), ("quickly", 0.4, 1.2)):
@@ -65,7 +67,9 @@ _BESIDE: Mapping[str, float] = {"rad": np.radians(10.0), "m": 0.05}
 
 
 def best_manoeuvre(first: Crane, second: Crane, noise: Mapping[str, float], channels: tuple[str, ...]) -> str:
-    """Return in words the manoeuvre on which two cranes differ most, and by how much; it stays within both cranes' strokes."""
+    """Return in words the manoeuvre on which two cranes differ most, and by how much; it stays within both cranes'
+    strokes.
+    """
     best, text, lay = 0.0, "", first.layout
     beside = np.array(lay.sized(lay.coordinates, _BESIDE))
     for manoeuvre in manoeuvres(lay):
@@ -77,7 +81,10 @@ def best_manoeuvre(first: Crane, second: Crane, noise: Mapping[str, float], chan
                 at = (
                     f"{n} = {z * p.factor:.3g} {p.unit}" for n, z, p in zip(lay.coordinates, pose, parts, strict=True)
                 )
-                text = f"{manoeuvre.text}, starting at {', '.join(at)}: the explanations then differ by {found[0]:.1f} times the noise in {found[1]}"
+                text = (
+                    f"{manoeuvre.text}, starting at {', '.join(at)}: the explanations then differ by {found[0]:.1f} "
+                    f"times the noise in {found[1]}"
+                )
     return text or "none of the manoeuvres that were simulated tells them apart; another sensor would be needed"
 
 

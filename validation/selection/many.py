@@ -1,9 +1,11 @@
-"""The search where no effect alone, nor two, explain the recordings: many effects, one a round, and something is always left.
+"""The search where no effect alone, nor two, explain the recordings: many effects, one a round, and something is always
+left.
 
-The same moves and the same score as in `search`, but for three things: the error levels follow the model (`levels`), so that a round's models share those
-of the model that it goes on from; windows are two seconds long, all but joined, so that a ring dies out or a drift shows in them; and what is taken is
-judged by open-loop runs, also over the last part of each recording, which is not fitted before the end. At last everything is fitted in one open-loop run,
-and each effect is left out once to see what the others make of the recordings without it.
+The same moves and the same score as in `search`, but for three things: the error levels follow the model (`levels`), so
+that a round's models share those of the model that it goes on from; windows are two seconds long, all but joined, so
+that a ring dies out or a drift shows in them; and what is taken is judged by open-loop runs, also over the last part of
+each recording, which is not fitted before the end. At last everything is fitted in one open-loop run, and each effect
+is left out once to see what the others make of the recordings without it.
 """
 
 from __future__ import annotations
@@ -73,7 +75,9 @@ def run(iterations: int) -> tuple[Stage, ...]:
 
 @dataclass(frozen=True)
 class Taken:
-    """One effect that was taken in: the log evidence that it brought, and what else was fitted in its round would have brought."""
+    """One effect that was taken in: the log evidence that it brought, and what else was fitted in its round would have
+    brought.
+    """
 
     key: str
     evidence: float
@@ -82,15 +86,18 @@ class Taken:
 
 @dataclass(frozen=True)
 class Many:
-    """The crane with all effects that were taken in, and how each proved itself; errors are open loop, in units of the sensors' noise.
+    """The crane with all effects that were taken in, and how each proved itself; errors are open loop, in units of the
+    sensors' noise.
 
     Attributes:
         taken: the rounds in their order, of the effects that stayed.
         before, after: errors of the crane as given, its start fitted, and of the crane at the end.
         needed, without: effect -> log evidence lost and errors when it is left out and all else is fitted again.
         nominal, predicted: errors on what was left out, of parameters alone and with effects, fitted to the rest only.
-        deviations: parameter -> standard deviation (SI). alike: variables that can hardly be told apart -> their correlation.
-        moved: nominal parameter -> how far it moved, in standard uncertainties; where only a range is known, in shares of it.
+        deviations: parameter -> standard deviation (SI). alike: variables that can hardly be told apart -> their
+            correlation.
+        moved: nominal parameter -> how far it moved, in standard uncertainties; where only a range is known, in shares
+            of it.
         ranges: channel -> its range in units of the noise.
     """
 
@@ -109,15 +116,19 @@ class Many:
 
     @property
     def predicts_better(self) -> bool:
-        """Whether what was not fitted is predicted better by a tenth, on the average of the channels, than by the fitted nominal model."""
+        """Whether what was not fitted is predicted better by a tenth, on the average of the channels, than by the
+        fitted nominal model.
+        """
         first, last = self.nominal, self.predicted
         return sum(math.log(first[c] / last[c]) for c in last) / len(last) > -math.log(1.0 - CRITERIA.worth)
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Where the search stands: a fit to the first part of each recording (`learned`, with the sensors' noise), the effects that it took in, the error levels of
-    the round, and effects that were demanded but not taken: a linear look from a model without them may not show them a second time."""
+    """Where the search stands: a fit to the first part of each recording (`learned`, with the sensors' noise), the
+    effects that it took in, the error levels of the round, and effects that were demanded but not taken: a linear look
+    from a model without them may not show them a second time.
+    """
 
     learned: Data
     fit: Fit
@@ -149,7 +160,9 @@ def search_many(problem: Problem, most: int, progress: Progress = silent) -> Man
 
 
 def _begun(problem: Problem) -> tuple[Problem, Standing]:
-    """Return the problem in coarse steps, and where its search begins: nominal parameters fitted, levels of the channels found."""
+    """Return the problem in coarse steps, and where its search begins: nominal parameters fitted, levels of the
+    channels found.
+    """
     crane, whole = problem.crane, problem.data.stepped(STEP)
     learned = replace(whole, parts=tuple(map(_part, whole.parts))) if isinstance(whole, Joint) else _part(whole)
     base = all_parameters(crane, learned, (Stage(SHORT, 1.0, 5, STEP),))
@@ -184,10 +197,11 @@ def _carried(
     crane: Crane, data: Data, shared: Sequence[Variable], effects: Sequence[EffectVariable], before: Fit,
     stages: Sequence[Stage], kept: Sequence[str],
 ) -> Fit:  # fmt: skip
-    """Return a fit that goes on from another; of the effects those in `kept` that would fall asleep are held as they were before.
+    """Return a fit that goes on from another; of the effects those in `kept` that would fall asleep are held as they
+    were before.
 
-    Where everything moves at once, parameters may slide into a valley in which an effect that was found before does nothing. Another
-    effect is to come in addition to it.
+    Where everything moves at once, parameters may slide into a valley in which an effect that was found before does
+    nothing. Another effect is to come in addition to it.
     """
     variables = [*shared, *effects]
     found = staged(crane, data, variables, _begins(variables, before), before, stages)
@@ -208,7 +222,8 @@ def _neutral(found: Fit, key: str) -> bool:
 
 
 def _relevelled(problem: Problem, now: Standing) -> Standing:
-    """Return the standing with the channels' levels as its model leaves them, never higher than before, all fitted again.
+    """Return the standing with the channels' levels as its model leaves them, never higher than before, all fitted
+    again.
 
     By way of one open-loop run: slow drifts do not show in windows of two seconds.
     """
@@ -234,10 +249,11 @@ def _offered(problem: Problem, now: Standing) -> list[tuple[str, float, Fit]]:
 
 
 def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]]:
-    """Return what to try: the best of a screen in long windows, and the best of one in short windows that follow the machine.
+    """Return what to try: the best of a screen in long windows, and the best of one in short windows that follow the
+    machine.
 
-    The long ones show what adds up; in the short ones a chamber that the model takes for stiff still stands where the machine's stands, so
-    that an effect that changes all from there on (air) is seen at all.
+    The long ones show what adds up; in the short ones a chamber that the model takes for stiff still stands where the
+    machine's stands, so that an effect that changes all from there on (air) is seen at all.
     """
     begins = starts(now.fit.crane, now.learned)
     looks = [screen(f, begins, stiffness) for f, stiffness in ((now.fit, JOINED), (_following(problem, now), 1.0))]
@@ -274,10 +290,12 @@ def _tried(problem: Problem, now: Standing, new: Sequence[EffectVariable]) -> Fi
 
 
 def _best(problem: Problem, offered: Sequence[tuple[str, float, Fit]], last: Judged) -> tuple[str, Fit, Judged] | None:
-    """Return the effect with which whole runs have the least error, over what was learned from and what was not: key, fit, errors.
+    """Return the effect with which whole runs have the least error, over what was learned from and what was not: key,
+    fit, errors.
 
-    Of those that the data demand, at least half as much as the first, and that make the errors fall; None if there is none. Windows
-    tell what is at work, but not whether it adds up over a whole run; and what merely imitates the cause predicts worse.
+    Of those that the data demand, at least half as much as the first, and that make the errors fall; None if there is
+    none. Windows tell what is at work, but not whether it adds up over a whole run; and what merely imitates the cause
+    predicts worse.
     """
     found = []
     for key, gain, fit_with in offered:
@@ -291,7 +309,9 @@ def _best(problem: Problem, offered: Sequence[tuple[str, float, Fit]], last: Jud
 
 
 def judged(problem: Problem, found: Fit) -> Judged:
-    """Return open-loop errors by channel over what was learned from, and over the rest, into which the same runs go on."""
+    """Return open-loop errors by channel over what was learned from, and over the rest, into which the same runs go
+    on.
+    """
     runs = []
     for i, learned in enumerate(found.data.parts):
         own = found.of(i)
@@ -302,7 +322,9 @@ def judged(problem: Problem, found: Fit) -> Judged:
 
 
 def _errors(problem: Problem, runs: Sequence[Fit], rest: bool | None = None) -> dict[str, float]:
-    """Return by channel the errors of open-loop runs, one a recording, over all of it, or without or with nothing but the rest (not learned from)."""
+    """Return by channel the errors of open-loop runs, one a recording, over all of it, or without or with nothing but
+    the rest (not learned from).
+    """
     left: dict[str, list[np.ndarray]] = {}
     for data, run in zip(problem.data.parts, runs, strict=True):
         for c, (time, r) in residuals(run.crane, data, run.starts, run.late).items():
@@ -315,7 +337,9 @@ def _errors(problem: Problem, runs: Sequence[Fit], rest: bool | None = None) -> 
 
 
 def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
-    """Return clocks, all uncertain parameters and all effects as variables, and their values in a crane; clocks as a fit found them."""
+    """Return clocks, all uncertain parameters and all effects as variables, and their values in a crane; clocks as a
+    fit found them.
+    """
     given, data = problem.crane, problem.data
     nominal = [_believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
     stated, clocks, known = stated_effects(given), timings(data), values_of(before)
@@ -349,7 +373,9 @@ def _open_loop(problem: Problem, keys: Sequence[str], data: Data, before: Fit, c
 def _together(
     problem: Problem, standing: Standing, taken: Sequence[Taken], left_out: tuple[Errors, Errors], progress: Progress
 ) -> Many:
-    """Fit everything to the whole recordings, leave out what is not needed, and say how well each effect is determined."""
+    """Fit everything to the whole recordings, leave out what is not needed, and say how well each effect is
+    determined.
+    """
     final, keys = _whole_run(problem, standing), list(standing.keys)
     each = range(len(problem.data.parts))
     full = _errors(problem, [final.of(i) for i in each])
@@ -373,21 +399,25 @@ def _together(
     shared = zip(final.variables, final.u, strict=True)
     moved = {v.name: float(u) for v, u in shared if isinstance(v, NominalDirection) and v.recording is None}
     return Many(
-        final.crane, tuple(t for t in taken if t.key in keys), before, _errors(problem, [final.of(i) for i in each]), needed, without,
+        final.crane, tuple(t for t in taken if t.key in keys), before, _errors(problem, [final.of(i) for i in each]),
+        needed, without,
         *left_out, _deviations(final, keys), _alike(final, keys), moved, ranges,
     )  # fmt: skip
 
 
 def mends(without: Errors, full: Errors) -> bool:
-    """Whether a channel's error is half as large again without an effect as with everything, and more than its sensor's noise."""
+    """Whether a channel's error is half as large again without an effect as with everything, and more than its sensor's
+    noise.
+    """
     return any(without[c] > CRITERIA.mended * max(full[c], 1.0) for c in full)
 
 
 def _whole_run(problem: Problem, standing: Standing) -> Fit:
-    """Return the open-loop fit to the whole recordings: the most likely of those that begin at the current fit, at the machine, and anew.
+    """Return the open-loop fit to the whole recordings: the most likely of those that begin at the current fit, at the
+    machine, and anew.
 
-    Anew is the crane as given, with effects of the size that is met in practice: where much has moved step by step, that valley may
-    be the deeper one.
+    Anew is the crane as given, with effects of the size that is met in practice: where much has moved step by step,
+    that valley may be the deeper one.
     """
     data = standing.levels.raised(problem.data)
     found, keys = _extended(problem, standing, data), standing.keys
@@ -429,8 +459,10 @@ def _extended(problem: Problem, standing: Standing, data: Data) -> Fit:
 
 
 def _best_run(problem: Problem, keys: Sequence[str], final: Fit, without: str) -> Fit:
-    """Return the best of three fits of one open-loop run without an effect: straight from where the final one stands, and by way of long windows
-    that begin on its run, or on the machine's: without an effect the run may be far from both."""
+    """Return the best of three fits of one open-loop run without an effect: straight from where the final one stands,
+    and by way of long windows that begin on its run, or on the machine's: without an effect the run may be far from
+    both.
+    """
     crane, data = final.crane.without_effect(without), final.data
     straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
     measured = replace(final, windows=tuple(cut(data, WINDOW)), knots=first_knots(crane, data, WINDOW))

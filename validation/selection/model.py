@@ -1,7 +1,7 @@
 """Models of a machine, how they are fitted to recordings, and what they are worth.
 
-A model is the crane as given with effects added and with variables that may move. Its score is the log evidence (`fit.evidence`) under the error
-model of the round: the data's noise levels, the same for all models of a round.
+A model is the crane as given with effects added and with variables that may move. Its score is the log evidence
+(`fit.evidence`) under the error model of the round: the data's noise levels, the same for all models of a round.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ ASTRAY = 1.3
 
 @dataclass(frozen=True)
 class Model:
-    """What might be: effects with parameter values (SI) to start from, beside variables that all models of a search share."""
+    """What might be: effects with parameter values (SI) to start from, beside variables that all models of a search
+    share.
+    """
 
     variables: tuple[Variable, ...]
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -63,7 +65,8 @@ class Fitted:
     """A model fitted to recordings.
 
     Attributes:
-        fit: the last stage of the fit; loose: the first one, from which further effects are looked for where much is left.
+        fit: the last stage of the fit; loose: the first one, from which further effects are looked for where much is
+            left.
         evidence: log marginal likelihood, up to a constant of the recordings and the stage.
     """
 
@@ -90,7 +93,9 @@ class Fitted:
 
     @property
     def strain(self) -> float:
-        """Half the sum of squares of the moves of nominal parameters, in standard uncertainties: their log prior, up to a sign."""
+        """Half the sum of squares of the moves of nominal parameters, in standard uncertainties: their log prior, up to
+        a sign.
+        """
         return 0.5 * float(np.square(_moves(self.fit)).sum())
 
     @property
@@ -141,7 +146,9 @@ class Fitted:
         return parameters_of(self.fit.crane, key)
 
     def deviations(self, key: str) -> dict[str, float]:
-        """Return the standard deviation (SI) of each fitted parameter of an effect; infinite where the data do not determine it."""
+        """Return the standard deviation (SI) of each fitted parameter of an effect; infinite where the data do not
+        determine it.
+        """
         found = {
             v.parameter.name: deviation(v, float(u), math.sqrt(max(float(spread), 0.0)))
             for v, u, spread in zip(self.fit.variables, self.fit.u, np.diag(self.fit.cov), strict=True)
@@ -162,7 +169,9 @@ def plausible(fit: Fit) -> bool:
 
 
 def at_bound(fit: Fit, key: str) -> list[str]:
-    """Return the parameters of an effect that a fit has driven to an end of their range (the neutral end, and what only shapes a law, excepted)."""
+    """Return the parameters of an effect that a fit has driven to an end of their range (the neutral end, and what only
+    shapes a law, excepted).
+    """
     hit = []
     for v, u in zip(fit.variables, fit.u, strict=True):
         if isinstance(v, EffectParameter) and v.key == key and not v.parameter.shape:
@@ -190,7 +199,9 @@ def _curve_deviations(fit: Fit, key: str) -> dict[str, float]:
 
 
 def deviation(variable: EffectParameter, u: float, spread: float) -> float:
-    """Return the standard deviation (SI) of an effect's parameter whose u has that one; infinite where the data do not determine it."""
+    """Return the standard deviation (SI) of an effect's parameter whose u has that one; infinite where the data do not
+    determine it.
+    """
     if variable.inverse:
         return variable.parameter.typical / u**2 * spread if u > 2.0 * spread else math.inf
     return variable.scale * spread if spread < UNDETERMINED else math.inf
@@ -219,7 +230,8 @@ def fitted(crane: Crane, data: Data, model: Model, before: Fit, stages: Sequence
 
 
 def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
-    """Return where a variable begins that an earlier fit did not have: a joint direction of parameters where that fit moved them one by one.
+    """Return where a variable begins that an earlier fit did not have: a joint direction of parameters where that fit
+    moved them one by one.
 
     Beside a new effect parameters begin unmoved (nothing is known of them): they may have moved to do its work.
     """
@@ -244,14 +256,17 @@ def best_of_each(found: Sequence[Fitted]) -> list[Fitted]:
 def open_loop_error(
     crane: Crane, recording: Recording, knots: Fit | None = None, own: Sequence[str] = ()
 ) -> tuple[float, Fit]:
-    """Return the RMS error over all samples, in noise units, of an open-loop run of which only the start is fitted, and that fit.
+    """Return the RMS error over all samples, in noise units, of an open-loop run of which only the start is fitted, and
+    that fit.
 
-    The start is the first state, and by how little the recorded commands come late; parameters `own` are each recording's.
+    The start is the first state, and by how little the recorded commands come late; parameters `own` are each
+    recording's.
 
     Args:
         crane: the crane as it is.
         recording: what it is held against.
-        knots: a fit of this crane to this recording, from which to start; guessed from the measurements if there is none.
+        knots: a fit of this crane to this recording, from which to start; guessed from the measurements if there is
+            none.
         own: nominal parameters that are fitted with the start, where no fit is given.
     """
     data = FitData.of(recording, crane)
@@ -266,7 +281,9 @@ def open_loop_error(
 
 
 def run_error(crane: Crane, recording: Recording, knots: Fit | None, own: Sequence[str] = ()) -> float:
-    """Return the open-loop error; where a run from the knots of a fit is far worse than the fit, its start is looked for anew as well."""
+    """Return the open-loop error; where a run from the knots of a fit is far worse than the fit, its start is looked
+    for anew as well.
+    """
     error = open_loop_error(crane, recording, knots, own)[0]
     if knots is None or error < ASTRAY * knots.error:
         return error

@@ -32,7 +32,9 @@ class Start:
 
 
 def starts(crane: Crane, data: Data, *, moments: float = _MOMENTS) -> list[Start]:
-    """Return the starts of every effect at every place that the recording could show and the crane does not have yet."""
+    """Return the starts of every effect at every place that the recording could show and the crane does not have
+    yet.
+    """
     found, lay = [], crane.layout
     for effect in registry.known():
         if _is_measured(effect, data):
@@ -45,7 +47,9 @@ def starts(crane: Crane, data: Data, *, moments: float = _MOMENTS) -> list[Start
 
 
 def _is_measured(effect: type[Effect], data: Data) -> bool:
-    """Whether an effect acts on nothing but a supply pressure that every recording tells: what the pump or the tank line does is in it already."""
+    """Whether an effect acts on nothing but a supply pressure that every recording tells: what the pump or the tank
+    line does is in it already.
+    """
     known = {
         hook
         for k, hook in enumerate(("supply_pressure", "tank_pressure"))
@@ -84,7 +88,9 @@ def _moment_of(effect: type[Effect]) -> Parameter | None:
 
 
 def around(start: Start) -> list[Start]:
-    """Return starts at moments close to that of a start, to either side; none for an effect without a moment of its own."""
+    """Return starts at moments close to that of a start, to either side; none for an effect without a moment of its
+    own.
+    """
     timed = _moment_of(registry.split_key(start.key)[0])
     if timed is None or timed.name not in start.values:
         return []
@@ -94,7 +100,9 @@ def around(start: Start) -> list[Start]:
 
 
 def scaled(start: Start, amplitude: float) -> dict[str, float]:
-    """Return the start's values with its acting parameters scaled by an amplitude (1 = as they are), within their range."""
+    """Return the start's values with its acting parameters scaled by an amplitude (1 = as they are), within their
+    range.
+    """
     effect, _ = registry.split_key(start.key)
     values = {}
     for p in effect.parameters:

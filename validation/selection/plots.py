@@ -21,7 +21,9 @@ _HATCH = "///"
 
 
 def in_words(key: str) -> str:
-    """Return effects as people say them: "internal leakage (lift)" of "internal_leakage@lift", several joined by " + "."""
+    """Return effects as people say them: "internal leakage (lift)" of "internal_leakage@lift", several joined by " +
+    ".
+    """
     said = []
     for part in key.split(" + "):
         name, _, place = part.partition("@")

@@ -1,8 +1,8 @@
 """A quick look at every effect: how much of the misfit would it explain, if it acted in proportion to its term?
 
-Along the trajectory of a fitted model, each effect at each place (with typical parameters) adds a known term to one balance.
-The response of all outputs to that term is linear in its amplitude, so one sweep and some linear algebra tell, for all
-of them at once, how much the cost would fall, with the nominal parameters and the states free to move as well.
+Along the trajectory of a fitted model, each effect at each place (with typical parameters) adds a known term to one
+balance. The response of all outputs to that term is linear in its amplitude, so one sweep and some linear algebra tell,
+for all of them at once, how much the cost would fall, with the nominal parameters and the states free to move as well.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ _SMALLEST, _LARGEST = 0.02, 20.0
 
 @dataclass(frozen=True)
 class Score:
-    """What a start promises: the fall of the cost (log-likelihood, tempered) and the amplitude at which it is reached."""
+    """What a start promises: the fall of the cost (log-likelihood, tempered) and the amplitude at which it is
+    reached.
+    """
 
     start: Start
     gain: float
@@ -52,7 +54,8 @@ def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
 
 
 def screened(fit: Fit, stiffness: float) -> list[Score]:
-    """Return the screen of all starts at a fit, best first; what happens at a moment is looked at more closely around the best one.
+    """Return the screen of all starts at a fit, best first; what happens at a moment is looked at more closely around
+    the best one.
 
     A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins.
     """
@@ -66,7 +69,9 @@ def screened(fit: Fit, stiffness: float) -> list[Score]:
 
 
 def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
-    """Return the best scores: at most two starts of one effect at one place, and none that promises less than `least`, or next to nothing."""
+    """Return the best scores: at most two starts of one effect at one place, and none that promises less than `least`,
+    or next to nothing.
+    """
     chosen: list[Score] = []
     for score in scores:
         hopeless = len(chosen) >= 3 and score.gain < CRITERIA.hopeless * scores[0].gain

@@ -1,9 +1,9 @@
 """One search: models grow by moves, round by round, until no move brings what it must.
 
-A round goes on from a beam of models. All moves are screened linearly, the likeliest are fitted (from their parent, and from the machine as given
-where parameters may do their work), the leading ones are carried to the end, and the best one is gone on from. What came in beside others is also
-looked at alone, and what parameters help is looked for at its other places. The path of a search holds all that was fitted; what it means is said by
-`verdict`, which changes nothing.
+A round goes on from a beam of models. All moves are screened linearly, the likeliest are fitted (from their parent, and
+from the machine as given where parameters may do their work), the leading ones are carried to the end, and the best one
+is gone on from. What came in beside others is also looked at alone, and what parameters help is looked for at its other
+places. The path of a search holds all that was fitted; what it means is said by `verdict`, which changes nothing.
 """
 
 from __future__ import annotations
@@ -64,7 +64,9 @@ class Move:
 
 @dataclass(frozen=True)
 class Round:
-    """What was fitted in a round: with the first stages, best first, and to the end, best first; open-loop errors by effects where they decide."""
+    """What was fitted in a round: with the first stages, best first, and to the end, best first; open-loop errors by
+    effects where they decide.
+    """
 
     tried: tuple[Fitted, ...]
     done: tuple[Fitted, ...]
@@ -76,8 +78,10 @@ class Path:
     """All that a search fitted.
 
     Attributes:
-        given: the crane as it is; parameters: with its uncertain parameters moved; fewest: with the fewest of them that do, where that was needed.
-        left_out: errors on blocks that were left out, before and after, of a model that leaves something, by its effects.
+        given: the crane as it is; parameters: with its uncertain parameters moved; fewest: with the fewest of them that
+            do, where that was needed.
+        left_out: errors on blocks that were left out, before and after, of a model that leaves something, by its
+            effects.
     """
 
     problem: Problem
@@ -94,7 +98,9 @@ class Path:
 
     @property
     def strained(self) -> bool:
-        """Whether parameters without effects have moved so far that they may do an effect's work, in short windows, or as the whole explanation."""
+        """Whether parameters without effects have moved so far that they may do an effect's work, in short windows, or
+        as the whole explanation.
+        """
         return not plausible(self.problem.base) or (self.parameters.good and self.fewest.strained)
 
     @cached_property
@@ -105,7 +111,9 @@ class Path:
         return tuple(w for w in done if len(w.keys) == 1 or self._justified(w, alone, done))
 
     def _justified(self, w: Fitted, alone: Mapping[frozenset[str], float], done: Sequence[Fitted]) -> bool:
-        """Whether each effect of several acts, brings evidence, and together they take away most of what fewer leave."""
+        """Whether each effect of several acts, brings evidence, and together they take away most of what fewer
+        leave.
+        """
         fewer = [v for v in done if len(v.keys) < len(w.keys)]
         least = max([self.bare, *(e for keys, e in alone.items() if keys < frozenset(w.keys))])
         if w.idle or w.evidence < least + CRITERIA.proof:
@@ -160,11 +168,15 @@ class Problem:
         return [found[n * k : n * (k + 1)] for k in range(len(fits))]
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Fit:
-        """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined windows."""
+        """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined
+        windows.
+        """
         return all_parameters(unmoving(with_effects(self.crane, effects)), self.data)
 
     def unmoved(self, fit: Fit, model: Model) -> Fit:
-        """Return a fit of the crane as given with effects, in which all uncertain parameters may move from where the crane states them."""
+        """Return a fit of the crane as given with effects, in which all uncertain parameters may move from where the
+        crane states them.
+        """
         known = {v.name: u for v, u in zip(fit.variables, fit.u, strict=True)}
         own = model.own(self.crane.layout)
         variables = (*self.base.variables, *own)
@@ -219,9 +231,11 @@ def _round(path: Path, most: int) -> Round | None:
 
 
 def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]:
-    """Return open-loop errors where a model leaves hardly more than noise and further effects bring evidence: they must show there as well.
+    """Return open-loop errors where a model leaves hardly more than noise and further effects bring evidence: they must
+    show there as well.
 
-    Moved parameters can make up for a further effect, but not for nothing: their prior charges for it, and the screen knows that.
+    Moved parameters can make up for a further effect, but not for nothing: their prior charges for it, and the screen
+    knows that.
     """
     singles = [w for w in best_of_each([*(w for r in path.rounds for w in r.done), *done]) if len(w.keys) == 1]
     first = singles[0] if singles else None
@@ -237,7 +251,9 @@ def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]
 
 
 def _beam(path: Path, most: int) -> Sequence[Fitted]:
-    """Return the models that a round goes on from, the leading one first: the best alone if it leaves hardly more than noise."""
+    """Return the models that a round goes on from, the leading one first: the best alone if it leaves hardly more than
+    noise.
+    """
     best = path.best
     if not path.rounds:
         return [path.parameters]
@@ -249,7 +265,9 @@ def _beam(path: Path, most: int) -> Sequence[Fitted]:
 
 
 def _additions(path: Path, parent: Fitted) -> list[Move]:
-    """Return the likeliest effects beside a model, as the screen sees them from where it stands, and from the machine as given."""
+    """Return the likeliest effects beside a model, as the screen sees them from where it stands, and from the machine
+    as given.
+    """
     problem, near = path.problem, bool(parent.good and parent.keys)
     fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
     most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
@@ -270,7 +288,9 @@ def _additions(path: Path, parent: Fitted) -> list[Move]:
 
 
 def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]:
-    """Return the fits to be carried to the end: the best, a third if it is near, and the one that parameters help least if they help the best too much."""
+    """Return the fits to be carried to the end: the best, a third if it is near, and the one that parameters help least
+    if they help the best too much.
+    """
     if not tried:
         return []
     best = tried[0].evidence
@@ -289,7 +309,8 @@ def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]
 def _relocated(path: Path, done: list[Fitted]) -> list[Fitted]:
     """Return the fits with the leading effect at its other places added, where moved parameters help it.
 
-    An effect at the wrong place explains much of a recording if parameters may help, and they can hide the right place from the screen.
+    An effect at the wrong place explains much of a recording if parameters may help, and they can hide the right place
+    from the screen.
     """
     if not done or done[0].strain < CRITERIA.helped:
         return done
@@ -305,8 +326,9 @@ def _relocated(path: Path, done: list[Fitted]) -> list[Fitted]:
 def _further(path: Path, done: Sequence[Fitted]) -> list[Fitted]:
     """Return the fits, the leading ones taken further where they are not at their end.
 
-    Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given with the effects as they
-    were found, and as one long run: what is slow does not show in short windows. Where it had not converged, it goes on.
+    Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given
+    with the effects as they were found, and as one long run: what is slow does not show in short windows. Where it had
+    not converged, it goes on.
     """
     problem, tasks = path.problem, list[tuple[Any, ...]]()
     for w in sorted(done, key=lambda w: w.strain - w.evidence)[: CRITERIA.further]:  # rather what parameters help less
@@ -325,9 +347,11 @@ def _anew(problem: Problem, model: Model) -> Fitted:
 
 
 def _dropped(path: Path, done: Sequence[Fitted], near: bool) -> list[Fitted]:
-    """Return models of several effects fitted without one of them: one that does nothing, or beside which the others have not been seen alone.
+    """Return models of several effects fitted without one of them: one that does nothing, or beside which the others
+    have not been seen alone.
 
-    What came in beside another may be the one that is missing, and the first a makeshift; or have only led the fit to the better minimum.
+    What came in beside another may be the one that is missing, and the first a makeshift; or have only led the fit to
+    the better minimum.
     """
     known = {frozenset(w.keys) for r in path.rounds for w in r.done} | {frozenset(w.keys) for w in done}
     moves: dict[frozenset[str], Move] = {}
@@ -340,7 +364,9 @@ def _dropped(path: Path, done: Sequence[Fitted], near: bool) -> list[Fitted]:
 
 
 def _judged(path: Path) -> Path:
-    """Return the path with errors on blocks that were left out, where the best model repairs something and leaves something."""
+    """Return the path with errors on blocks that were left out, where the best model repairs something and leaves
+    something.
+    """
     best = path.best
     if best is None or best.good or not best.plausible or best.evidence < path.bare + CRITERIA.proof:
         return path
@@ -350,7 +376,9 @@ def _judged(path: Path) -> Path:
 
 
 def left_out(problem: Problem, w: Fitted) -> tuple[float, float]:
-    """Return the errors, of the crane as given and of a model fitted to the first part of each recording, on the rest."""
+    """Return the errors, of the crane as given and of a model fitted to the first part of each recording, on the
+    rest.
+    """
     spans = [(float(p.time[0]), float(p.time[-1])) for p in problem.data.parts]
     parts = [
         (r.window(a, a + CRITERIA.learned * (b - a)), r.window(a + CRITERIA.learned * (b - a), b))

@@ -55,7 +55,9 @@ def verdict_of(path: Path) -> Verdict:
 
 
 def explains(path: Path, w: Fitted) -> bool:
-    """Whether effects explain the recordings: hardly more than noise left, or nearly all that was wrong repaired, here or where they were not fitted."""
+    """Whether effects explain the recordings: hardly more than noise left, or nearly all that was wrong repaired, here
+    or where they were not fitted.
+    """
     if w.evidence < path.parameters.evidence + CRITERIA.proof or not w.plausible:
         return False
     return w.good or _repairs(path, w) or _predicts(path, w)
@@ -82,7 +84,9 @@ def _bounds(w: Fitted) -> tuple[str, ...]:
 
 
 def within_clocks(problem: Problem, w: Fitted) -> bool:
-    """Whether all that the effects do is what commands do that come less than a sampling interval later: when in it they came is not recorded."""
+    """Whether all that the effects do is what commands do that come less than a sampling interval later: when in it
+    they came is not recorded.
+    """
     if not all(set(registry.split_key(k)[0].hooks()) <= _BEFORE_THE_SPOOL for k in w.keys):
         return False
     return all(_is_a_shift(problem, w, i, part) for i, part in enumerate(problem.data.parts))

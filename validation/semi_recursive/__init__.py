@@ -1,7 +1,8 @@
-"""The crane once more, by the double-step semi-recursive method of the paper: an engine that shares no equation with Exudyn's.
+"""The crane once more, by the double-step semi-recursive method of the paper: an engine that shares no equation with
+Exudyn's.
 
-`equations` holds the model, `kernel` the time integration, `sensitivity` its derivatives, `terms` every term by name, and
-`engine` the class that the rest of the project uses.
+`equations` holds the model, `kernel` the time integration, `sensitivity` its derivatives, `terms` every term by name,
+and `engine` the class that the rest of the project uses.
 """
 
 from __future__ import annotations

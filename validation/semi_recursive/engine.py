@@ -34,7 +34,9 @@ def _chamber_lengths(X, P, E, topology):
 
 @njit
 def _rest(x, P, E, topology):
-    """Return generalised forces (n,) of all but cylinders at rest, those of a unit force in each cylinder (n, n), and the lengths (n,)."""
+    """Return generalised forces (n,) of all but cylinders at rest, those of a unit force in each cylinder (n, n), and
+    the lengths (n,).
+    """
     s = equations.sheet(topology)
     equations.at_rest(x, P, E, s)
     n, first = topology[0, equations.CYLINDERS], equations.first_cylinder(s)
@@ -99,7 +101,8 @@ class SemiRecursiveEngine:
     def __init__(self, crane: Crane, *, step: float = 1e-3, accuracy: float = 1.0):
         if crane.objects:
             raise CraneError(
-                f"{crane.name}: objects of one's own are known to the Exudyn engine only. Use that, or a crane without them."
+                f"{crane.name}: objects of one's own are known to the Exudyn engine only. Use that, or a crane without "
+                "them."
             )
         self.crane, self.step, self.accuracy = crane, float(step), float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
@@ -112,33 +115,39 @@ class SemiRecursiveEngine:
         self.state_names = self._layout.all_states if length > 0.0 else self._layout.states
 
     def static_start(self, *pose: float, less_loaded: float | Sequence[float] | None = None) -> np.ndarray:
-        """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded` (20 bar).
+        """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded` (20
+        bar).
 
         Args:
             pose: the independent coordinates, rad or m; `less_loaded` may stand behind them.
             less_loaded: Pa, one for all cylinders or one each.
 
         Raises:
-            CraneError: a loop cannot be closed there, no pressures balance the load, or a cylinder would be beyond its stroke.
+            CraneError: a loop cannot be closed there, no pressures balance the load, or a cylinder would be beyond its
+                stroke.
         """
         x = self.at_rest(*pose, less_loaded=less_loaded)
         self._refuse_stroke_end(x[None], np.zeros(1))
         return x
 
     def at_rest(self, *pose: float, less_loaded: float | Sequence[float] | None = None) -> np.ndarray:
-        """Return the same state wherever loops can be closed: a measured pose may lie a little beyond the file's stroke."""
+        """Return the same state wherever loops can be closed: a measured pose may lie a little beyond the file's
+        stroke.
+        """
         n, x = len(self._layout.coordinates), np.zeros(len(self.state_names))
         given = [v for v in (*pose[n:], less_loaded) if v is not None]
         if len(pose) < n or len(given) > 1:
             raise CraneError(
-                f"A static start wants {n} numbers, {', '.join(self._layout.coordinates)}, and the less loaded pressure; found {len(pose)}."
+                f"A static start wants {n} numbers, {', '.join(self._layout.coordinates)}, and the less loaded "
+                f"pressure; found {len(pose)}."
             )
         low = np.broadcast_to(np.asarray(given[0] if given else 20e5, dtype=float), n).copy()
         x[self._layout.positions] = pose[:n]
         load, units, lengths = _rest(x, self._P, self._E, self._topology)
         if np.isfinite(units).all() and np.linalg.svd(units, compute_uv=False)[-1] < _LEAST_LEVERAGE:
             raise CraneError(
-                f"Semi-recursive engine: the cylinders of {self.crane.name} have no leverage at {self._pose(x)}, so no pressures balance "
+                f"Semi-recursive engine: the cylinders of {self.crane.name} have no leverage at {self._pose(x)}, so no "
+                "pressures balance "
                 "the load. Start at another pose."
             )
         forces = np.linalg.solve(units.T, -load)
@@ -195,7 +204,9 @@ class SemiRecursiveEngine:
     def _by_row(
         self, rows: int, w: np.ndarray, parameters: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return inputs with disturbances (2, rows, .), P (rows, .) and E (rows, .) with what differs from row to row."""
+        """Return inputs with disturbances (2, rows, .), P (rows, .) and E (rows, .) with what differs from row to
+        row.
+        """
         wide = np.zeros((2, rows, len(self._layout.all_inputs)))
         wide[:, :, self._layout.driving] = w
         P, E = np.tile(self._P, (rows, 1)), np.tile(self._E, (rows, 1))
@@ -267,7 +278,8 @@ class SemiRecursiveEngine:
         if not np.all(np.isfinite(w[:, self._layout.spools])):
             k = int(np.argmin(np.all(np.isfinite(w[:, self._layout.spools]), axis=1)))
             raise CraneError(
-                f"inputs: the spool position at sample {k} ({t[k]:g} s) is {w[k, self._layout.spools]}. Give finite numbers."
+                f"inputs: the spool position at sample {k} ({t[k]:g} s) is {w[k, self._layout.spools]}. Give finite "
+                "numbers."
             )
 
     def _refuse_stroke_end(self, states: np.ndarray, time: np.ndarray) -> None:
@@ -278,7 +290,8 @@ class SemiRecursiveEngine:
         k, chamber = np.argwhere(lengths < 0.0)[0]
         raise CraneError(
             f"Semi-recursive engine: a cylinder reached the end of its stroke at t = {time[k]:.3f} s "
-            f"({self._chamber(chamber)} empty, {-1e3 * lengths[k, chamber]:.1f} mm beyond). State: {self._told(states[k])}. "
+            f"({self._chamber(chamber)} empty, {-1e3 * lengths[k, chamber]:.1f} mm beyond). State: "
+            f"{self._told(states[k])}. "
             "Shorten the motion, start elsewhere, or add the effect end_stop to the crane."
         )
 
@@ -307,7 +320,8 @@ class SemiRecursiveEngine:
             inner, outer = machine.carriers[machine.carriers[joint.carrier].carrier], machine.carriers[joint.carrier]
             if math.isnan(terms[f"phi_{joint.carrier}"]):
                 return (
-                    f"Semi-recursive engine: the loop {_around(machine, joint)} of {self.crane.name} cannot be closed at {self._pose(x)}: "
+                    f"Semi-recursive engine: the loop {_around(machine, joint)} of {self.crane.name} cannot be closed "
+                    f"at {self._pose(x)}: "
                     f"{joint.name} is out of reach of {inner.body} and {outer.body}. "
                     f"Mend the pose or the joints {inner.name}, {outer.name}, {joint.name}."
                 )

@@ -1,14 +1,14 @@
 """A machine's equations by the double-step semi-recursive method and lumped fluids, compiled.
 
-Written from the paper, (1)-(20) and (34)-(41), for planar bodies: a tree of turning and sliding joints, loops cut at a joint. A point or
-a force in the plane is one complex number x + iy, so that turning a vector by an angle is a product with exp(i angle). Products
-needed below, for vectors a and b:
+Written from the paper, (1)-(20) and (34)-(41), for planar bodies: a tree of turning and sliding joints, loops cut at a
+joint. A point or a force in the plane is one complex number x + iy, so that turning a vector by an angle is a product
+with exp(i angle). Products needed below, for vectors a and b:
 
     dot(a, b) = a.b        cross(a, b) = a x b (its component along the axis of rotation)
 
-Every body has one joint, to its carrier. The path matrix T (row j: the joints between the ground and body j) is applied without
-storing it: from the ground up the tree (positions, Z_j, d_j), or down to the ground (forces, inertias). For the PATU, whose
-loop A-B-C-D is cut at D,
+Every body has one joint, to its carrier. The path matrix T (row j: the joints between the ground and body j) is applied
+without storing it: from the ground up the tree (positions, Z_j, d_j), or down to the ground (forces, inertias). For the
+PATU, whose loop A-B-C-D is cut at D,
 
     pillar --O, z1-- lift boom (1) --B, z2-- bracket 1 (2) --C, z3-- bracket 2 (3)
                               \\--A, z4-- outer boom with payload (4)
@@ -19,10 +19,11 @@ loop A-B-C-D is cut at D,
         | 1 0 0 1 |
 
 The reference point of every body is the point that at this instant coincides with the origin, so its velocity is
-Z_j = (s', Omega): two translations (one complex number) and a rotation. Signs: angles counter-clockwise positive, cylinder
-forces and rates positive in extension, flows Qa into the piston side, Qb out of the rod side.
+Z_j = (s', Omega): two translations (one complex number) and a rotation. Signs: angles counter-clockwise positive,
+cylinder forces and rates positive in extension, flows Qa into the piston side, Qb out of the rod side.
 
-One code is for all machines: `Machine.topology` says what is joined to what, and all terms of one state stand in a `Sheet`.
+One code is for all machines: `Machine.topology` says what is joined to what, and all terms of one state stand in a
+`Sheet`.
 """
 
 from __future__ import annotations
@@ -85,9 +86,9 @@ OIL, STEEL, HOSE, VAPOUR, LAMINAR = range(FLUID, FLUID + 5)
 AIR, REFERENCE = SUPPLY + 2, SUPPLY + 3
 TANH4 = math.tanh(4.0)
 
-# -- the sheet: row k of `vectors` and `numbers` belongs to row k of the topology. Row 0 is the ground, and what is not a body's.
-# a body: its orientation exp(i angle), the origin of its frame, its joint's pin (or direction, where it slides), v and d of Z_j and (3), m g of
-# the bodies that its joint carries, and the force on them
+# -- the sheet: row k of `vectors` and `numbers` belongs to row k of the topology. Row 0 is the ground, and what is not
+# a body's. a body: its orientation exp(i angle), the origin of its frame, its joint's pin (or direction, where it
+# slides), v and d of Z_j and (3), m g of the bodies that its joint carries, and the force on them
 TURN, FRAME, AXIS, SPEED, PRODUCT, MOMENT, FORCE = range(7)
 # row 0: ground, with the payload's point
 TIP_AT = 2
@@ -97,15 +98,17 @@ CUT, NESTED = range(2)
 BASE_AT, ROD_AT, ALONG = range(3)
 # a body: w of Z_j, mass and moment of inertia that its joint carries, moment of the force, and R_z' z_i'
 OMEGA, MASS, INERTIA, COUPLE, FOLLOWED = range(5)
-# a cylinder: length and rate of the line between its pins, opening of its valve, flows over the edges to pump and tank, length and rate of the
-# piston-side chamber, flows of valve and leakages, friction, force, rates of the amounts, and the Oil of both sides
+# a cylinder: length and rate of the line between its pins, opening of its valve, flows over the edges to pump and tank,
+# length and rate of the piston-side chamber, flows of valve and leakages, friction, force, rates of the amounts, and
+# the Oil of both sides
 LENGTH, SPEED_S, OPENING, DRAWN, RETURNED, LA, SPEED_LA, QA, QB, LEAK_A, LEAK_B, FMU, F, GA, GB = range(15)
 OIL_A, OIL_B = 15, 21
 PRESSURE, AMOUNT, BY_PRESSURE, BY_VOLUME, DENSITY = range(1, 6)
-# row 0: pressures at the valves' ports, length of a pendulum, what accelerates it without the coordinates' accelerations, and its angle's acceleration
+# row 0: pressures at the valves' ports, length of a pendulum, what accelerates it without the coordinates'
+# accelerations, and its angle's acceleration
 PUMP, TANK, PENDULUM, OWN, SWINGING = range(5, 10)
-# every row, from here on: what it is by each independent coordinate. A body: its row of R_z, and behind it of M R_z; a cylinder: generalised
-# force of a unit force; two rows behind all others: the velocity of the payload's point
+# every row, from here on: what it is by each independent coordinate. A body: its row of R_z, and behind it of M R_z; a
+# cylinder: generalised force of a unit force; two rows behind all others: the velocity of the payload's point
 BY = 27
 # rows of `general`, numbers by independent coordinate
 WEIGHT, VELOCITY, HYDRAULIC, JOINTS, ACCELERATION, PIVOT, ACROSS, DOWN = range(8)
@@ -257,7 +260,9 @@ def clear(row, s):
 
 @part
 def third_corner(B, D, BC, CD, side):
-    """Return C left (side 1) or right (-1) of the line from B to D, at the distances of BC and CD; NaN if the loop cannot be closed."""
+    """Return C left (side 1) or right (-1) of the line from B to D, at the distances of BC and CD; NaN if the loop
+    cannot be closed.
+    """
     along = D - B
     d2 = square(along)
     share = 0.5 * (square(BC) - square(CD) + d2) / d2
@@ -341,7 +346,9 @@ def solve_joints(first, second, r):
 
 @part
 def add_column(a, k, j, sign, s):
-    """Add what joint j, on a path of the loop in row k, contributes to R_z of the dependent bodies a and the next, and to Phi_z' z'."""
+    """Add what joint j, on a path of the loop in row k, contributes to R_z of the dependent bodies a and the next, and
+    to Phi_z' z'.
+    """
     D = s.vectors[k, CUT]
     column = sign * lever(j, D, s)
     x, y = solve_joints(D - s.vectors[a, AXIS], D - s.vectors[a + 1, AXIS], turned(column))  # i r = -column
@@ -355,9 +362,9 @@ def add_column(a, k, j, sign, s):
 def partition(a, s):
     """Write the rows of R_z of the dependent bodies a and the next by the partition of Phi_z (10), -Phi_z^d \\ Phi_z^i.
 
-    Phi(z) is the cut pin reached over the dependent bodies minus the same reached over the body that the loop ends on. Its columns
-    are i (D - B), i (D - C) for the dependent joints at B and C (together Phi_z^d), and the levers of D for the other joints (Phi_z^i):
-    positive on the path to B, negative on the other path; those on both cancel out.
+    Phi(z) is the cut pin reached over the dependent bodies minus the same reached over the body that the loop ends on.
+    Its columns are i (D - B), i (D - C) for the dependent joints at B and C (together Phi_z^d), and the levers of D for
+    the other joints (Phi_z^i): positive on the path to B, negative on the other path; those on both cancel out.
     """
     k = loop_of(a, s)
     clear(a, s)
@@ -375,7 +382,8 @@ def partition(a, s):
 
 @part
 def follow(b, s):
-    """Write R_z' z_i' of the dependent bodies b and the one before: their accelerations while independent coordinates have none.
+    """Write R_z' z_i' of the dependent bodies b and the one before: their accelerations while independent coordinates
+    have none.
 
     Phi_z^d a = -Phi_z' z', and Phi_z' z' is by how much the velocity products let the pin run apart.
     """
@@ -404,7 +412,8 @@ def joint_rate(j, x, s):
 def move_joint(j, rate, s):
     """Write Z_j (2) and the velocity product d_j (3), (T R_d)' z', of a body whose joint has a rate.
 
-    A pin has the same acceleration d - w^2 r on both its bodies; along a slide there is Coriolis' instead. Its rotation vanishes.
+    A pin has the same acceleration d - w^2 r on both its bodies; along a slide there is Coriolis' instead. Its rotation
+    vanishes.
     """
     c = carrier(j, s)
     w, axis = s.numbers[c, OMEGA], s.vectors[j, AXIS]
@@ -456,7 +465,9 @@ def move_lines(s):
 
 @part
 def move_tip(s):
-    """Write the velocity of the payload's point by independent coordinate; return what accelerates it while these have no acceleration."""
+    """Write the velocity of the payload's point by independent coordinate; return what accelerates it while these have
+    no acceleration.
+    """
     tip, row, E = s.topology[0, TIP_BODY] + 1, s.topology.shape[0], s.vectors[0, TIP_AT]
     clear(row, s)
     clear(row + 1, s)
@@ -480,8 +491,8 @@ def move_tip(s):
 def weigh(j, mass, P, s):
     """Write M of a body about the origin (7), mass, first moment m g and second moment J + m |g|^2, and Q - M d of it.
 
-    Q is the centrifugal force w^2 m g of (8), which passes through the origin, and M d the inertia of the velocity products (9).
-    The payload, a block of the file's width and height, is a part of the body that carries it.
+    Q is the centrifugal force w^2 m g of (8), which passes through the origin, and M d the inertia of the velocity
+    products (9). The payload, a block of the file's width and height, is a part of the body that carries it.
     """
     k = s.topology[j, NUMBERS]
     m, g = P[k], s.vectors[j, FRAME] + s.vectors[j, TURN] * point(P, k + 1)
@@ -509,7 +520,9 @@ def collect(j, s):
 
 @part
 def add_row(j, s):
-    """Add row j of the tree's mass matrix R_d^T T^T M T R_d (9), on both sides of its diagonal, to the rows of its product with R_z."""
+    """Add row j of the tree's mass matrix R_d^T T^T M T R_d (9), on both sides of its diagonal, to the rows of its
+    product with R_z.
+    """
     n, m, mg = s.topology[0, CYLINDERS], s.numbers[j, MASS], s.vectors[j, MOMENT]
     b = lever(j, 0j, s)
     momentum, spin = m * b, cross(mg, b)
@@ -526,7 +539,9 @@ def add_row(j, s):
 
 @part
 def reduce(j, g, s):
-    """Add what joint j contributes to R_z^T (.) R_z and to the generalised forces of weights and velocities (12); g is gravity."""
+    """Add what joint j contributes to R_z^T (.) R_z and to the generalised forces of weights and velocities (12); g is
+    gravity.
+    """
     n, i = s.topology[0, CYLINDERS], s.topology[j, COORDINATE]
     weight = joint_force(j, s.numbers[j, MASS] * g, cross(s.vectors[j, MOMENT], g), s)
     velocity = joint_force(j, s.vectors[j, FORCE], s.numbers[j, COUPLE], s)
@@ -569,9 +584,10 @@ def gather(mass, g, P, s):
 def add_swing(mass, damping, g, product, theta, dtheta, s):
     """Add what a payload on a pendulum does to the balance, and write its own balance, L theta'' = own - across . z''.
 
-    The payload is a point mass on a massless rod that hangs from E. Its angle (absolute, 0 = straight down) has the inertia
-    m L^2 and is eliminated from the system. The rod can only pull or push along itself, so what E feels is the mass along the
-    rod; the damping is a drag on the mass, -d theta' / L across the rod, whose moment about E is -d theta'.
+    The payload is a point mass on a massless rod that hangs from E. Its angle (absolute, 0 = straight down) has the
+    inertia m L^2 and is eliminated from the system. The rod can only pull or push along itself, so what E feels is the
+    mass along the rod; the damping is a drag on the mass, -d theta' / L across the rod, whose moment about E is -d
+    theta'.
 
     product: what accelerates E while the coordinates have no acceleration.
     """
@@ -621,7 +637,9 @@ def solve(s):
 
 @njit
 def mechanics(x, t, P, E, s):
-    """Write everything that does not depend on pressures and inputs at a state x that is placed: motions, M, weights, velocities."""
+    """Write everything that does not depend on pressures and inputs at a state x that is placed: motions, M, weights,
+    velocities.
+    """
     move(x, s)
     move_lines(s)
     first = 4 * s.topology[0, CYLINDERS]
@@ -663,7 +681,9 @@ def first_cylinder(s):
 
 @njit
 def pump_edge(c, pp, P, E, s):
-    """Flow from the pump through valve c: into the piston side where it is open that way (u > 0), or into the rod side."""
+    """Flow from the pump through valve c: into the piston side where it is open that way (u > 0), or into the rod
+    side.
+    """
     k, i = first_cylinder(s) + c, VALVE + N_VALVE * c
     u = s.numbers[k, OPENING]
     own, edge = (
@@ -676,7 +696,9 @@ def pump_edge(c, pp, P, E, s):
 
 @njit
 def tank_edge(c, pt, P, E, s):
-    """Flow to the tank through valve c: out of the rod side where it is open that way (u > 0), or out of the piston side."""
+    """Flow to the tank through valve c: out of the rod side where it is open that way (u > 0), or out of the piston
+    side.
+    """
     k, i = first_cylinder(s) + c, VALVE + N_VALVE * c
     u, pa, pb = s.numbers[k, OPENING], s.numbers[k, OIL_A + PRESSURE], s.numbers[k, OIL_B + PRESSURE]
     own, other, edge, side = (pb, pa, P[i + B_TO_TANK], 1) if u > 0.0 else (pa, pb, P[i + A_TO_TANK], 0)
@@ -686,7 +708,9 @@ def tank_edge(c, pt, P, E, s):
 
 @njit
 def pump_gap(p, nominal, P, E, s):
-    """How far the pressure p is above what the supply gives at the flow that p drives; the flows remain in the sheet."""
+    """How far the pressure p is above what the supply gives at the flow that p drives; the flows remain in the
+    sheet.
+    """
     first, total = first_cylinder(s), 0.0
     for c in range(s.topology[0, CYLINDERS]):
         s.numbers[first + c, DRAWN] = pump_edge(c, p, P, E, s)
@@ -704,7 +728,9 @@ def tank_gap(p, nominal, P, E, s):
 
 
 def _balanced(gap, doc):
-    """Return a solver of gap(p) = 0 by regula falsi (Illinois), begun at the pressure without any flow; what it returns it tried last."""
+    """Return a solver of gap(p) = 0 by regula falsi (Illinois), begun at the pressure without any flow; what it returns
+    it tried last.
+    """
 
     @njit
     def balanced(nominal, P, E, s):
@@ -747,7 +773,8 @@ def fluid(P, E):
 
 @part
 def pressed_oil(y, pressed, share, gas, Al, Vh, f):
-    """Return the Oil at a pressure y that is not below vapour pressure; pressed = exp(y/B) - 1, share and gas: see `oil_at`.
+    """Return the Oil at a pressure y that is not below vapour pressure; pressed = exp(y/B) - 1, share and gas: see
+    `oil_at`.
 
     Without gas N - V is summed up apart, so that pressure and amount follow from each other to the last digit.
     """
@@ -775,8 +802,9 @@ def oil_at(y, Al, Vh, f, E):
 
         N = V k + Vh (1/Bh - 1/Bc) (exp(p/B) - 1) B,      k = exp(p/B - x),   1/B = 1/Bo + 1/Bc,   V = Al + Vh,
 
-    x the free gas as a share of the oil. N is the volume that the oil had at the pressure 0, so it changes by flows alone.
-    Below vapour pressure the oil gives way no further: y goes on falling as if oil could be pulled, while a void opens.
+    x the free gas as a share of the oil. N is the volume that the oil had at the pressure 0, so it changes by flows
+    alone. Below vapour pressure the oil gives way no further: y goes on falling as if oil could be pulled, while a void
+    opens.
     """
     p = max(y, f.least)
     share, gas = hooks.free_gas(E, p + f.zero)
@@ -786,7 +814,8 @@ def oil_at(y, Al, Vh, f, E):
 
 @njit
 def oil_of(N, Al, Vh, guess, f, E):
-    """Return the Oil of a chamber that holds the amount N: the inverse of `oil_at`, in closed form where there is no gas.
+    """Return the Oil of a chamber that holds the amount N: the inverse of `oil_at`, in closed form where there is no
+    gas.
 
     With gas N(p) is concave, so that Newton's method climbs to the root from below without a bracket.
     """
@@ -890,7 +919,9 @@ def read_pressures(x, P, E, s):
 
 @njit
 def read_amounts(x, N, P, E, s):
-    """Write the oil of all chambers that hold the amounts N (2n,) at a state x that is placed, and its pressures to x."""
+    """Write the oil of all chambers that hold the amounts N (2n,) at a state x that is placed, and its pressures to
+    x.
+    """
     first, n, f = first_cylinder(s), s.topology[0, CYLINDERS], fluid(P, E)
     for c in range(n):
         i = 2 * n + 2 * c
@@ -907,8 +938,9 @@ def cylinder(c, flow_a, flow_b, P, E, s):
 
     flow_a, flow_b: flows into the chambers that no law explains (disturbances). Air presses on the rod's cross-section.
 
-    With a spring of compliance k' in series the rate of the hydraulic length follows from both chambers' pressure rates, which
-    depend on it linearly, so it is found without iteration. A chamber that holds a void has a constant pressure.
+    With a spring of compliance k' in series the rate of the hydraulic length follows from both chambers' pressure
+    rates, which depend on it linearly, so it is found without iteration. A chamber that holds a void has a constant
+    pressure.
     """
     k, i = first_cylinder(s) + c, CYLINDER + N_CYLINDER * c
     Aa, Ab = piston_areas(i, P)
@@ -946,7 +978,9 @@ def supply(w, k, P, s):
 
 @part
 def disturbance(w, k, s):
-    """Unknown input k of [torques (n), force x, force y at the payload, flows into the chambers (2n)]; 0 where w has but n + 2 entries."""
+    """Unknown input k of [torques (n), force x, force y at the payload, flows into the chambers (2n)]; 0 where w has
+    but n + 2 entries.
+    """
     n = s.topology[0, CYLINDERS]
     return w[n + 2 + k] if w.shape[0] > n + 2 else 0.0
 
@@ -964,7 +998,9 @@ def add_joint_forces(x, w, t, E, s):
 
 @njit
 def balance(x, w, t, P, E, s):
-    """Write the rest of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20), where mechanics and oil are in the sheet."""
+    """Write the rest of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20), where mechanics and oil are in
+    the sheet.
+    """
     first, n = first_cylinder(s), s.topology[0, CYLINDERS]
     for c in range(n):
         s.numbers[first + c, OPENING] = hooks.opening(E, c, w[c])
@@ -999,7 +1035,9 @@ def at_pressures(x, w, t, P, E, s):
 
 @njit
 def at_amounts(x, N, w, t, P, E, s):
-    """Write the same for amounts of oil N (2n,) instead of the pressures in x, which are replaced by what follows from N."""
+    """Write the same for amounts of oil N (2n,) instead of the pressures in x, which are replaced by what follows from
+    N.
+    """
     place(x, P, s)
     mechanics(x, t, P, E, s)
     read_amounts(x, N, P, E, s)
@@ -1035,7 +1073,9 @@ def amounts(s, N):
 
 @compiled.njit(cache=False)
 def at_rest(x, P, E, s):
-    """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, and the force on the payload's point."""
+    """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, and the
+    force on the payload's point.
+    """
     n = s.topology[0, CYLINDERS]
     still = np.zeros(4 * n)
     still[:n] = x[:n]
@@ -1050,8 +1090,8 @@ def at_rest(x, P, E, s):
 def held_pressures(c, s, F, less_loaded, P, E):
     """Return pa, pb of cylinder c that give the force F at rest, the lower of the two being `less_loaded`.
 
-    Forces that act on the piston at rest (an end stop) depend on the pressures only through a spring in series: repeated
-    until nothing changes.
+    Forces that act on the piston at rest (an end stop) depend on the pressures only through a spring in series:
+    repeated until nothing changes.
     """
     i = CYLINDER + N_CYLINDER * c
     Aa, Ab = piston_areas(i, P)

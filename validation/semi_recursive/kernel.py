@@ -1,15 +1,16 @@
 """Implicit trapezoidal rule (21)-(26) on the equations of a machine, compiled: one step, a run, a batch.
 
-The primary variables of a step are positions and amounts of oil; rates and accelerations follow from them by (22), pressures
-by the equation of state. So what flows into a chamber is what is in it more at the end, whatever the pressure does between:
+The primary variables of a step are positions and amounts of oil; rates and accelerations follow from them by (22),
+pressures by the equation of state. So what flows into a chamber is what is in it more at the end, whatever the pressure
+does between:
 
     z1 = z0 + h/2 (z0' + z1')     z1' = z0' + h/2 (z0'' + z1'')     N1 = N0 + h/2 (k0 Q0 + k1 Q1)
 
 Newton's method uses the numerical tangent (25), (26) and keeps it from step to step as long as it converges.
 
-Every step is compared with the fourth-order rule (Simpson's, with Hermite's midpoint): the defect h/3 (f0 + f1 - 2 fm) of the
-trapezoidal rule is the local error. A step whose error is beyond what it may be, or that does not converge, is halved. Compiled
-code raises nothing: it returns a status and the index of the step.
+Every step is compared with the fourth-order rule (Simpson's, with Hermite's midpoint): the defect h/3 (f0 + f1 - 2 fm)
+of the trapezoidal rule is the local error. A step whose error is beyond what it may be, or that does not converge, is
+halved. Compiled code raises nothing: it returns a status and the index of the step.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ OK, NOT_CONVERGED, TOO_COARSE = 0, 1, 2
 MAX_ITERATIONS = 16
 #: amounts of oil are counted in this unit, m^3: about what 1 Pa more presses into a chamber
 AMOUNT = 1e-12
-#: Newton stops when no position moves by more than the step times this (rad/s), or by what it is rounded to (rad), and no amount by more
+#: Newton stops when no position moves by more than the step times this (rad/s), or by what it is rounded to (rad), and
+#: no amount by more
 #: than that (AMOUNT)
 RATE_TOLERANCE, ROUNDING, AMOUNT_TOLERANCE = 1e-10, 1e-15, 1e-4
 #: forward differences (25): large against rounding, small against the 2 bar and 2 mrad/s over which laws bend
@@ -53,7 +55,9 @@ POSITION_EPSILON, AMOUNT_EPSILON = 1e-7, 1e2
 
 
 class Point(NamedTuple):
-    """A machine at one instant: state x (nx,), amounts of oil N (2n,), and g (nx,) the rates of positions, rates and amounts."""
+    """A machine at one instant: state x (nx,), amounts of oil N (2n,), and g (nx,) the rates of positions, rates and
+    amounts.
+    """
 
     x: np.ndarray
     N: np.ndarray
@@ -61,12 +65,14 @@ class Point(NamedTuple):
 
 
 class Work(NamedTuple):
-    """What stepping needs: the machine's sheet, where positions and their rates stand in x (n or n + 1, 2), tangents, scratch, and what it says.
+    """What stepping needs: the machine's sheet, where positions and their rates stand in x (n or n + 1, 2), tangents,
+    scratch, and what it says.
 
-    Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the step size `made`
-    for which it was made (0: there is none), and the contraction `rate` that Newton's method had with it.
-    `said` holds how many steps were halved, the error of the last step in units of `step_control.*_ERROR`, how many of these are allowed, and
-    the PATIENCE: after a step of more iterations the next one has a new tangent; and how often the next step is halved at once.
+    Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the
+    step size `made` for which it was made (0: there is none), and the contraction `rate` that Newton's method had with
+    it. `said` holds how many steps were halved, the error of the last step in units of `step_control.*_ERROR`, how many
+    of these are allowed, and the PATIENCE: after a step of more iterations the next one has a new tangent; and how
+    often the next step is halved at once.
     """
 
     sheet: Sheet
@@ -90,7 +96,9 @@ PATIENT = 3.0
 
 @compiled.njit(cache=False)
 def places_of(nx, n):
-    """Return where positions (the coordinates, the pendulum's angle) and their rates stand in x; the other primary variables are amounts."""
+    """Return where positions (the coordinates, the pendulum's angle) and their rates stand in x; the other primary
+    variables are amounts.
+    """
     places = np.empty((n + (nx - 4 * n) // 2, 2), np.int64)
     for i in range(places.shape[0]):
         places[i, 0], places[i, 1] = (i, n + i) if i < n else (4 * n, 4 * n + 1)
@@ -110,8 +118,10 @@ def workspace(topology, nx, n_inputs):
     places = places_of(nx, n)
     m = places.shape[0] + 2 * n
     return Work(
-        sheet(topology), places, np.empty((levels, m, m)), np.empty((levels, m), np.int64), np.zeros(levels), np.ones(levels),
-        np.empty((3, m)), point(nx, n), point(nx, n), np.empty((3, n_inputs)), np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0]),
+        sheet(topology), places, np.empty((levels, m, m)), np.empty((levels, m), np.int64), np.zeros(levels),
+        np.ones(levels),
+        np.empty((3, m)), point(nx, n), point(nx, n), np.empty((3, n_inputs)),
+        np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0]),
         np.zeros(nx),
     )  # fmt: skip
 
@@ -170,7 +180,9 @@ def begin(p, w, t, P, E, s):
 
 @njit
 def settle(p, w, t, P, E, s):
-    """Fill pressures and rates of a Point from its positions, rates and amounts; then the amounts as the pressures have them."""
+    """Fill pressures and rates of a Point from its positions, rates and amounts; then the amounts as the pressures have
+    them.
+    """
     at_amounts(p.x, p.N, w, t, P, E, s)
     amounts(s, p.N)
     rates(p.x, s, p.g)
@@ -188,7 +200,8 @@ def end_rates(start, end, h, places):
 def residual(start, end, w1, t1, h, P, E, work, r):
     """Write the residual (23) of the step to r, completing the end from its positions and amounts.
 
-    Positions: h/2 times the defect of the rates, which is (23) multiplied by the inverse mass matrix. Amounts in AMOUNT.
+    Positions: h/2 times the defect of the rates, which is (23) multiplied by the inverse mass matrix. Amounts in
+    AMOUNT.
     """
     end_rates(start, end, h, work.places)
     at_amounts(end.x, end.N, w1, t1, P, E, work.sheet)
@@ -197,7 +210,9 @@ def residual(start, end, w1, t1, h, P, E, work, r):
 
 @njit
 def residual_of_amounts(start, end, w1, t1, h, P, E, work, r):
-    """Write the residual (23) to r where only amounts differ from what was evaluated last: positions and mass matrix stand."""
+    """Write the residual (23) to r where only amounts differ from what was evaluated last: positions and mass matrix
+    stand.
+    """
     read_amounts(end.x, end.N, P, E, work.sheet)
     balance(end.x, w1, t1, P, E, work.sheet)
     defects(start, end, h, work, r)
@@ -218,8 +233,8 @@ def defects(start, end, h, work, r):
 
 @njit
 def tangent(start, base, w1, t1, h, P, E, work, level):
-    """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step, whose residual, the last evaluated,
-    is `base`; False if it is singular.
+    """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step, whose residual,
+    the last evaluated, is `base`; False if it is singular.
     """
     moved, to, A = work.rows[1], work.moved, work.A[level]
     m, n = base.size, work.places.shape[0]
@@ -243,7 +258,9 @@ def tangent(start, base, w1, t1, h, P, E, work, level):
 
 @njit
 def predict(start, h, work):
-    """Write a first guess of the primary variables to the end of the step: rates go on as they changed in the part before."""
+    """Write a first guess of the primary variables to the end of the step: rates go on as they changed in the part
+    before.
+    """
     end, bend, first = work.end, 0.0, 2 * work.sheet.topology[0, CYLINDERS]
     if 0.0 < h <= 2.0 * work.said[BEFORE]:
         bend = h / work.said[BEFORE]
@@ -258,7 +275,9 @@ def predict(start, h, work):
 
 @njit
 def change_size(n, r, h):
-    """Return the largest change, n of positions and then of amounts, in units of its tolerance in a step h; NaN if any is not a number."""
+    """Return the largest change, n of positions and then of amounts, in units of its tolerance in a step h; NaN if any
+    is not a number.
+    """
     largest, tolerance = 0.0, max(RATE_TOLERANCE * h, ROUNDING)
     for i in range(r.size):
         size = abs(r[i]) / (tolerance if i < n else AMOUNT_TOLERANCE)
@@ -271,7 +290,9 @@ def change_size(n, r, h):
 
 @njit
 def newton(start, w1, t1, h, P, E, work, level):
-    """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not converge."""
+    """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not
+    converge.
+    """
     r, end, made, rate, n = work.rows[0], work.end, work.made, work.rate, work.places.shape[0]
     predict(start, h, work)
     before = math.inf
@@ -306,9 +327,10 @@ def newton(start, w1, t1, h, P, E, work, level):
 def local_error(start, w0, w1, t0, h, P, E, work, level):
     """Return the local error of the step from `start` to `work.end` in units of `step_control.*_ERROR`.
 
-    It is the defect of the trapezoidal rule against Simpson's. Three ever better estimates, each only where the one before is not
-    enough: by the change of the rates over the step, which bounds the defect of rates that change one way; by the rates in the
-    middle; and after what the system's own stiffness makes of the defect, by one iteration of Newton's method.
+    It is the defect of the trapezoidal rule against Simpson's. Three ever better estimates, each only where the one
+    before is not enough: by the change of the rates over the step, which bounds the defect of rates that change one
+    way; by the rates in the middle; and after what the system's own stiffness makes of the defect, by one iteration of
+    Newton's method.
     """
     places, end, middle, r, defect = work.places, work.end, work.moved, work.rows[1], work.rows[2]
     n, m = places.shape[0], r.size
@@ -379,7 +401,8 @@ def middle_rates(start, w0, w1, t0, h, P, E, work):
 
 @njit
 def defect_size(defect, h, start, end, P, work):
-    """Return the largest of the defects of rates and amounts, and of those of the positions, in units of `step_control.*_ERROR`.
+    """Return the largest of the defects of rates and amounts, and of those of the positions, in units of
+    `step_control.*_ERROR`.
 
     An amount may be wrong by what PRESSURE_ERROR presses into the oil of its chamber.
     """
@@ -414,7 +437,9 @@ def try_step(now, wa, wb, t, h, P, E, work, level):
 
 @part
 def remember(start, h, work):
-    """Keep the rates at the start of a part of length h that was good, for the first guess and the error of the next."""
+    """Keep the rates at the start of a part of length h that was good, for the first guess and the error of the
+    next.
+    """
     copy(start.g, work.past)
     work.said[BEFORE] = h
 
@@ -460,7 +485,8 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
 
 @compiled.njit
 def simulate(x0, W, time, step, P, E, topology, allowed=1.0):
-    """Return states X (N, nx) at increasing times (N,), the status, the sample before the step that failed, and halved steps.
+    """Return states X (N, nx) at increasing times (N,), the status, the sample before the step that failed, and halved
+    steps.
 
     Args:
         x0: state (nx,) at the first time; with n coordinates nx is 4n, or 4n + 2 with a pendulum.
@@ -494,7 +520,8 @@ def simulate(x0, W, time, step, P, E, topology, allowed=1.0):
 
 @compiled.njit
 def propagate_batch(states, W0, W1, t0, dt, n, P, E, topology, allowed=1.0):
-    """Return states (rows, nx) one dt later, in n equal steps, the status and the row that failed, and how many steps were halved.
+    """Return states (rows, nx) one dt later, in n equal steps, the status and the row that failed, and how many steps
+    were halved.
 
     W0, W1 (rows or 1, .): inputs at the start and the end, without or with the disturbances of the layout behind them.
     P, E (rows or 1, .): parameter and effect vectors. The tangent is shared by the rows: they are neighbours.

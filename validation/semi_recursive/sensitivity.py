@@ -1,14 +1,15 @@
 """Derivatives of a run with respect to its start and to any number of parameters, effects and inputs, in one sweep.
 
-The trapezoidal step y(x1) - y(x0) = h/2 [g(x0) + g(x1)], y positions, rates and amounts of oil, is differentiated as it stands
-(implicit differentiation), with Y = dy/dx, G = dg/dx and, for a probe, c = [y(x; probe) - y(x; base)] / delta, b likewise of g:
+The trapezoidal step y(x1) - y(x0) = h/2 [g(x0) + g(x1)], y positions, rates and amounts of oil, is differentiated as it
+stands (implicit differentiation), with Y = dy/dx, G = dg/dx and, for a probe, c = [y(x; probe) - y(x; base)] / delta, b
+likewise of g:
 
     (Y1 - h/2 G1) S1 = (Y0 + h/2 G0) S0 + c0 - c1 + h/2 (b0 + b1)
 
-A column is a probe: another P, another E, other inputs, or several at once. Its b and c are one-sided differences from the base
-to the probe, so an effect whose law is not smooth at its neutral value is probed at a finite size. A column with `own` tangent
-uses Y and G of the probe instead of the base: the linear answer of the changed machine, for probes that alter its dynamics (a
-pendulum, a soft spring).
+A column is a probe: another P, another E, other inputs, or several at once. Its b and c are one-sided differences from
+the base to the probe, so an effect whose law is not smooth at its neutral value is probed at a finite size. A column
+with `own` tangent uses Y and G of the probe instead of the base: the linear answer of the changed machine, for probes
+that alter its dynamics (a pendulum, a soft spring).
 
 A run may be cut into windows (multiple shooting): at each knot the state is set anew and the sensitivities begin again.
 """
@@ -56,7 +57,8 @@ class Sweep(NamedTuple):
     Attributes:
         X: states (N, nx); at a knot the window's start.
         S: sensitivities (N, nx, M); at a knot identity and zeros.
-        X_end, S_end: (K, nx), (K, nx, M): where each window arrives at the next knot (the last one: at the last sample).
+        X_end, S_end: (K, nx), (K, nx, M): where each window arrives at the next knot (the last one: at the last
+            sample).
         Phi: (N, nx, nx), Phi[k + 1] = dx_{k+1}/dx_k; empty unless asked for. Phi[0] is the identity.
         status: of the kernel; where a step failed, the rest of that window is NaN in X and 0 in S.
         failed: sample before the first step that failed, or -1.
@@ -75,7 +77,9 @@ class Sweep(NamedTuple):
 
 @njit(cache=False)
 def tangents_at(here, w, t, P, E, s, Y, G, moved):
-    """Write Y = dN/dx (2n, nx) in AMOUNT and G = dg/dx (nx, nx) around the Point that was filled last, by forward differences."""
+    """Write Y = dN/dx (2n, nx) in AMOUNT and G = dg/dx (nx, nx) around the Point that was filled last, by forward
+    differences.
+    """
     nx, n = here.x.size, here.N.size
     for k in range(nx):
         j = (n + k) % nx  # pressures first: for them the mechanics of the Point stand
@@ -98,7 +102,9 @@ def tangents_at(here, w, t, P, E, s, Y, G, moved):
 
 @njit(inline="always")
 def holds_oil(i, n):
-    """Return whether row i of a state is that of a chamber, of which there are n: behind as many coordinates and rates."""
+    """Return whether row i of a state is that of a chamber, of which there are n: behind as many coordinates and
+    rates.
+    """
     return n <= i < 2 * n
 
 
@@ -182,7 +188,9 @@ class Base(NamedTuple):
 
 
 class Tangents(NamedTuple):
-    """Y (2n, nx), G (nx, nx), c (2n, m), b (nx, m) and the probes' own Y (n_own, 2n, nx), G (n_own, nx, nx) at one instant."""
+    """Y (2n, nx), G (nx, nx), c (2n, m), b (nx, m) and the probes' own Y (n_own, 2n, nx), G (n_own, nx, nx) at one
+    instant.
+    """
 
     Y: np.ndarray
     G: np.ndarray
@@ -211,7 +219,8 @@ class Moving(NamedTuple):
 @njit(cache=False)
 def new_tangents(nx, chambers, m, n_own):
     return Tangents(
-        np.empty((chambers, nx)), np.empty((nx, nx)), np.zeros((chambers, m)), np.zeros((nx, m)), np.empty((n_own, chambers, nx)),
+        np.empty((chambers, nx)), np.empty((nx, nx)), np.zeros((chambers, m)), np.zeros((nx, m)),
+        np.empty((n_own, chambers, nx)),
         np.empty((n_own, nx, nx)),
     )  # fmt: skip
 
@@ -221,8 +230,10 @@ def new_moving(topology, nx, m, n_own, columns, n_inputs):
     """Return the arrays of a sweep with `columns` sensitivities, of which the last may be transitions."""
     n = topology[0, CYLINDERS]
     return Moving(
-        sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m, n_own), new_tangents(nx, 2 * n, m, n_own),
-        np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx, n), point(nx, n), np.empty((3, n_inputs)),
+        sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m, n_own),
+        new_tangents(nx, 2 * n, m, n_own),
+        np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx, n), point(nx, n),
+        np.empty((3, n_inputs)),
     )  # fmt: skip
 
 
@@ -297,7 +308,9 @@ def copy_tangents(source, target):
 
 @njit(cache=False)
 def advance_sample(base, k, v, work):
-    """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a status."""
+    """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a
+    status.
+    """
     wa, wb = v.inputs[0], v.inputs[1]
     done, level = 0.0, int(work.said[LEVEL])  # in steps
     while done < base.substeps:
@@ -329,7 +342,9 @@ def advance_sample(base, k, v, work):
 
 @njit(cache=False)
 def begin_window(base, k, start, v, work):
-    """Set the state anew at sample k, sensitivities to identity and zeros, and forget the tangent of earlier windows."""
+    """Set the state anew at sample k, sensitivities to identity and zeros, and forget the tangent of earlier
+    windows.
+    """
     v.now.x[:] = start
     v.S[:] = 0.0
     set_identity(v.S, 0)
@@ -406,7 +421,8 @@ def sweep(
     """Return states and sensitivities along a run in windows; see `Sweep` for the shapes. Releases the global lock.
 
     Args:
-        x0_knots: (K, nx) state at the start of each window; with n coordinates nx is 4n, or 4n + 2 with a pendulum in the base or a probe.
+        x0_knots: (K, nx) state at the start of each window; with n coordinates nx is 4n, or 4n + 2 with a pendulum in
+            the base or a probe.
         knot_index: (K,) sample at which each window starts, increasing; usually begins with 0.
         W_all: (n_W, N, n + 2) input signals [U pp pt] on the sample grid, linear between; the first is the base's. With
             (n_W, N, 4n + 4) the disturbances of the layout follow, so that unknown inputs can be probed.

@@ -159,11 +159,13 @@ def _fill_balance(s, out, k):
 
 @njit
 def terms(X, W, time, P, E, topology, points, count):
-    """Return all terms (N, count) at states X (N, nx), inputs W (N, n + 2) and times (N,); points: those of `point_rows`.
+    """Return all terms (N, count) at states X (N, nx), inputs W (N, n + 2) and times (N,); points: those of
+    `point_rows`.
 
     Forces on the joints: M zdd = Qg + Qv + Qh + Qj, where Qh holds the cylinder forces with their friction and
-    Qj the joints' own torques and the force on the payload's point. Be are effective bulk moduli, v_h hydraulic cylinder rates.
-    N are amounts of oil; pressures and their rates are those of the state, which go on below vapour pressure where a void opens.
+    Qj the joints' own torques and the force on the payload's point. Be are effective bulk moduli, v_h hydraulic
+    cylinder rates. N are amounts of oil; pressures and their rates are those of the state, which go on below vapour
+    pressure where a void opens.
     """
     out, s = np.empty((X.shape[0], count)), sheet(topology)
     for i in range(X.shape[0]):
