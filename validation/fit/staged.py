@@ -49,8 +49,6 @@ class Stage:
 FINE = 1e-3
 LOOSE, TIGHT, STIFF = Stage(SHORT, 1.0, 5), Stage(SHORT, 10.0, 5), Stage(SHORT, 100.0, 6, FINE)
 STAGES = (LOOSE, TIGHT, STIFF)
-#: a look at where a fit may begin
-BRIEF = Stage(SHORT, 1.0, 2)
 WHOLE = Stage(LONG, 1.0, 6, FINE)
 #: a crane as it is, its start alone looked for
 START = (Stage(SHORT, 1.0, 3), Stage(SHORT, 100.0, 4, FINE), WHOLE)
@@ -181,15 +179,12 @@ def _over_the_range(
 
     A window that a load leaves unexplained says little about which way to go; so the load is also begun elsewhere.
     """
-    found = staged(crane, data, unknown, np.zeros(len(unknown)), knots, stages)
-    if float(np.median(found.linear.window_error)) < OFF:
-        return found
-    tried = [found]
-    for share in STARTS:
-        u = [0.0 if isinstance(v, Timing) else v.lower + share * (v.upper - v.lower) for v in unknown]
-        tried.append(staged(crane, data, unknown, np.array(u), knots, (BRIEF,)))
-    best = min(tried, key=lambda f: math.inf if f.linear.failed else f.linear.cost)
-    return found if best is found else staged(crane, data, unknown, best.u, best, stages)
+    found = [staged(crane, data, unknown, np.zeros(len(unknown)), knots, stages)]
+    if float(np.median(found[0].linear.window_error)) > OFF:
+        for share in STARTS:
+            u = [0.0 if isinstance(v, Timing) else v.lower + share * (v.upper - v.lower) for v in unknown]
+            found.append(staged(crane, data, unknown, np.array(u), knots, stages))
+    return min(found, key=lambda f: math.inf if f.linear.failed else f.linear.cost)
 
 
 def all_parameters(crane: Crane, data: Data, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
