@@ -180,13 +180,13 @@ def _drawn_crane(crane: Crane, rng: np.random.Generator) -> Crane:
 
 def effect_probes(crane: Crane) -> dict[str, Crane]:
     """Return {"name@place": crane with that effect} for every effect that acts inside an engine, its parameters
-    typical.
+    typical; curves at one place.
     """
     probes = {}
     for key in registry.all_keys(crane.layout):
         effect, _ = registry.split_key(key)
-        if set(effect.hooks()) <= OUTSIDE_ENGINES:
-            continue
+        if set(effect.hooks()) <= OUTSIDE_ENGINES or (effect.curve and key != effect.keys(crane.layout)[0]):
+            continue  # a curve is one law wherever it acts
         base = crane
         if "pendulum" in effect.hooks() and crane["payload.mass"] <= 0.0:  # nothing would swing
             base = crane.with_parameters({"payload.mass": 100.0})
