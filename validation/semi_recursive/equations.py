@@ -1043,7 +1043,9 @@ def at_rest(x, P, E, s):
     mechanics(still, 0.0, P, E, s)
     tip = s.topology.shape[0]
     for i in range(n):
-        s.general[JOINTS, i] = hooks.tip_force(E, 0.0) * s.numbers[tip + 1, BY + i]
+        s.general[JOINTS, i] = hooks.tip_force(E, 0.0) * s.numbers[tip + 1, BY + i] + hooks.joint_torque(
+            E, i, 0.0, x[i]
+        )
 
 
 @njit
