@@ -1035,7 +1035,7 @@ def amounts(s, N):
 
 @compiled.njit(cache=False)
 def at_rest(x, P, E, s):
-    """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, and the force on the payload's point."""
+    """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, joints' torques, the force on the payload's point."""
     n = s.topology[0, CYLINDERS]
     still = np.zeros(4 * n)
     still[:n] = x[:n]
