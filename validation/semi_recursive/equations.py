@@ -1073,8 +1073,8 @@ def amounts(s, N):
 
 @compiled.njit(cache=False)
 def at_rest(x, P, E, s):
-    """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, and the
-    force on the payload's point.
+    """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, the
+    joints' torques, and the force on the payload's point.
     """
     n = s.topology[0, CYLINDERS]
     still = np.zeros(4 * n)
@@ -1083,7 +1083,9 @@ def at_rest(x, P, E, s):
     mechanics(still, 0.0, P, E, s)
     tip = s.topology.shape[0]
     for i in range(n):
-        s.general[JOINTS, i] = hooks.tip_force(E, 0.0) * s.numbers[tip + 1, BY + i]
+        s.general[JOINTS, i] = hooks.tip_force(E, 0.0) * s.numbers[tip + 1, BY + i] + hooks.joint_torque(
+            E, i, 0.0, x[i]
+        )
 
 
 @njit
