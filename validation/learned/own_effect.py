@@ -120,4 +120,4 @@ def _of(law: LearnedLaw) -> tuple[str, str, str]:
 
 
 def _numbers(values: np.ndarray) -> str:
-    return ", ".join(f"{v:.6g}" for v in values)
+    return ", ".join(repr(float(f"{v:.6g}")) for v in values)  # whole numbers too: compiled tuples hold one type
