@@ -20,6 +20,7 @@ from .options import (
     PerRecordingOption,
     RecordingsArgument,
     ReportOption,
+    SchedulerOption,
     load_checked,
     load_crane,
     load_several,
@@ -42,6 +43,7 @@ def command(
     map_file: MapFileOption = None,
     anyway: AnywayOption = False,
     jobs: JobsOption = 2,
+    scheduler: SchedulerOption = None,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the weighing."), Writes(picture)
     ] = None,
@@ -58,8 +60,9 @@ def command(
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
     from validation.diagnosis import diagnose
+    from validation.workers import scheduled
 
-    with progress("Diagnose") as done:
+    with progress("Diagnose") as done, scheduled(scheduler):
         result = diagnose(
             chosen,
             measured,

@@ -20,6 +20,7 @@ from .options import (
     PerRecordingOption,
     RecordingsArgument,
     ReportOption,
+    SchedulerOption,
     load_checked,
     load_crane,
     load_several,
@@ -43,6 +44,7 @@ def command(
     map_file: MapFileOption = None,
     anyway: AnywayOption = False,
     jobs: JobsOption = 2,
+    scheduler: SchedulerOption = None,
     most: Annotated[int, typer.Option("--most", metavar="N", help="At most so many steps.", min=1)] = 4,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the falling error."), Writes(picture)
@@ -59,9 +61,10 @@ def command(
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
     from validation.improvement import improve
+    from validation.workers import scheduled
 
     printer = Printer(json)
-    with progress("Improve") as done:
+    with progress("Improve") as done, scheduled(scheduler):
         result = improve(
             chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most,
             told=lambda step: tell(printer, step), progress=lambda part, share: done(share, part),

@@ -22,6 +22,7 @@ from .options import (
     MapOption,
     RecordingsArgument,
     ReportOption,
+    SchedulerOption,
     load_checked,
     load_crane,
     load_several,
@@ -59,6 +60,7 @@ def command(
     map_file: MapFileOption = None,
     anyway: AnywayOption = False,
     jobs: JobsOption = 2,
+    scheduler: SchedulerOption = None,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the curves."), Writes(picture)
     ] = None,
@@ -75,8 +77,9 @@ def command(
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
     from validation.learning import learn
+    from validation.workers import scheduled
 
-    with progress("Learn") as done:
+    with progress("Learn") as done, scheduled(scheduler):
         result = learn(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
     from crane_exudyn.files import write_text
     from validation.learned.own_effect import own_effect

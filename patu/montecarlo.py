@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
+from .options import (
+    DEFAULT_CRANE,
+    CraneOption,
+    EffectsOption,
+    EngineOption,
+    JobsOption,
+    JsonOption,
+    SchedulerOption,
+    load_crane,
+)
 from .output import Printer, progress
 from .outputs import Writes, saving
 
@@ -21,10 +30,7 @@ MOST_SAMPLES = 1e7
 def command(
     runs: Annotated[int, typer.Option("--runs", "-n", metavar="N", help="How many runs.")] = 20,
     jobs: JobsOption = 1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster; local for one made here."),
-    ] = None,
+    scheduler: SchedulerOption = None,
     file: Annotated[
         Path | None,
         typer.Option(

@@ -96,6 +96,10 @@ ReportOption = Annotated[
     Writes(files=("report.html",)),
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", "-j", metavar="N", help="Processes to use.", min=1)]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster; local for one made here."),
+]
 EngineName = Literal["exudyn", "semi-recursive"]
 EngineOption = Annotated[EngineName, typer.Option("--engine", help="Which implementation of the crane runs.")]
 CheckOption = Annotated[

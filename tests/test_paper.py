@@ -10,7 +10,7 @@ import pytest
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from ukf.estimator import Estimator
-from validation import montecarlo, paper
+from validation import montecarlo, paper, workers
 from validation.metrics import pn_rmse, r2
 
 CRANE = Crane.load("patu655")
@@ -172,5 +172,5 @@ def test_missing_dask_is_told(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "dask.distributed", None)
-    with pytest.raises(CraneError, match="cluster"), montecarlo.backend("tcp://nowhere:1"):
+    with pytest.raises(CraneError, match="cluster"), workers.scheduled("tcp://nowhere:1"):
         pass

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from crane_exudyn.errors import CraneError
-from validation.workers import results_of
+from validation import workers
+from validation.workers import in_parallel, results_of, scheduled
 
 TIMEOUT = 20.0
 
@@ -73,3 +74,22 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
 def test_a_worker_that_was_killed_is_one_message() -> None:
     with pytest.raises(CraneError, match="ended from outside"):
         list(results_of([(die,), (die,)], 2))
+
+
+def process() -> int:
+    return os.getpid()
+
+
+def test_a_scheduler_takes_the_work_and_gives_the_same_results() -> None:
+    tasks = [(process,), (abs, -2)]
+    with scheduled("local"):
+        pid, two = in_parallel(1, tasks)
+        assert next(results_of([(process,)], 1)) != os.getpid()
+    assert pid != os.getpid() and two == 2
+    assert in_parallel(1, tasks) == [os.getpid(), 2], "afterwards work is done here again"
+
+
+def test_a_scheduler_that_does_not_answer_is_one_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "ANSWER", 0.5)
+    with pytest.raises(CraneError, match="No Dask scheduler answers"), scheduled("tcp://127.0.0.1:1"):
+        pass

@@ -24,8 +24,9 @@ from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.manoeuvre import best_manoeuvre
 from .selection.model import Fitted, excess, run_error, together
-from .selection.search import Path, Problem, Progress, in_parallel, search, silent
+from .selection.search import Path, Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
+from .workers import in_parallel
 
 #: effects that a diagnosis names at most
 MOST = 2

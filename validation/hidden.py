@@ -22,6 +22,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
+from crane_exudyn.geometry import pose
 from crane_exudyn.measurement import Measurement
 from crane_exudyn.recording import Recording, usual_layout
 
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
 
 DURATION = 25.0
 _STEP = 1e-3
-KINDS = ("effect", "two", "none", "parameters", "unknown")
+#: how many effects a kind hides
+HIDES = {"effect": 1, "two": 2, "three": 3, "four": 4}
+KINDS = (*HIDES, "none", "parameters", "unknown")
 RATES = (100, 200, 500, 1000)
 #: standard deviations of angles (rad) and pressures (Pa): a good rig's, and the paper's
 NOISES = ((math.radians(0.05), 0.3e5), (math.radians(1.0), 1.5e5))
@@ -94,6 +97,12 @@ def _payload(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, fl
     return {"dm": dm if dm > -0.8 * about["payload"] else -dm, "T": rng.uniform(3.0, 20.0)}
 
 
+def _stuck(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
+    """A seal that stands, when the recording to learn from begins, within twice its deformation of holding nothing."""
+    delta = _log(rng, 1e-4, 2e-3)
+    return {"Fc": _log(rng, 300.0, 1e4), "l0": about["length"] + rng.uniform(-2.0, 2.0) * delta, "delta": delta}
+
+
 def _bias(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
     size = math.radians(_log(rng, 0.05, 5.0)) if about["place"][0] == "z" else _log(rng, 0.3e5, 20e5)
     return {"b": _sign(rng) * size}
@@ -108,11 +117,14 @@ SEVERITIES: Mapping[str, Draw] = {
     "pressure_compensation": lambda r, _: {"dpc": _log(r, 3e5, 60e5)},
     "command_delay": lambda r, _: {"T": _log(r, 0.005, 0.3)},
     "spool_hysteresis": lambda r, _: {"b": _log(r, 0.002, 0.12)},
+    "spool_creep": lambda r, _: {"kappa": _log(r, 0.01, 0.4), "tau": _log(r, 0.2, 4.0)},
     "counterbalance_valve": _counterbalance,
     "entrained_air": lambda r, _: {"alpha": _log(r, 3e-4, 0.1)},
+    "released_air": lambda r, _: {"alpha": _log(r, 3e-3, 0.3), "ps": r.uniform(2e5, 10e5)},
     "pump_droop": lambda r, _: {"R": _log(r, 2e8, 3e10)},
     "return_back_pressure": lambda r, _: {"R": _log(r, 2e8, 3e10)},
     "seal_friction": _seal,
+    "stuck_seal": _stuck,
     "pressure_dependent_friction": lambda r, _: {"mu": _log(r, 2e-5, 2e-3)},
     "joint_coulomb_friction": lambda r, _: {"T": _log(r, 30.0, 2500.0)},
     "joint_viscous_friction": lambda r, _: {"c": _log(r, 100.0, 2e4)},
@@ -134,9 +146,14 @@ def hideable(sensors: Sequence[str]) -> list[str]:
     return [k for k in keys if not k.startswith("sensor_") or k.partition("@")[2] in sensors]
 
 
-def _severity(key: str, crane: Crane, rng: np.random.Generator) -> dict[str, float]:
+def severity(key: str, crane: Crane, manoeuvre: Manoeuvre, rng: np.random.Generator) -> dict[str, float]:
+    """Return parameters (SI) of an effect as drawn for a machine; `manoeuvre` is the one that is learned from."""
     name, _, place = key.partition("@")
-    return SEVERITIES[name](rng, {"place": place, "payload": crane["payload.mass"]})
+    about = {"place": place, "payload": crane["payload.mass"]}
+    if place in crane.layout.cylinders:
+        pin_to_pin = pose(crane, manoeuvre.z1, manoeuvre.z4).lengths[0, crane.layout.cylinders.index(place)]
+        about["length"] = float(pin_to_pin) - crane[f"cylinders.{place}.empty_length"]
+    return SEVERITIES[name](rng, about)
 
 
 # -- manoeuvres ------------------------------------------------------------------------------------------------------
@@ -317,12 +334,12 @@ def _inside(crane: Crane, name: str, value: float) -> float:
 
 
 def _pick(rng: np.random.Generator, kind: str, sensors: Sequence[str]) -> list[str]:
-    """Return the effects to hide: names are equally likely, then places; two are of different names."""
+    """Return the effects to hide: names are equally likely, then places; several are of different names."""
     by_name: dict[str, list[str]] = {}
     for key in hideable(sensors):
         by_name.setdefault(key.partition("@")[0], []).append(key)
     names = [n for n in by_name if n != "end_stop" or kind == "effect"]
-    chosen = rng.choice(names, {"effect": 1, "two": 2}[kind], replace=False)
+    chosen = rng.choice(names, HIDES[kind], replace=False)
     return [str(rng.choice(by_name[n])) for n in chosen]
 
 
@@ -361,7 +378,7 @@ def make_case(
 
     Args:
         seed: makes everything; the same seed and arguments give the same case.
-        kind: of KINDS: one effect, two, none at all, parameter errors only, or a law that the library does not have.
+        kind: of KINDS: one effect to four, none at all, parameter errors only, or a law that the library does not have.
         keys: "name@place" of the effects (for "unknown": the name of a law of hidden_plant.LAWS).
         visible: least and largest visibility of every effect; severities are drawn until it is met.
         noise: 0 for the good rig's, 1 for the paper's.
@@ -376,14 +393,14 @@ def make_case(
         CraneError: no draw of severity and manoeuvre met the conditions.
     """
     rng = np.random.default_rng(seed)
-    kind = kind or str(rng.choice(KINDS, p=(0.6, 0.14, 0.08, 0.08, 0.1)))
+    kind = kind or str(rng.choice(KINDS, p=(0.6, 0.14, 0.0, 0.0, 0.08, 0.08, 0.1)))
     drawn = (int(rng.integers(2)), int(rng.choice(RATES)), int(rng.random() < 0.35), int(rng.random() < 0.5))
     given = (noise, rate, sensors, errors)
     level, rate, chosen, off = (int(d if g is None else g) for d, g in zip(drawn, given, strict=True))
     stds = {n: NOISES[level][0 if n.startswith("z") else 1] for n in SENSOR_SETS[chosen]}
     nominal = crane or Crane.load("patu655")
     machine = _machine(nominal, rng, kind, off == 1)
-    picked = keys is None and kind in ("effect", "two")
+    picked = keys is None and kind in HIDES
     keys = _pick(rng, kind, list(stds)) if picked else keys or []
     return _until_it_does(
         seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, foreign, picked, swapped)
@@ -423,7 +440,7 @@ def _try_case(seed: int, s: _Setting) -> HiddenCase:
         return _unknown_case(seed, s, manoeuvres)
     machine = s.machine
     for key in s.keys:
-        machine = machine.with_effect(key, _severity(key, machine, s.rng))
+        machine = machine.with_effect(key, severity(key, machine, manoeuvres[0], s.rng))
     seen = _seen(s, machine, manoeuvres[0])
     _draft(machine, manoeuvres[1])
     runs = [_exact(machine, s, m) for m in manoeuvres]
@@ -488,8 +505,6 @@ def _seen(s: _Setting, machine: Crane, manoeuvre: Manoeuvre) -> dict[str, float]
 
 def _check_hit(machine: Crane, shown: Mapping[str, np.ndarray], cylinder: int) -> None:
     """Raise CraneError unless a cylinder stands at its extended end for 0.3 s or more."""
-    from crane_exudyn.geometry import pose
-
     lengths = pose(machine, shown["z1"], shown["z4"]).lengths[:, cylinder]
     name = machine.layout.cylinders[cylinder]
     names = [f"cylinders.{name}.{part}" for part in ("empty_length", "chamber_range")]
@@ -499,8 +514,6 @@ def _check_hit(machine: Crane, shown: Mapping[str, np.ndarray], cylinder: int) -
 
 def _unknown_case(seed: int, s: _Setting, manoeuvres: Sequence[Manoeuvre]) -> HiddenCase:
     """Return a case with a law that is in no effect file."""
-    from crane_exudyn.geometry import pose
-
     from .hidden_plant import LAWS, draw_law
 
     name = str(s.keys[0]) if s.keys else str(s.rng.choice(LAWS))
@@ -517,7 +530,7 @@ def _unknown_case(seed: int, s: _Setting, manoeuvres: Sequence[Manoeuvre]) -> Hi
 
 
 def _answer(s: _Setting, machine: Crane, seen: Mapping[str, float]) -> dict[str, Any]:
-    verdict = {"effect": "effect", "two": "effect", "none": "adequate"}.get(s.kind, s.kind)
+    verdict = "effect" if s.kind in HIDES else {"none": "adequate"}.get(s.kind, s.kind)
     moved = {n: v for n, v in machine.values.items() if v != s.nominal[n]}
     return {
         "verdict": verdict,

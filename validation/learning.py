@@ -33,7 +33,8 @@ from .selection.manoeuvre import best_manoeuvre
 from .selection.model import excess, plausible, run_error, together, unmoving
 from .selection.moves import scaled
 from .selection.screen import likely, screened
-from .selection.search import Progress, in_parallel, silent
+from .selection.search import Progress, silent
+from .workers import in_parallel
 
 #: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to
 #: the end

@@ -12,8 +12,7 @@ that a killed series goes on where it stopped.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +33,8 @@ from ukf.process import engine_of
 from ukf.signals import Signals
 
 from . import paper
-from .workers import results_of
+from .json_lines import add_line, read_lines
+from .workers import results_of, scheduled
 
 #: shares of the run at which NEES is compared over the runs: instants of one run are not independent
 CHECKPOINTS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
@@ -210,33 +210,15 @@ def run_series(
     path = None if file is None else Path(file)
     done = {} if path is None else finished(path, settings, crane)
     missing = [k for k in range(runs) if k not in done]
-    with backend(scheduler):
-        tasks, elsewhere = [(one_run, settings, k, crane) for k in missing], scheduler is not None
-        for result in results_of(tasks, -1 if elsewhere else jobs, "generator_unordered", elsewhere=elsewhere):
+    with scheduled(scheduler):
+        tasks = [(one_run, settings, k, crane) for k in missing]
+        for result in results_of(tasks, jobs, "generator_unordered"):
             done[result["run"]] = result
             if path is not None:
-                append(path, result)
+                add_line(path, result)
             if progress is not None:
                 progress(len(done) / runs)
     return Series(settings, tuple(done[k] for k in sorted(done) if k < runs))
-
-
-@contextmanager
-def backend(scheduler: str | None) -> Iterator[None]:
-    """Yield with joblib's work going to a Dask scheduler, or to processes of this machine where there is none."""
-    if scheduler is None:
-        yield
-        return
-    try:
-        from dask.distributed import Client
-    except ImportError:
-        raise CraneError(
-            "A Dask scheduler is asked for, but Dask is not installed. Install it: pip install 'crane-exudyn[cluster]'."
-        ) from None
-    from joblib import parallel_config
-
-    with Client(None if scheduler == "local" else scheduler), parallel_config(backend="dask"):
-        yield
 
 
 def finished(path: Path, settings: Settings, crane: Crane) -> dict[int, dict[str, Any]]:
@@ -248,34 +230,9 @@ def finished(path: Path, settings: Settings, crane: Crane) -> dict[int, dict[str
     if not path.exists():
         write_text(path, json.dumps(head) + "\n")
         return {}
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
-    found = [_parsed(line) for line in lines]
+    found = read_lines(path)
     if not found or found[0] != head:
         raise CraneError(
             f"{path}: holds runs of another series (other settings or another crane). Give another file, or delete it."
         )
-    whole = [line for line, value in zip(lines, found, strict=True) if value is not None]
-    if len(whole) < len(lines):
-        write_text(path, "".join(whole))
-    return {r["run"]: r for r in found[1:] if r is not None}
-
-
-def _parsed(line: str) -> dict[str, Any] | None:
-    """Return what a line holds, or None for one that was cut off."""
-    try:
-        value = json.loads(line) if line.endswith("\n") else None
-    except ValueError:
-        return None
-    return value if isinstance(value, dict) else None
-
-
-def append(path: Path, result: dict[str, Any]) -> None:
-    """Add one run to the file, as one write."""
-    try:
-        with path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(result) + "\n")
-    except OSError as problem:
-        raise CraneError(
-            f"{path}: run {result['run']} cannot be added: {problem.strerror}. Make room; the series goes on from "
-            "there."
-        ) from problem
+    return {r["run"]: r for r in found[1:]}

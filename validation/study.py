@@ -1,9 +1,10 @@
 """The study of hidden effects: many cases of `validation.hidden` through the diagnosis, and tables of how it did.
 
-python -m validation.study run results.jsonl --seeds 5000-5119 --jobs 2     a line a case; finished cases are not run
-again python -m validation.study run results.jsonl --folder DIR                   cases that `python -m
-validation.hidden` wrote python -m validation.study tables results.jsonl                             what came out, as
-Markdown
+python -m validation.study run results.jsonl --seeds 5000-5119 --jobs 2   a line a case; finished ones are not run again
+python -m validation.study run results.jsonl --seeds 5000-5019 --kind three              through `improve`
+python -m validation.study run results.jsonl --seeds 5000-5019 --criterion helped=inf    with a rule of the search off
+python -m validation.study run results.jsonl --folder DIR                 cases that `python -m validation.hidden` wrote
+python -m validation.study tables results.jsonl                            what came out, as Markdown
 """
 
 from __future__ import annotations
@@ -16,16 +17,20 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import usual_layout
 
-from .hidden import SENSOR_SETS, SEVERITIES, HiddenCase, hideable, make_case
-from .workers import results_of
+from .hidden import HIDES, KINDS, SENSOR_SETS, SEVERITIES, HiddenCase, hideable, make_case
+from .json_lines import add_line, read_lines
+from .selection.criteria import CRITERIA, Criteria
+from .workers import results_of, scheduled
 
 #: kinds of ten consecutive cases of a plan
 _PATTERN = ("effect", "none", "effect", "two", "effect", "parameters", "effect", "unknown", "effect", "effect")
@@ -33,6 +38,7 @@ _PATTERN = ("effect", "none", "effect", "two", "effect", "parameters", "effect",
 PROMISED = 5.0
 #: severities of the tables: visibility from … to
 BINS = ((0.0, 1.0), (1.0, 2.0), (2.0, 5.0), (5.0, 15.0), (15.0, 50.0), (50.0, math.inf))
+_MANY = tuple(kind for kind, n in HIDES.items() if n > 2)
 _BLAMING = ("effect", "tied", "unknown")
 
 
@@ -73,11 +79,11 @@ def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]
     """Return how a diagnosis (the JSON of `patu diagnose`) compares with the answer of a case.
 
     Returns:
-        "right": verdict right, the effects first or among the tied; "first": they came first; "partly": one of two was
-        named; "alarm": something was blamed though nothing was hidden; "visibility": of the least visible effect, None
-            where
-        nothing is hidden; "said": the verdict, or the effects named; "relative_errors" of the effects' parameters where
-            right.
+        "right": verdict right, the effects first or among the tied; "first": they came first; "partly": one of several
+            was named; "missed", "wrong": effects that were not named first, or without being there;
+        "alarm": something was blamed though nothing was hidden; "said": the verdict, or the effects named;
+        "visibility": of the least visible effect, None where nothing is hidden;
+        "relative_errors": of the effects' parameters, where they came first.
     """
     truth = frozenset(answer.get("effects", ()))
     named = [frozenset(found["effects"]), *(frozenset(t.split(" + ")) for t in found["tied_with"])]
@@ -89,6 +95,8 @@ def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]
         "right": right,
         "first": first,
         "partly": blames and bool(truth) and any(n & truth for n in named),
+        "missed": sorted(truth - named[0]),
+        "wrong": sorted(named[0] - truth),
         "alarm": answer["verdict"] in ("adequate", "parameters") and found["verdict"] in _BLAMING,
         "visibility": min(hidden) if hidden else None,
         "said": " + ".join(found["effects"]) if blames else found["verdict"],
@@ -115,25 +123,48 @@ def _relative_errors(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dic
 
 
 def run_one(case: HiddenCase, name: str, jobs: int = 1) -> dict[str, Any]:
-    """Return one line of results: the answer, the diagnosis (all candidates, but no crane files) and the judgement."""
-    from crane_exudyn.crane import Crane
+    """Return one line of results: the answer, the diagnosis (all candidates, but no crane files) and the judgement.
 
-    from .diagnosis import diagnose
+    More than two effects are looked for by `improve`.
+    """
+    from .diagnosis import MOST
 
-    began = time.perf_counter()
+    began, said = time.perf_counter(), _improved if len(case.answer["effects"]) > MOST else _diagnosed
     line: dict[str, Any] = {"name": name, "answer": case.answer}
     try:
-        diagnosis = diagnose(Crane.load("patu655"), case.learn, case.check, jobs=jobs)
-        found = json.loads(json.dumps(diagnosis.to_dict()))
+        found = json.loads(json.dumps(said(case, jobs)))
     except Exception as problem:  # a study of hundreds must tell of a failure, not end with it
         return line | {"failed": repr(problem), "trace": traceback.format_exc(limit=-4)}
-    moved = {c.name: c.fit.prior_cost for c in diagnosis.candidates if c.fit is not None}
     seconds = time.perf_counter() - began
-    return line | {"diagnosis": found, "judged": judge(case.answer, found), "prior_cost": moved, "seconds": seconds}
+    return line | {"diagnosis": found, "judged": judge(case.answer, found), "seconds": seconds}
 
 
-def _seed_line(seed: int, more: Mapping[str, Any]) -> dict[str, Any]:
-    plan = planned(seed) | dict(more)
+def _diagnosed(case: HiddenCase, jobs: int) -> dict[str, Any]:
+    from .diagnosis import diagnose
+
+    return diagnose(Crane.load("patu655"), case.learn, case.check, jobs=jobs).to_dict()
+
+
+def _improved(case: HiddenCase, jobs: int) -> dict[str, Any]:
+    """Return what was added, in the form of a diagnosis."""
+    from .improvement import improve
+
+    found = improve(Crane.load("patu655"), case.learn, case.check, jobs=jobs)
+    keys = [e.key for e in found.crane.effects]
+    values = {f"{e.key}:{n}": {"value": v} for e in found.crane.effects for n, v in e.parameters.items()}
+    first, last = found.steps[0], found.steps[-1]
+    return {
+        "verdict": "effect" if keys else found.verdict, "effects": keys, "tied_with": [],
+        "candidates": [{"effect": " + ".join(keys), "parameters": values}],
+        "error_before": first.error, "error_after": last.error,
+        "check_error_before": first.check_error, "check_error_after": last.check_error,
+    }  # fmt: skip
+
+
+def _seed_line(seed: int, more: Mapping[str, Any], criteria: Mapping[str, float]) -> dict[str, Any]:
+    for name, value in criteria.items():
+        object.__setattr__(CRITERIA, name, value)  # of this process, for all its cases
+    plan = dict(more) if more.get("kind") else planned(seed) | dict(more)
     try:
         case = make_case(seed, **plan)
     except CraneError as problem:  # no manoeuvre shows this effect so well: told, and left out
@@ -156,11 +187,10 @@ def run(
     """Run tasks (name, function, arguments) that `results` does not hold yet; a line is added as each is done, and
     said.
     """
-    done = {line["name"] for line in read(results)} if results.exists() else set()
+    done = {line["name"] for line in read_lines(results)} if results.exists() else set()
     left = [(f, *a) for name, f, a in tasks if name not in done]
     for line in results_of(left, jobs, "generator_unordered"):
-        with results.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        add_line(results, line)
         print((say or told)(line), file=sys.stderr, flush=True)
 
 
@@ -179,11 +209,6 @@ def told(line: Mapping[str, Any]) -> str:
     errors = " ".join(f"{d[k]:.3g}" for k in ("error_before", "error_after", "check_error_before", "check_error_after"))
     mark = "right" if j["right"] else "WRONG"
     return f"{line['name']}: {mark}: {truth} [{seen}] -> {j['said']}{tied}; errors {errors}; {line['seconds']:.0f} s"
-
-
-def read(results: Path) -> list[dict[str, Any]]:
-    """Return the lines of a results file."""
-    return [json.loads(text) for text in results.read_text(encoding="utf-8").splitlines() if text.strip()]
 
 
 # -- tables ----------------------------------------------------------------------------------------------------------
@@ -231,6 +256,8 @@ def _summary(lines: Sequence[Mapping[str, Any]], good: Sequence[Mapping[str, Any
         ),
         ("two effects: both right", _share(g["judged"]["right"] for g in _of(good, "two"))),
         ("two effects: at least one named", _share(g["judged"]["partly"] for g in _of(good, "two"))),
+        ("three or four effects: all named", _share(not g["judged"]["missed"] for g in _of(good, *_MANY))),
+        ("three or four effects: no wrong one", _share(not g["judged"]["wrong"] for g in _of(good, *_MANY))),
         ("nothing hidden: false alarms", _share(g["judged"]["alarm"] for g in clean)),
         ("parameter errors only: verdict parameters", _share(g["judged"]["right"] for g in _of(good, "parameters"))),
         ("law that the library lacks: unknown", _share(g["judged"]["right"] for g in _of(good, "unknown"))),
@@ -290,7 +317,7 @@ def _confusion(good: Sequence[Mapping[str, Any]]) -> str:
     """Rows are what was hidden, columns what was said, in kinds."""
     said = ("right effect", "tied, right among them", "wrong effect", "adequate", "parameters", "unknown")
     rows = []
-    for kind in ("effect", "two", "none", "parameters", "unknown"):
+    for kind in KINDS:
         counts = Counter(_said(g) for g in _of(good, kind))
         rows.append((kind, *(str(counts[s]) for s in said)))
     return _table(("hidden", *said), rows)
@@ -308,7 +335,7 @@ def _said(line: Mapping[str, Any]) -> str:
 def _errors(good: Sequence[Mapping[str, Any]]) -> str:
     keys = ("error_before", "error_after", "check_error_before", "check_error_after")
     rows = []
-    for kind in ("effect", "two", "none", "parameters", "unknown"):
+    for kind in KINDS:
         rows.append((kind, *(_median([g["diagnosis"][k] for g in _of(good, kind)]) for k in keys)))
     return _table(("median error, noise units", "learn before", "learn after", "check before", "check after"), rows)
 
@@ -339,11 +366,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--visible", metavar="LOW-HIGH", help="severities, in noise units")
     parser.add_argument("--sensors", type=int, choices=(0, 1), help=f"0: all pressures, 1: {' '.join(SENSOR_SETS[1])}")
     parser.add_argument("--noise", type=int, choices=(0, 1), help="0: 0.05 deg and 0.3 bar, 1: 1 deg and 1.5 bar")
+    parser.add_argument("--kind", choices=KINDS, help="hide that in every case")
+    parser.add_argument("--criterion", action="append", default=[], metavar="NAME=VALUE", help="another threshold")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler; local for one made here")
     given = parser.parse_args(arguments)
     if given.what == "run":
-        run(given.results, _tasks(given), jobs=given.jobs)
-    print(tables(read(given.results)))
+        with scheduled(given.scheduler):
+            run(given.results, _tasks(given), jobs=given.jobs)
+    print(tables(read_lines(given.results)))
 
 
 def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
@@ -351,12 +382,21 @@ def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
         names = given.only or sorted(json.loads((given.folder / "answers.json").read_text(encoding="utf-8")))
         return [(name, _folder_line, (given.folder, name)) for name in names]
     first, _, last = given.seeds.partition("-")
-    more = {n: getattr(given, n) for n in ("sensors", "noise") if getattr(given, n) is not None}
+    more = {n: getattr(given, n) for n in ("sensors", "noise", "kind") if getattr(given, n) is not None}
     more |= {name: True for name in ("foreign", "swapped") if getattr(given, name)}
     if given.visible:
         low, _, high = given.visible.partition("-")
         more["visible"] = (float(low), float(high or "inf"))
-    return [(f"case_{seed}", _seed_line, (seed, more)) for seed in range(int(first), int(last or first) + 1)]
+    criteria = dict(_criterion(text) for text in given.criterion)
+    return [(f"case_{seed}", _seed_line, (seed, more, criteria)) for seed in range(int(first), int(last or first) + 1)]
+
+
+def _criterion(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    usual = {f.name: f.default for f in fields(Criteria)}
+    if name not in usual:
+        raise SystemExit(f"There is no threshold {name!r}. There are {', '.join(usual)}.")
+    return name, int(value) if isinstance(usual[name], int) else float(value)
 
 
 if __name__ == "__main__":

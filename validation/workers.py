@@ -18,14 +18,16 @@ from crane_exudyn.errors import CraneError
 
 Task = tuple[Any, ...]
 _LOOK = 0.5  # s
+#: s in which a scheduler has to answer
+ANSWER = 10.0
+#: schedulers that work is sent to at this moment, the last one before the others
+_schedulers: list[str] = []
 
 
 def results_of(
     tasks: Sequence[Task],
     jobs: int,
     order: Literal["generator", "generator_unordered"] = "generator",
-    *,
-    elsewhere: bool = False,
 ) -> Iterator[Any]:
     """Yield the results of tasks (function, *arguments), which know the user's own effects.
 
@@ -33,26 +35,63 @@ def results_of(
 
     Args:
         tasks: functions of modules, with arguments that can be pickled.
-        jobs: processes; one task after the other in this process for 1, as many as there are for -1.
+        jobs: processes; one task after the other in this process for 1. Within `scheduled` it is left to the scheduler.
         order: whether results come in the order of the tasks, or as they are done.
-        elsewhere: joblib has been told of a scheduler whose workers may be on other machines.
 
     Raises:
         CraneError: a worker process was ended from outside.
     """
     from joblib import Parallel, delayed
 
-    parent = None if elsewhere else os.getpid()
+    parent = None if _schedulers else os.getpid()
     calls = [delayed(_in_worker)(parent, registry.user_files(), *task) for task in tasks]
     try:
         with _deaf_to_interrupts():
-            results = Parallel(n_jobs=jobs, return_as=order, max_nbytes=None)(calls)
+            results = Parallel(n_jobs=-1 if _schedulers else jobs, return_as=order, max_nbytes=None)(calls)
         yield from results
     except BrokenProcessPool as problem:
         raise CraneError(
             f"A worker process was ended from outside, as the system does when memory runs out ({jobs} processes). "
             "Run it again with a smaller --jobs."
         ) from problem
+
+
+def in_parallel(jobs: int, tasks: Sequence[Task]) -> list[Any]:
+    """Return the results of tasks in their order; this process does what no other would do sooner."""
+    if (jobs == 1 and not _schedulers) or len(tasks) < 2:
+        return [function(*arguments) for function, *arguments in tasks]
+    return list(results_of(tasks, min(jobs, len(tasks))))
+
+
+@contextmanager
+def scheduled(address: str | None) -> Iterator[None]:
+    """Send the work that begins inside to a Dask scheduler ("local": one made here); nothing differs for None.
+
+    Raises:
+        CraneError: Dask is not installed, or nothing answers at the address.
+    """
+    if address is None:
+        yield
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise CraneError(
+            "A Dask scheduler is asked for, but Dask is not installed. Install it: pip install 'crane-exudyn[cluster]'."
+        ) from None
+    from joblib import parallel_config
+
+    try:
+        own = {"threads_per_worker": 1, "dashboard_address": None} if address == "local" else {"address": address}
+        client = Client(timeout=ANSWER, **own)
+    except (OSError, ValueError) as problem:
+        raise CraneError(f"No Dask scheduler answers at {address!r}: {problem}. Is it running?") from problem
+    with client, parallel_config(backend="dask"):
+        _schedulers.append(address)
+        try:
+            yield
+        finally:
+            _schedulers.pop()
 
 
 def _in_worker(parent: int | None, files: Sequence[Path], function: Callable[..., Any], *arguments: Any) -> Any:

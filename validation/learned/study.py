@@ -21,7 +21,8 @@ from crane_exudyn.errors import CraneError
 
 from ..hidden import HiddenCase, make_case
 from ..hidden_plant import LEARNABLE
-from ..study import _share, _table, read, run
+from ..json_lines import read_lines
+from ..study import _share, _table, run
 
 #: a machine without a law after each four with one: clean, and with effects of the library in turn
 _WITHOUT = ({"kind": "none"}, {"kind": "effect"}, {"kind": "parameters"}, {"kind": "two"})
@@ -134,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
     if given.what == "tables":
-        print(tables(read(given.results)))
+        print(tables(read_lines(given.results)))
         return
     first, _, last = given.seeds.partition("-")
     seeds = range(int(first), int(last or first) + 1)

@@ -47,12 +47,13 @@ from ..fit.variables import (
     stated_effects,
     uncertain_parameters,
 )
+from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import DRIFT, Errors, Levels, falls, levels_of, likelihood
 from .model import Fitted, Model, at_bound, begin, parameters_of, values_of, with_effects
 from .moves import scaled, starts
 from .screen import screen
-from .search import Problem, Progress, in_parallel, silent
+from .search import Problem, Progress, silent
 
 #: windows in s, how many times smaller than usual their jumps are, and the longest simulation step
 WINDOW, JOINED, STEP = 2.0, 100.0, 5e-3

@@ -25,7 +25,7 @@ from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
 from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, Stage, all_parameters, informed_directions, timings
 from ..fit.variables import Variable, stated_effects
-from ..workers import results_of
+from ..workers import in_parallel
 from .criteria import CRITERIA
 from .lean import leaner
 from .model import (
@@ -182,13 +182,6 @@ class Problem:
         variables = (*self.base.variables, *own)
         u = [known.get(v.name, 0.0) for v in self.base.variables] + [v.begin for v in own]
         return fit.begun(self.crane, variables, np.array(u))
-
-
-def in_parallel(jobs: int, tasks: Sequence[tuple[Any, ...]]) -> list[Any]:
-    """Return the results of tasks (function, *arguments) from worker processes that know the user's own effects."""
-    if jobs == 1 or len(tasks) < 2:
-        return [function(*arguments) for function, *arguments in tasks]
-    return list(results_of(tasks, min(jobs, len(tasks))))
 
 
 def search(problem: Problem, most: int, progress: Progress = silent) -> Path:
