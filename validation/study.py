@@ -17,7 +17,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -165,12 +165,13 @@ def _seed_line(seed: int, more: Mapping[str, Any], criteria: Mapping[str, float]
     for name, value in criteria.items():
         object.__setattr__(CRITERIA, name, value)  # of this process, for all its cases
     plan = dict(more) if more.get("kind") else planned(seed) | dict(more)
+    learned = plan.pop("learned", math.inf)
     try:
         case = make_case(seed, **plan)
     except CraneError as problem:  # no manoeuvre shows this effect so well: told, and left out
         answer = {"kind": plan["kind"], "verdict": "", "effects": plan.get("keys", [])}
         return {"name": f"case_{seed}", "answer": answer, "undrawn": str(problem)}
-    return run_one(case, f"case_{seed}")
+    return run_one(replace(case, learn=case.learn.window(0.0, learned)), f"case_{seed}")
 
 
 def _folder_line(folder: Path, name: str) -> dict[str, Any]:
@@ -368,6 +369,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--noise", type=int, choices=(0, 1), help="0: 0.05 deg and 0.3 bar, 1: 1 deg and 1.5 bar")
     parser.add_argument("--kind", choices=KINDS, help="hide that in every case")
     parser.add_argument("--criterion", action="append", default=[], metavar="NAME=VALUE", help="another threshold")
+    parser.add_argument("--learned", type=float, metavar="SECONDS", help="learn from so much of each recording only")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler; local for one made here")
     given = parser.parse_args(arguments)
@@ -382,7 +384,7 @@ def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
         names = given.only or sorted(json.loads((given.folder / "answers.json").read_text(encoding="utf-8")))
         return [(name, _folder_line, (given.folder, name)) for name in names]
     first, _, last = given.seeds.partition("-")
-    more = {n: getattr(given, n) for n in ("sensors", "noise", "kind") if getattr(given, n) is not None}
+    more = {n: getattr(given, n) for n in ("sensors", "noise", "kind", "learned") if getattr(given, n) is not None}
     more |= {name: True for name in ("foreign", "swapped") if getattr(given, name)}
     if given.visible:
         low, _, high = given.visible.partition("-")

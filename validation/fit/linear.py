@@ -246,14 +246,11 @@ def join(a: Columns, b: Columns) -> Columns:
 
 def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
     """Return columns from models that differ from the base by a step each; equal inputs are stored once."""
-    signals, index = [base.W], []
+    known, signals, index = {base.W.tobytes(): 0}, [base.W], list[int]()
     for model in moved:
-        same = next(
-            (i for i, w in enumerate(signals) if w is model.W or np.array_equal(w, model.W, equal_nan=True)), None
-        )
-        if same is None:
+        index.append(0 if model.W is base.W else known.setdefault(model.W.tobytes(), len(signals)))
+        if index[-1] == len(signals):
             signals.append(model.W)
-        index.append(len(signals) - 1 if same is None else same)
     P = np.array([m.P for m in moved]).reshape(len(moved), base.P.size)
     E = np.array([m.E for m in moved]).reshape(len(moved), base.E.size)
     dynamic = (P != base.P).any(axis=1) | (np.array(index) != 0)
