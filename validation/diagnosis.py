@@ -22,7 +22,6 @@ from crane_exudyn.recording import Recording
 from .fit.solve import Fit
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
-from .selection.manoeuvre import best_manoeuvre
 from .selection.model import Fitted, excess, run_error, together
 from .selection.search import Path, Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
@@ -234,8 +233,8 @@ def diagnosis_of(path: Path, check: Recording | None, notes: Sequence[str] = ())
         {} if verdict.kind in ("adequate", "unknown") else moved_parameters(problem, lean),
         _candidates(path, verdict, lean),
         verdict.chosen.keys if named else (), tuple(" + ".join(w.keys) or "parameters" for w in verdict.ties),
-        next_manoeuvre=_telling(problem, lean, verdict.ties[0]) if verdict.ties else "", notes=(*verdict.notes, *notes),
-        late=lean.fit.late,
+        next_manoeuvre=problem.telling(lean.fit.crane, verdict.ties[0].fit.crane) if verdict.ties else "",
+        notes=(*verdict.notes, *notes), late=lean.fit.late,
     )  # fmt: skip
     if verdict.kind == "unknown":
         result = replace(result, where=_where(problem) or left_over(path.best or path.parameters))
@@ -276,11 +275,6 @@ def _where(problem: Problem) -> tuple[Mapping[str, Any], ...]:
         for finding in compare(problem.crane, r).where
     ]
     return tuple(sorted(found, key=lambda f: -f["score"]))
-
-
-def _telling(problem: Problem, chosen: Fitted, other: Fitted) -> str:
-    noise = {s.channel: s.noise for p in problem.data.parts for s in p.samples}
-    return best_manoeuvre(chosen.fit.crane, other.fit.crane, noise, problem.data.channels)
 
 
 def _candidates(path: Path, verdict: Verdict, lean: Fitted) -> tuple[Candidate, ...]:

@@ -16,11 +16,10 @@ from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
 from .diagnosis import several
-from .fit.data import Data, data_of
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
-from .fit.staged import LOOSE, STIFF, TIGHT, Stage, all_parameters, informed_directions
-from .fit.variables import NominalDirection, Variable, effect_variables, stated_effects
+from .fit.staged import LOOSE, STIFF, TIGHT, Stage
+from .fit.variables import NominalDirection, Variable, effect_variables
 from .history import added
 from .learned.fits import Explained, Part, explain, left_out_gain
 from .learned.laws import Law, laws_of, unit_over
@@ -29,11 +28,10 @@ from .learned.screen import allowed
 from .learned.screen import screened as screened_laws
 from .selection.criteria import CRITERIA
 from .selection.lean import needed
-from .selection.manoeuvre import best_manoeuvre
-from .selection.model import excess, plausible, run_error, together, unmoving
+from .selection.model import Model, excess, plausible, run_error, together
 from .selection.moves import scaled
 from .selection.screen import likely, screened
-from .selection.search import Progress, silent
+from .selection.search import Problem, Progress, silent
 from .workers import in_parallel
 
 #: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to
@@ -138,23 +136,6 @@ def sentence(found: Learned) -> str:
     return f"{' and '.join(told)}: error {found.error_before:.3g} -> {found.error_after:.3g} noise units"
 
 
-@dataclass(frozen=True)
-class _Search:
-    """What all steps of one search share."""
-
-    crane: Crane
-    data: Data
-    jobs: int
-    base: Fit  # all uncertain parameters fitted in loosely joined windows
-    shared: Sequence[Variable]
-
-    def explain(self, tried: Sequence[tuple[tuple[Part, ...], Fit]], stages: Sequence[Any]) -> list[Explained]:
-        """Return explanations fitted, best first."""
-        tasks = [(explain, self.crane, self.data, self.shared, before, parts, stages) for parts, before in tried]
-        found = in_parallel(self.jobs, tasks)
-        return sorted((e for e in found if math.isfinite(e.evidence)), key=lambda e: -e.evidence)
-
-
 def learn(
     crane: Crane,
     recordings: Recording | Sequence[Recording],
@@ -182,18 +163,25 @@ def learn(
     learned = several(recordings)
     notes = check_all(learned, check, crane)
     progress("fitting the nominal parameters", 0.05)
-    data = data_of(learned, crane)
-    base = all_parameters(crane, data)
-    search = _Search(crane, data, jobs, base, [*informed_directions(base), *stated_effects(crane)])
-    nothing = search.explain([((), base)], (TIGHT, STIFF))
-    best, rivals = _searched(search, nothing[0], progress, notes)
+    problem = Problem.of(crane, learned, (), jobs)
+    nothing = _explained(problem, [((), problem.base)], (TIGHT, STIFF))
+    best, rivals = _searched(problem, nothing[0], progress, notes)
     progress("weighing", 0.85)
-    result = _concluded(search, nothing[0], best, rivals, learned, check, notes)
+    result = _concluded(problem, nothing[0], best, rivals, check, notes)
     return replace(result, seconds=time.perf_counter() - began)
 
 
+def _explained(
+    problem: Problem, tried: Sequence[tuple[tuple[Part, ...], Fit]], stages: Sequence[Stage]
+) -> list[Explained]:
+    """Return parts fitted from earlier fits through the stages, best first."""
+    tasks = [(explain, problem.crane, problem.data, problem.shared, before, parts, stages) for parts, before in tried]
+    found = in_parallel(problem.jobs, tasks)
+    return sorted((e for e in found if math.isfinite(e.evidence)), key=lambda e: -e.evidence)
+
+
 def _searched(
-    search: _Search, nothing: Explained, progress: Progress, notes: list[str]
+    problem: Problem, nothing: Explained, progress: Progress, notes: list[str]
 ) -> tuple[Explained, list[Explained]]:
     """Return the best explanation of effects and laws, and all that were carried to the end with it, best first."""
     best, rivals = nothing, []
@@ -201,11 +189,11 @@ def _searched(
         if best.weighed.good:
             break
         progress("looking for another" if step else "screening all laws", 0.2 + 0.35 * step)
-        found = _grown(search, best, search.base if not step else best.fit, progress)
+        found = _grown(problem, best, problem.base if not step else best.fit, progress)
         chosen = _chosen(found, best)
         if chosen is None or (step and not _repairs(chosen, best)):
             break
-        if len(chosen.laws) > len(best.laws) and not _predicts(search, best, chosen, notes):
+        if len(chosen.laws) > len(best.laws) and not _predicts(problem, best, chosen, notes):
             break
         best, rivals = chosen, found
     if best.laws and not (_repairs(best, nothing) and plausible(best.fit)):
@@ -232,52 +220,45 @@ def _repairs(after: Explained, before: Explained) -> bool:
     return after.weighed.good or left < CRITERIA.left * was
 
 
-def _grown(search: _Search, best: Explained, before: Fit, progress: Progress) -> list[Explained]:
+def _grown(problem: Problem, best: Explained, before: Fit, progress: Progress) -> list[Explained]:
     """Return explanations with one part more, fitted to the end, best first."""
     if best.parts:
-        before = explain(search.crane, search.data, search.shared, before, best.parts, (LOOSE,)).fit
-    tried = [((*best.parts, part), before) for part in _promising(search, before)]
+        before = explain(problem.crane, problem.data, problem.shared, before, best.parts, (LOOSE,)).fit
+    tried = [((*best.parts, part), before) for part in _promising(problem, before)]
     progress("fitting the likely ones", 0.35)
-    found = search.explain(tried, (SIFT,))
+    found = _explained(problem, tried, (SIFT,))
     plain, curved = ([e for e in found if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
     least = found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
     near = [e for e in curved if e.evidence > least][:CARRIED]
-    near = [e if plausible(e.fit) else _anew(search, e) for e in near]
+    near = [e if plausible(e.fit) else _anew(problem, e) for e in near]
     progress("carrying the leading ones to the end", 0.5)
-    return search.explain([(e.parts, e.fit) for e in (*near, *plain[:1])], (TIGHT, STIFF))
+    return _explained(problem, [(e.parts, e.fit) for e in (*near, *plain[:1])], (TIGHT, STIFF))
 
 
-def _anew(search: _Search, e: Explained) -> Explained:
+def _anew(problem: Problem, e: Explained) -> Explained:
     """Return an explanation fitted anew from the crane as given with its parts as they were found, where that does no
     worse.
 
     Parameters that did a law's work before it was there come back slowly.
     """
+    fit = problem.with_effects({p.key: e.weighed.values(p.key) for p in e.parts})
     keys = {p.key for p in e.parts}
-    held = unmoving(search.crane)
-    for acting in (a for a in e.fit.crane.effects if a.key in keys):
-        held = held.with_effect(acting.key, acting.parameters)
-    fit = all_parameters(held, search.data)
     own = [i for i, v in enumerate(e.fit.variables) if getattr(v, "key", "") in keys]
     variables = (*fit.variables, *(e.fit.variables[i] for i in own))
     before = replace(fit, variables=variables, u=np.concatenate([fit.u, e.fit.u[own]]))
-    found = explain(search.crane, search.data, search.shared, before, e.parts, (LOOSE,))
+    found = explain(problem.crane, problem.data, problem.shared, before, e.parts, (LOOSE,))
     return found if found.evidence > e.evidence else e
 
 
-def _promising(search: _Search, fit: Fit) -> list[Part]:
+def _promising(problem: Problem, fit: Fit) -> list[Part]:
     """Return the laws and the effects of the library that a screen at a fit finds most promising.
 
     Parameters that have moved further than they may do a law's work and hide it: then the crane as given is screened
     too.
     """
-    laws, effects = _screened(search, fit)
-    if fit is search.base and not plausible(fit):
-        nominal = all_parameters(unmoving(search.crane), search.data)
-        known = {v.name: u for v, u in zip(nominal.variables, nominal.u, strict=True)}
-        u = np.array([known.get(v.name, 0.0) for v in fit.variables])
-        unmoved = nominal.begun(search.crane, fit.variables, u)
-        more, others = _screened(search, unmoved)
+    laws, effects = _screened(problem, fit)
+    if fit is problem.base and not plausible(fit):
+        more, others = _screened(problem, problem.unmoved(problem.nominal, Model(problem.shared)))
         laws, effects = _merged(laws, more), _merged(effects, others)
     return [*laws[:LOOSELY], *effects[:FITTED]]
 
@@ -291,7 +272,7 @@ def _merged(first: Sequence[Part], second: Sequence[Part]) -> list[Part]:
     return list(found.values())
 
 
-def _screened(search: _Search, fit: Fit) -> tuple[list[Part], list[Part]]:
+def _screened(problem: Problem, fit: Fit) -> tuple[list[Part], list[Part]]:
     """Return laws and effects of the library that could act beside a fit, the most promising first."""
     found = screened_laws(fit, laws_of(fit), LOOSE.stiffness)
     least = max(CRITERIA.proof, CRITERIA.hopeless * found[0].gain) if found else CRITERIA.proof
@@ -299,7 +280,7 @@ def _screened(search: _Search, fit: Fit) -> tuple[list[Part], list[Part]]:
     effects = []
     for score in likely(screened(fit, LOOSE.stiffness), FITTED, CRITERIA.promise):
         key = score.start.key
-        variables = tuple(effect_variables(key, scaled(score.start, score.amplitude), search.crane.layout))
+        variables = tuple(effect_variables(key, scaled(score.start, score.amplitude), problem.crane.layout))
         effects.append(Part(key, variables, np.array([v.begin for v in variables])))
     return laws, effects
 
@@ -315,9 +296,9 @@ def _sound(e: Explained) -> bool:
     return True
 
 
-def _predicts(search: _Search, before: Explained, after: Explained, notes: list[str]) -> bool:
+def _predicts(problem: Problem, before: Explained, after: Explained, notes: list[str]) -> bool:
     """Whether a law gains on blocks of time that were left out what it should, and leaves little enough."""
-    outside, inside = left_out_gain(search.crane, search.shared, before, after, BLOCK)
+    outside, inside = left_out_gain(problem.crane, problem.shared, before, after, BLOCK)
     if outside > PREDICTED * inside:
         return True
     law = after.laws[-1]
@@ -328,55 +309,58 @@ def _predicts(search: _Search, before: Explained, after: Explained, notes: list[
     return False
 
 
-def _refined(search: _Search, best: Explained) -> Explained:
+def _refined(problem: Problem, best: Explained) -> Explained:
     """Return the explanation with more knots where its curves bend; itself where that is no better supported."""
     parts = [p if p.found is None else Part.of(p.found.refined(best.curve(p)[0])) for p in best.parts]
     keys = {p.key for p in best.laws}
     shared = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in keys]
     before = replace(best.fit, variables=tuple(best.fit.variables[i] for i in shared), u=best.fit.u[shared])
-    found = explain(search.crane, search.data, search.shared, before, parts, (STIFF,))
+    found = explain(problem.crane, problem.data, problem.shared, before, parts, (STIFF,))
     return found if found.evidence > best.evidence else best
 
 
-def _lean(search: _Search, best: Explained) -> Explained:
+def _lean(problem: Problem, best: Explained) -> Explained:
     """Return the explanation with the fewest moved parameters, or the one with all where that is better supported."""
-    held: list[Variable] = [v for v in search.shared if not isinstance(v, NominalDirection)]
-    bare = explain(search.crane, search.data, held, best.fit, best.parts, (STIFF,))
-    tried, let_go = [best, bare], needed(search.crane, bare.fit)
+    held: list[Variable] = [v for v in problem.shared if not isinstance(v, NominalDirection)]
+    bare = explain(problem.crane, problem.data, held, best.fit, best.parts, (STIFF,))
+    tried, let_go = [best, bare], needed(problem.crane, bare.fit)
     if let_go:
-        tried.append(explain(search.crane, search.data, [*held, *let_go], best.fit, best.parts, (STIFF,)))
+        tried.append(explain(problem.crane, problem.data, [*held, *let_go], best.fit, best.parts, (STIFF,)))
     return max(tried, key=lambda e: e.evidence)
 
 
 def _concluded(
-    search: _Search, nothing: Explained, best: Explained, rivals: Sequence[Explained], recordings: Sequence[Recording],
-    check: Recording | None, notes: list[str],
-) -> Learned:  # fmt: skip
+    problem: Problem,
+    nothing: Explained,
+    best: Explained,
+    rivals: Sequence[Explained],
+    check: Recording | None,
+    notes: list[str],
+) -> Learned:
     """Return what was learned, with errors on both recordings; nothing, where the check recording says otherwise."""
-    given = Learned(search.data.name, search.crane, search.crane)
-    unchanged = _with_errors(given, nothing, recordings, check, search.jobs)
+    given = Learned(problem.data.name, problem.crane, problem.crane)
+    unchanged = _with_errors(given, nothing, problem, check)
     if not best.laws:
         if best.parts:
             names = ", ".join(p.key for p in best.parts)
             notes.append(f"effects of the library do as well: {names}. Go on with `patu diagnose`")
         return replace(unchanged, notes=tuple(notes))
-    lean = _lean(search, _refined(search, best))
-    kept = {"recording": search.data.name, "evidence": lean.evidence - nothing.evidence}
+    lean = _lean(problem, _refined(problem, best))
+    kept = {"recording": problem.data.name, "evidence": lean.evidence - nothing.evidence}
     found = lean.fit.crane
     for part in lean.laws:
         assert part.law is not None
         found = found.with_effect(part.key, part.law.values(_curve(lean, part)[0]))
-    learned = replace(given, crane=added(search.crane, found, **kept))
-    learned = _with_errors(learned, lean, recordings, check, search.jobs, unchanged)
+    learned = replace(given, crane=added(problem.crane, found, **kept))
+    learned = _with_errors(learned, lean, problem, check, unchanged)
     after, before = learned.check_error_after, learned.check_error_before
     if after > CRITERIA.misled and excess(after) > CRITERIA.left * excess(before):
         names = " and ".join(_name(p) for p in best.parts)
         notes.append(f"{names} explains the recording, but not the check recording (error {before:.3g} -> {after:.3g})")
         return replace(unchanged, notes=tuple(notes))
     ties = [e for e in rivals if e is not best and e.evidence > best.evidence - CRITERIA.tie and _sound(e)]
-    noise = {s.channel: s.noise for p in search.data.parts for s in p.samples}
-    telling = best_manoeuvre(best.fit.crane, ties[0].fit.crane, noise, search.data.channels) if ties else ""
-    laws = tuple(_told(search, lean, p, _names(best, ties), lean.evidence - nothing.evidence) for p in lean.laws)
+    telling = problem.telling(best.fit.crane, ties[0].fit.crane) if ties else ""
+    laws = tuple(_told(problem, lean, p, _names(best, ties), lean.evidence - nothing.evidence) for p in lean.laws)
     effects = tuple(p.key for p in lean.parts if p.law is None)
     return replace(learned, laws=laws, effects=effects, next_manoeuvre=telling, notes=tuple(notes))
 
@@ -407,7 +391,7 @@ def _curve(e: Explained, part: Part) -> tuple[np.ndarray, np.ndarray]:
     return part.law.physical(y, np.sqrt(np.maximum(np.diag(cov), 0.0))), cov
 
 
-def _told(search: _Search, e: Explained, part: Part, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
+def _told(problem: Problem, e: Explained, part: Part, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
     law = part.law
     assert law is not None
     curve = registry.split_key(law.key)[0].curve
@@ -416,29 +400,25 @@ def _told(search: _Search, e: Explained, part: Part, tied: tuple[str, ...], evid
     form = resembles(law.x, y, cov, law.over, curve.unit, law.key, law.against)
     text = form.text + (f", which is {form.library}" if form.library else "")
     return LearnedLaw(
-        law.key, law.over.name, unit_over(law, search.crane.layout), curve.unit, law.x, y,
+        law.key, law.over.name, unit_over(law, problem.crane.layout), curve.unit, law.x, y,
         np.sqrt(np.maximum(np.diag(cov), 0.0)),
         law.against, text, tied, evidence, law, form,
     )  # fmt: skip
 
 
 def _with_errors(
-    found: Learned,
-    e: Explained,
-    recordings: Sequence[Recording],
-    check: Recording | None,
-    jobs: int,
-    before: Learned | None = None,
+    found: Learned, e: Explained, problem: Problem, check: Recording | None, before: Learned | None = None
 ) -> Learned:
     """Add open-loop errors of its crane on all recordings; those of the crane as given are the same, or those of
     `before`.
     """
+    recordings = problem.recordings
     tasks: list[tuple[Any, ...]] = [
         (run_error, found.crane, r, None if found.crane is found.given else e.fit.of(i))
         for i, r in enumerate(recordings)
     ]
     tasks += [(run_error, found.crane, check, None)] if check is not None else []
-    errors = in_parallel(jobs, tasks)
+    errors = in_parallel(problem.jobs, tasks)
     error = together(recordings, errors[: len(recordings)])
     checked = errors[-1] if check is not None else math.nan
     first = before or replace(found, error_before=error, check_error_before=checked)

@@ -28,6 +28,7 @@ from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .lean import leaner
+from .manoeuvre import best_manoeuvre
 from .model import (
     Fitted,
     Model,
@@ -39,6 +40,7 @@ from .model import (
     run_error,
     together,
     unmoving,
+    values_of,
     with_effects,
 )
 from .moves import scaled, starts
@@ -136,14 +138,13 @@ class Problem:
     """What is searched: a crane, its recordings, and the variables that all models share.
 
     Attributes:
-        nominal: the crane as it is, in loosely joined windows; base: the same with all uncertain parameters free.
+        base: the crane in loosely joined windows, all its uncertain parameters free.
     """
 
     crane: Crane
     recordings: tuple[Recording, ...]
     data: Data
     jobs: int
-    nominal: Fit = field(repr=False)
     base: Fit = field(repr=False)
     shared: tuple[Variable, ...]
 
@@ -151,9 +152,13 @@ class Problem:
     def of(cls, crane: Crane, recordings: Sequence[Recording], own: Sequence[str], jobs: int) -> Problem:
         """Return the problem, nominal parameters fitted in loosely joined windows."""
         data = data_of(recordings, crane, own)
-        nominal, base = all_parameters(unmoving(crane), data), all_parameters(crane, data)
-        shared = (*informed_directions(base), *stated_effects(crane))
-        return cls(crane, tuple(recordings), data, jobs, nominal, base, shared)
+        base = all_parameters(crane, data)
+        return cls(crane, tuple(recordings), data, jobs, base, (*informed_directions(base), *stated_effects(crane)))
+
+    @cached_property
+    def nominal(self) -> Fit:
+        """The crane as it is, in loosely joined windows."""
+        return self.with_effects({})
 
     def run(self, moves: Sequence[Move], stages: Stages) -> list[Fitted]:
         """Return the moves fitted, on as many processes as may be used, best first."""
@@ -177,11 +182,16 @@ class Problem:
         """Return a fit of the crane as given with effects, in which all uncertain parameters may move from where the
         crane states them.
         """
-        known = {v.name: u for v, u in zip(fit.variables, fit.u, strict=True)}
+        known = values_of(fit)
         own = model.own(self.crane.layout)
         variables = (*self.base.variables, *own)
         u = [known.get(v.name, 0.0) for v in self.base.variables] + [v.begin for v in own]
         return fit.begun(self.crane, variables, np.array(u))
+
+    def telling(self, first: Crane, second: Crane) -> str:
+        """Return in words the manoeuvre on which two explanations differ most, as these sensors see them."""
+        noise = {s.channel: s.noise for p in self.data.parts for s in p.samples}
+        return best_manoeuvre(first, second, noise, self.data.channels)
 
 
 def search(problem: Problem, most: int, progress: Progress = silent) -> Path:
