@@ -22,7 +22,7 @@ from crane_exudyn.recording import Recording
 from .fit.solve import Fit
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
-from .selection.model import Fitted, excess, run_error, together
+from .selection.model import Fitted, misled, run_error, together
 from .selection.search import Path, Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .workers import in_parallel
@@ -248,13 +248,12 @@ def _held_to_check(d: Diagnosis) -> Diagnosis:
     Then the candidates stay, but none of them is what the machine lacks, or the check recording is of another machine.
     """
     after, before = d.check_error_after, d.check_error_before
-    if d.verdict == "unknown" or not (after > CRITERIA.misled and excess(after) > CRITERIA.left * excess(before)):
+    if d.verdict == "unknown" or not misled(before, after):
         return d
     found = " and ".join(d.effects) or "the model" + " with moved parameters" * (d.verdict == "parameters")
     note = (
         f"{found} explains the recording, but does not predict the check recording (error {before:.3g} -> {after:.3g} "
-        "noise units). Is it of "
-        "the same machine, with the same load and the same units?"
+        "noise units). Is it of the same machine, with the same load and the same units?"
     )
     return replace(
         d, verdict="unknown", crane=d.given, effects=(), tied_with=(), next_manoeuvre="", misses_check=True,

@@ -28,7 +28,7 @@ from .learned.screen import allowed
 from .learned.screen import screened as screened_laws
 from .selection.criteria import CRITERIA
 from .selection.lean import needed
-from .selection.model import Model, excess, plausible, run_error, together
+from .selection.model import Model, excess, misled, plausible, run_error, together
 from .selection.moves import scaled
 from .selection.screen import likely, screened
 from .selection.search import Problem, Progress, silent
@@ -354,7 +354,7 @@ def _concluded(
     learned = replace(given, crane=added(problem.crane, found, **kept))
     learned = _with_errors(learned, lean, problem, check, unchanged)
     after, before = learned.check_error_after, learned.check_error_before
-    if after > CRITERIA.misled and excess(after) > CRITERIA.left * excess(before):
+    if misled(before, after):
         names = " and ".join(_name(p) for p in best.parts)
         notes.append(f"{names} explains the recording, but not the check recording (error {before:.3g} -> {after:.3g})")
         return replace(unchanged, notes=tuple(notes))

@@ -301,6 +301,13 @@ def excess(error: float) -> float:
     return max(error**2 - 1.0, 0.0)
 
 
+def misled(before: float, after: float) -> bool:
+    """Whether the check recording was not predicted, its error without and with what was found given: most of it is
+    left.
+    """
+    return after > CRITERIA.misled and excess(after) > CRITERIA.left * excess(before)
+
+
 def with_effects(crane: Crane, effects: Mapping[str, Mapping[str, float]]) -> Crane:
     """Return a crane with effects set."""
     for key, values in effects.items():
