@@ -13,12 +13,16 @@ from crane_exudyn import Crane, Recording
 from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import registry
 from crane_exudyn.measurement import Measurement
+from validation.fit.data import FitData
+from validation.fit.staged import LOOSE, first_knots, staged
 from validation.history import removed
-from validation.learned.laws import Law, curve_at, knots
+from validation.learned.laws import Law, curve_at, knots, laws_of
 from validation.learned.own_effect import own_effect
 from validation.learned.resembles import resembles
-from validation.learned.screen import best_prior
+from validation.learned.screen import best_prior, screened
 from validation.learning import learn
+from validation.selection.moves import starts
+from validation.selection.screen import screen
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 
@@ -151,6 +155,13 @@ def test_a_progressive_spool_is_learned_and_read_and_predicts(tmp_path):
     code = f"from crane_exudyn.effects import registry as r; print(r.load_file(r'{file}')[0].opening(1.0, {law.x[0]}))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert float(said) == pytest.approx(law.y[0], rel=1e-4)
+
+
+def test_a_screen_needs_nothing_that_moves():
+    data = FitData.of(_recorded("learn", CRANE.with_effect("internal_leakage@lift", {"k": 2e-11}), 1), CRANE)
+    fit = staged(CRANE, data, (), np.zeros(0), first_knots(CRANE, data), (LOOSE,))
+    assert screen(fit, starts(CRANE, data), 1.0)[0].start.key == "internal_leakage@lift"
+    assert screened(fit, laws_of(fit), 1.0)[0].law.key == "learned_leakage@lift"
 
 
 def test_a_leak_of_the_library_is_not_learned():

@@ -59,7 +59,7 @@ class LearnedLaw:
         against_motion: whether it acts against motion.
         resembles: in words, "" if it resembles nothing simple; tied_with: what this recording cannot tell from it.
         evidence: log evidence that it brings.
-        visited: (n,) values of the argument along the recording.
+        law, form: what it is a curve of, with the values that were visited; the simple form that it resembles.
     """
 
     effect: str

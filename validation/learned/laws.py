@@ -34,9 +34,8 @@ class Law:
 
     Attributes:
         x: (K,) knots within the visited range, SI.
-        visited: (n,) values of the argument along the recording, sorted.
         against: whether it acts against motion.
-        count: of nominal curves that it may not fall below: True where physics allows one sign only.
+        visited: (n,) values of the argument along the recording, sorted.
     """
 
     key: str

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..fit.data import FitData
-from ..fit.linear import Columns, linearised, pack
+from ..fit.linear import Columns, pack
 from ..fit.model import Model, model_of
-from ..fit.solve import Fit, reduce
+from ..fit.solve import Fit
 from ..fit.variables import prior_root
-from ..selection.screen import with_prior_block
+from ..selection.screen import projected
 from .laws import Law
 
 #: what sizes and lengths of a prior are tried: in units of the argument's own size, and as shares of the range
@@ -82,15 +82,8 @@ def equations(fit: Fit, laws: Sequence[Law], stiffness: float) -> tuple[np.ndarr
         models = [model_of(base.crane.with_effect(key, values), data, base.late) for key, values in moves]
         return pack(base, models, sizes)
 
-    linear, _ = linearised(fit.origin, fit.data, fit.windows, fit.knots, fit.variables, fit.u, stiffness, probes)
-    n, m = len(sizes), len(fit.u)
-    if linear.failed:
-        return np.zeros((n, n)), np.zeros(n)
-    reduced = reduce(linear, fit.knots, fit.knots)
-    H, g = reduced.H, reduced.g
-    H[:m, :m], g[:m] = with_prior_block(fit, H[:m, :m], g[:m])
-    cross = np.linalg.lstsq(H[:m, :m], np.column_stack([H[:m, m:], g[:m]]), rcond=None)[0]
-    return H[m:, m:] - H[m:, :m] @ cross[:, :-1], -(g[m:] - H[m:, :m] @ cross[:, -1])
+    found, n = projected(fit, fit.knots, probes, stiffness), len(sizes)
+    return (np.zeros((n, n)), np.zeros(n)) if found is None else (found.H, -found.g)
 
 
 def best_prior(law: Law, H: np.ndarray, b: np.ndarray) -> Found:
@@ -115,6 +108,6 @@ def best_prior(law: Law, H: np.ndarray, b: np.ndarray) -> Found:
     return best
 
 
-def allowed(found: Found, H: np.ndarray | None = None) -> bool:
+def allowed(found: Found) -> bool:
     """Whether the curve has the sign that physics asks of it, on the whole."""
     return not found.law.one_sided or float(np.mean(found.y - found.law.neutral)) > 0.0

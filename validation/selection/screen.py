@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..fit.data import FitData
-from ..fit.linear import Columns, linearised, pack
+from ..fit.linear import Columns, Probes, linearised, pack
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
 from .criteria import CRITERIA
@@ -34,6 +34,17 @@ class Score:
     amplitude: float
 
 
+@dataclass(frozen=True)
+class Projected:
+    """Hessian H (n, n) and gradient g (n,) of the cost by probes, all else free; alone (n,): diagonal of H, all else
+    held.
+    """
+
+    H: np.ndarray
+    g: np.ndarray
+    alone: np.ndarray
+
+
 def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     """Return the score of every start at a fit, best first; a start that changes nothing scores 0."""
     room = len(fit.crane.layout.all_states) - fit.knots.shape[1]  # for a pendulum
@@ -42,15 +53,11 @@ def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
         models = [model_of(base.crane.with_effect(s.key, s.values), data, base.late) for s in starts]
         return pack(base, models, np.ones(len(models)))
 
-    knots = np.pad(fit.knots, ((0, 0), (0, room)))
-    linear, knots = linearised(fit.origin, fit.data, fit.windows, knots, fit.variables, fit.u, stiffness, probes)
-    if linear.failed:
+    found = projected(fit, np.pad(fit.knots, ((0, 0), (0, room))), probes, stiffness)
+    if found is None:
         return [Score(s, 0.0, 1.0) for s in starts]
-    reduced = reduce(linear, knots, knots)
-    m = len(fit.u)
-    H, g = reduced.H, reduced.g
-    H[:m, :m], g[:m] = with_prior_block(fit, H[:m, :m], g[:m])
-    return sorted(_scores(starts, H, g, m), key=lambda s: -s.gain)
+    rows = zip(starts, found.g, np.diag(found.H), found.alone, strict=True)
+    return sorted((_score(*row) for row in rows), key=lambda s: -s.gain)
 
 
 def screened(fit: Fit, stiffness: float) -> list[Score]:
@@ -82,30 +89,30 @@ def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
     return chosen
 
 
-def with_prior_block(fit: Fit, H: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Hessian and gradient of the fit's own variables with their priors."""
-    return with_prior(Reduced(H, g, np.empty(0), np.empty(0)), fit.variables, fit.u)
+def projected(fit: Fit, knots: np.ndarray, probes: Probes, stiffness: float) -> Projected | None:
+    """Return the normal equations of probes at a fit, with all that the fit moves projected out; None where the model
+    failed.
+    """
+    linear, knots = linearised(fit.origin, fit.data, fit.windows, knots, fit.variables, fit.u, stiffness, probes)
+    if linear.failed:
+        return None
+    reduced, m = reduce(linear, knots, knots), len(fit.u)
+    H, g = reduced.H, reduced.g
+    if not m:
+        return Projected(H, g, np.diag(H))
+    own = Reduced(H[:m, :m], g[:m], np.empty(0), np.empty(0))
+    A, b = with_prior(own, fit.variables, fit.u)
+    cross = np.linalg.lstsq(A, np.column_stack([H[:m, m:], b]), rcond=None)[0]
+    return Projected(H[m:, m:] - H[m:, :m] @ cross[:, :-1], g[m:] - H[m:, :m] @ cross[:, -1], np.diag(H)[m:])
 
 
-def _scores(starts: Sequence[Start], H: np.ndarray, g: np.ndarray, m: int) -> list[Score]:
-    """Project the fit's own variables out of the probes' normal equations and score each probe alone."""
-    cross = (
-        np.linalg.lstsq(H[:m, :m], np.column_stack([H[:m, m:], g[:m]]), rcond=None)[0]
-        if m
-        else np.zeros((0, len(g) + 1))
-    )
-    gradient = g[m:] - H[m:, :m] @ cross[:, -1]
-    curvature = np.diag(H)[m:] - np.einsum("ij,ji->i", H[m:, :m], cross[:, :-1])
-    found = []
-    for start, slope, bend, own in zip(starts, gradient, curvature, np.diag(H)[m:], strict=True):
-        if not bend > 1e-9 * max(own, 1e-12) or not np.isfinite(slope):
-            found.append(Score(start, 0.0, 0.0))
-            continue
-        amplitude = -slope / bend
-        limited = np.clip(abs(amplitude), _SMALLEST, _LARGEST) * np.sign(amplitude)
-        if limited < 0.0 and not start.two_sided:
-            found.append(Score(start, 0.0, _SMALLEST))
-            continue
-        gain = -(slope * limited + 0.5 * bend * limited**2)
-        found.append(Score(start, float(max(gain, 0.0)), float(limited)))
-    return found
+def _score(start: Start, slope: float, bend: float, alone: float) -> Score:
+    """Return what a probe promises whose cost has that slope and bend (`alone`: before anything was projected out)."""
+    if not bend > 1e-9 * max(alone, 1e-12) or not np.isfinite(slope):
+        return Score(start, 0.0, 0.0)
+    amplitude = -slope / bend
+    limited = np.clip(abs(amplitude), _SMALLEST, _LARGEST) * np.sign(amplitude)
+    if limited < 0.0 and not start.two_sided:
+        return Score(start, 0.0, _SMALLEST)
+    gain = -(slope * limited + 0.5 * bend * limited**2)
+    return Score(start, float(max(gain, 0.0)), float(limited))
