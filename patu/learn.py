@@ -121,11 +121,9 @@ def tell(printer: Printer, found: Learned) -> None:
 
 
 def _tell_law(printer: Printer, law: LearnedLaw) -> None:
-    from crane_exudyn.units import factor_to_si
-    from validation.learned.resembles import READ
+    from validation.learned.resembles import read_in
 
-    x_unit, y_unit = READ.get(law.unit_over, law.unit_over), READ.get(law.unit, law.unit)
-    fx, fy = factor_to_si(x_unit, law.unit_over), factor_to_si(y_unit, law.unit)
+    (x_unit, fx), (y_unit, fy) = read_in(law.unit_over), read_in(law.unit)
     acts = "against motion, " if law.against_motion else ""
     rows = [(float(x / fx), float(y / fy), float(1.96 * s / fy)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
     printer.table(

@@ -10,6 +10,7 @@ from ..plots import OTHERS, style
 from ..plots import figure as new_figure
 from ..selection.plots import in_words
 from .laws import curve_at
+from .resembles import read_in
 
 if TYPE_CHECKING:
     from ..learning import Learned, LearnedLaw
@@ -30,8 +31,7 @@ def figure(found: Learned) -> Any:
 
 
 def _panel(axes: Any, law: LearnedLaw) -> None:
-    fx, x_unit = _scale(law.unit_over)
-    fy, y_unit = _scale(law.unit)
+    (x_unit, fx), (y_unit, fy) = read_in(law.unit_over), read_in(law.unit)
     at = np.linspace(law.x[0], law.x[-1], 300)
     middle, low, high = (curve_at(law.x, law.y + s * law.std, at, law.law.over.slope) / fy for s in (0.0, -1.96, 1.96))
     color = OTHERS[2].color
@@ -45,12 +45,3 @@ def _panel(axes: Any, law: LearnedLaw) -> None:
     axes.set_xlabel(f"{law.over.replace('_', ' ')}{f' [{x_unit}]' if x_unit else ''}; marks: where the recording went")
     axes.set_ylabel(f"{in_words(law.effect)}{f' [{y_unit}]' if y_unit else ''}")
     axes.legend()
-
-
-def _scale(unit: str) -> tuple[float, str]:
-    from crane_exudyn.units import factor_to_si
-
-    from .resembles import READ
-
-    read = READ.get(unit, unit)
-    return factor_to_si(read, unit), read

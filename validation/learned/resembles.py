@@ -12,21 +12,17 @@ from scipy.optimize import least_squares
 from crane_exudyn.effects.curve import Argument
 from crane_exudyn.units import factor_to_si
 
-#: SI unit -> the one that people read
-READ = {
-    "Pa": "bar",
-    "N": "kN",
-    "m^3/s": "l/min",
-    "rad": "deg",
-    "rad/s": "deg/s",
-    "N*m": "N*m",
-    "m": "m",
-    "m/s": "m/s",
-    "": "",
-}
+#: SI unit -> the one in which a curve is read, where that is another one
+_READ = {"Pa": "bar", "N": "kN", "m^3/s": "l/min", "rad": "deg", "rad/s": "deg/s"}
 #: a form is named if it leaves no more than so many standard errors (RMS over the knots), or that share of the curve's
 #: greatest departure
 _ERRORS, _SHARE = 2.0, 0.08
+
+
+def read_in(unit: str) -> tuple[str, float]:
+    """Return the unit in which a curve of an SI unit is read, and what one of it is in SI."""
+    read = _READ.get(unit, unit)
+    return read, factor_to_si(read, unit)
 
 
 @dataclass(frozen=True)
@@ -125,14 +121,7 @@ def _of(unit: str) -> str:
 
 
 def resembles(
-    x: np.ndarray,
-    y: np.ndarray,
-    cov: np.ndarray,
-    over: Argument,
-    unit: str,
-    key: str,
-    against: bool,
-    where: np.ndarray | None = None,
+    x: np.ndarray, y: np.ndarray, cov: np.ndarray, over: Argument, unit: str, key: str, against: bool
 ) -> Resemblance:
     """Return what a curve y (K,) with covariance (K, K) at knots x (K,) resembles, in SI; a Resemblance without name if
     nothing.
@@ -140,7 +129,7 @@ def resembles(
     The forms compete by BIC. A curve over the spool is described as a whole, one over the pressure drop of a valve by
     its factor.
     """
-    fx, fy = factor_to_si(READ.get(over.unit, over.unit), over.unit), factor_to_si(READ.get(unit, unit), unit)
+    (x_unit, fx), (y_unit, fy) = read_in(over.unit), read_in(unit)
     X, Y, spread = x / fx, y / fy, _whitener(cov / fy**2, y / fy)
     best: tuple[float, Form, np.ndarray, float] | None = None
     for form in FORMS:
@@ -161,8 +150,8 @@ def resembles(
     departure = np.abs(Y - [over.neutral(v * fx) / fy for v in X]).max()
     if math.sqrt(squares / len(X)) > _ERRORS and left > _SHARE * departure:
         return Resemblance("", "")
-    words = form.words(p, spread, READ.get(unit, unit), READ.get(over.unit, over.unit)).replace("  ", " ").strip()
-    text = _told(form, p, words, over, key)
+    words = form.words(p, spread, y_unit, x_unit).replace("  ", " ").strip()
+    text = _told(form, p, words, over)
     law = lambda s: form.law(np.asarray(s) / fx, p) * fy  # noqa: E731
     return Resemblance(form.name, text, tuple(p), _library(form, key, over, against), law)
 
@@ -173,7 +162,7 @@ def _whitener(cov: np.ndarray, y: np.ndarray) -> np.ndarray:
     return vectors.T / np.sqrt(values)[:, None]
 
 
-def _told(form: Form, p: np.ndarray, words: str, over: Argument, key: str) -> str:
+def _told(form: Form, p: np.ndarray, words: str, over: Argument) -> str:
     if over.name == "spool" and form.name == "power":
         factor = "" if abs(p[0] - 1.0) < 0.05 else f"{p[0]:.3g} "
         return f"opening = {factor}U^{p[1]:.3g}"
