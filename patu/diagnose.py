@@ -21,9 +21,9 @@ from .options import (
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
-    load_checked,
+    listed,
+    load_all,
     load_crane,
-    load_several,
     picture,
 )
 from .output import Printer, progress
@@ -57,8 +57,7 @@ def command(
     recordings of one machine are fitted together; each has its own start and clocks, and what --per-recording names.
     """
     chosen = load_crane(crane, effects)
-    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
-    other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
+    measured, other = load_all(recordings, check, chosen, mapping, map_file, anyway=anyway)
     from validation.diagnosis import diagnose
     from validation.workers import scheduled
 
@@ -82,9 +81,9 @@ def command(
             f"Go on: {' '.join(['patu', 'learn', *map(str, recordings), *more])}   looks for a law that is not in the "
             "library"
         )
-    given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
+    given = {"check": other.name if other else None, "own effects": listed(effects) or None}
     with saving(printer) as save:
-        save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())
+        save.json(json, {"recording": listed(recordings), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
         save(report, lambda path: report_diagnosis(result, path, given, Examined(measured, other)))
 

@@ -21,9 +21,9 @@ from .options import (
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
-    load_checked,
+    listed,
+    load_all,
     load_crane,
-    load_several,
     picture,
 )
 from .output import Printer, progress
@@ -58,8 +58,7 @@ def command(
     with which evidence; `patu remove` undoes it.
     """
     chosen = load_crane(crane, effects)
-    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
-    other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
+    measured, other = load_all(recordings, check, chosen, mapping, map_file, anyway=anyway)
     from validation.improvement import improve
     from validation.workers import scheduled
 
@@ -78,7 +77,7 @@ def command(
     given = {"check": other.name if other else None, "most steps": most, "crane file written": str(output)}
     with saving(printer) as save:
         save(output, result.crane.save, result.crane.to_toml())
-        save.json(json, {"recording": ", ".join(map(str, recordings))} | result.to_dict(output))
+        save.json(json, {"recording": listed(recordings)} | result.to_dict(output))
         save(plot, lambda path: save_figure(result.plot(), path))
         save(report, lambda path: report_improvement(result, path, given, Examined(measured, other)))
 

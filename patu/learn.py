@@ -23,9 +23,9 @@ from .options import (
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
-    load_checked,
+    listed,
+    load_all,
     load_crane,
-    load_several,
     picture,
 )
 from .output import Printer, progress
@@ -74,8 +74,7 @@ def command(
     the library's effects do as well, or nothing is found, no law is given (exit status 0).
     """
     chosen = load_crane(crane, effects)
-    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
-    other = None if check is None else load_checked(check, chosen, mapping, map_file, anyway=anyway)
+    measured, other = load_all(recordings, check, chosen, mapping, map_file, anyway=anyway)
     from validation.learning import learn
     from validation.workers import scheduled
 
@@ -88,7 +87,7 @@ def command(
 
     printer = Printer(json)
     tell(printer, result)
-    given = {"check": other.name if other else None, "own effects": ", ".join(map(str, effects or ())) or None}
+    given = {"check": other.name if other else None, "own effects": listed(effects) or None}
     with saving(printer) as save:
         if result.laws:
             save(output, result.crane.save, result.crane.to_toml())
@@ -98,7 +97,7 @@ def command(
             )
         elif output is not None or write is not None:
             print("No law was found: no crane file and no effect were written.", file=sys.stderr)
-        save.json(json, {"recording": ", ".join(map(str, recordings)), "crane": chosen.name} | result.to_dict())
+        save.json(json, {"recording": listed(recordings), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
         save(report, lambda path: report_learned(result, path, given))
 

@@ -169,6 +169,25 @@ def load_several(
     return [replace(r, name=str(path)) if names.count(r.name) > 1 else r for r, path in zip(found, paths, strict=True)]
 
 
+def load_all(
+    recordings: Sequence[Path],
+    check: Path | None,
+    crane: Crane,
+    entries: Sequence[str] | None,
+    map_file: Path | None,
+    *,
+    anyway: bool,
+) -> tuple[list[Recording], Recording | None]:
+    """Return the recordings that are learned from, and the one that is only predicted, as `load_checked` does."""
+    measured = load_several(recordings, crane, entries, map_file, anyway=anyway)
+    return measured, None if check is None else load_checked(check, crane, entries, map_file, anyway=anyway)
+
+
+def listed(paths: Sequence[Path] | None) -> str:
+    """Return the names of files as one text."""
+    return ", ".join(map(str, paths or ()))
+
+
 def load_mapping(crane: Crane, entries: Sequence[str] | None, map_file: Path | None) -> dict[str, Column]:
     """Return {channel: column} of a crane's recording, of `--map-file`, and of `--map`, which goes before it."""
     from crane_exudyn.mapping import load_map, parse_map
