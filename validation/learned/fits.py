@@ -14,8 +14,8 @@ from ..fit.evidence import log_evidence
 from ..fit.linear import Window, cut
 from ..fit.solve import Fit, fit, reknot
 from ..fit.staged import LOOSE, Stage, staged
-from ..fit.variables import CurveDirection, EffectVariable, Variable, curve_variables
-from ..selection.model import Fitted, Model, begin, values_of
+from ..fit.variables import EffectVariable, Variable, curve_variables
+from ..selection.model import Fitted, Model, begin, curve_of, unmoving, values_of
 from .laws import Law
 from .screen import Found
 
@@ -68,16 +68,7 @@ class Explained:
 
     def curve(self, part: Part) -> tuple[np.ndarray, np.ndarray]:
         """Return the fitted values (K,) of a law at its knots and their covariance (K, K), SI."""
-        assert part.law is not None
-        at = [i for i, v in enumerate(self.fit.variables) if isinstance(v, CurveDirection) and v.key == part.key]
-        root = _root(part)
-        return part.law.neutral + root @ self.fit.u[at], root @ self.fit.cov[np.ix_(at, at)] @ root.T
-
-
-def _root(part: Part) -> np.ndarray:
-    assert part.law is not None
-    names = [f"y{k + 1}" for k in range(len(part.law.x))]
-    return np.array([[v.weights[n] for v in part.variables if isinstance(v, CurveDirection)] for n in names])
+        return curve_of(self.fit, part.key)[1:]
 
 
 def explain(
@@ -139,6 +130,5 @@ def _split(
         mine = [k for k, w in enumerate(windows) if w.recording == i and not stay[k]]
         own, others = learned.of(i), [replace(windows[k], recording=0) for k in mine]
         if others:
-            exact = replace(own.crane, uncertainty={})
-            held += fit(exact, part.shifted(own.late), others, knots[mine], iterations=2).linear.cost
+            held += fit(unmoving(own.crane), part.shifted(own.late), others, knots[mine], iterations=2).linear.cost
     return learned.linear.cost, held

@@ -154,7 +154,9 @@ class Fitted:
             for v, u, spread in zip(self.fit.variables, self.fit.u, np.diag(self.fit.cov), strict=True)
             if isinstance(v, EffectParameter) and v.key == key
         }
-        return found | _curve_deviations(self.fit, key)
+        names, _, cov = curve_of(self.fit, key)
+        spread = np.sqrt(np.maximum(np.diag(cov), 0.0))
+        return found | {n: float(s) for n, s in zip(names, spread, strict=True)}
 
 
 def _moves(fit: Fit) -> np.ndarray:
@@ -189,13 +191,16 @@ def parameters_of(crane: Crane, key: str) -> dict[str, float]:
     return dict(acting.parameters)
 
 
-def _curve_deviations(fit: Fit, key: str) -> dict[str, float]:
-    """Return the standard deviation (SI) of each value of a curve; none for another effect."""
-    at = [i for i, v in enumerate(fit.variables) if isinstance(v, CurveDirection) and v.key == key]
-    names = sorted({n for i in at for n in fit.variables[i].weights}, key=lambda n: int(n[1:]))  # type: ignore[union-attr]
-    root = np.array([[fit.variables[i].weights[n] for i in at] for n in names])  # type: ignore[union-attr]
-    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", root, fit.cov[np.ix_(at, at)], root), 0.0)) if names else []
-    return {n: float(s) for n, s in zip(names, spread, strict=True)}
+def curve_of(fit: Fit, key: str) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Return the names of the values of a curve (K; 0 for another effect), their values (K,) and covariance (K, K),
+    SI.
+    """
+    moved = [(i, v) for i, v in enumerate(fit.variables) if isinstance(v, CurveDirection) and v.key == key]
+    names = list(moved[0][1].weights) if moved else []
+    at = [i for i, _ in moved]
+    root = np.array([[v.weights[n] for _, v in moved] for n in names]).reshape(len(names), len(moved))
+    start = np.array([moved[0][1].start[n] for n in names])
+    return names, start + root @ fit.u[at], root @ fit.cov[np.ix_(at, at)] @ root.T
 
 
 def deviation(variable: EffectParameter, u: float, spread: float) -> float:
