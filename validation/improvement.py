@@ -229,9 +229,8 @@ def explained(found: Many) -> list[str]:
     """Return in plain words what the data demand, what they cannot separate, and what is left."""
     texts = [_demanded(found, key) for key in sorted(found.needed, key=lambda k: -found.needed[k])]
     for step in found.taken:
-        near = [k for k, g in sorted(step.rivals.items(), key=lambda r: -r[1]) if g > CRITERIA.serious * step.evidence][
-            :3
-        ]
+        serious = [k for k, g in step.rivals.items() if g > CRITERIA.serious * step.evidence]
+        near = sorted(serious, key=lambda k: -step.rivals[k])[:3]
         if near:
             texts.append(
                 f"Not separated: when {step.key} was taken in, {', '.join(near)} would have brought half its evidence "
@@ -262,8 +261,7 @@ def _identified(found: Many) -> list[str]:
         far = ", ".join(f"{n} by {abs(found.moved[n]):.1f}" for n in strained)
         texts.append(
             f"Hardly plausible, as many standard uncertainties from the crane file: {far}. They do the work of "
-            "something that is "
-            "not in the model, or that this recording does not separate from them"
+            "something that is not in the model, or that this recording does not separate from them"
         )
     return texts
 

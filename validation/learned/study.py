@@ -1,8 +1,7 @@
 """The study of learning: machines with laws that are in no effect file, through `patu learn`, and how it did.
 
-python -m validation.learned.study run results.jsonl --seeds 7000-7023     a line a case, on the Exudyn engine; finished
-ones are not run again python -m validation.learned.study tables results.jsonl                    what came out, as
-Markdown
+python -m validation.learned.study run results.jsonl --seeds 7000-7023     a line a case; finished ones are kept
+python -m validation.learned.study tables results.jsonl                    what came out, as Markdown
 """
 
 from __future__ import annotations
@@ -43,8 +42,8 @@ def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]
 
     Returns:
         "place": balance and place right; "argument": the argument too, first or tied; "curve": greatest error over the
-            visited range by the greatest
-        departure from neutral there; "check": the check recording explained. Where no law was to be found: "silent".
+        visited range by the greatest departure from neutral there; "check": the check recording explained. Where no law
+        was to be found: "silent".
     """
     truth = answer.get("law", {})
     if not truth.get("effect"):
