@@ -46,6 +46,9 @@ def command(
     jobs: JobsOption = 2,
     scheduler: SchedulerOption = None,
     most: Annotated[int, typer.Option("--most", metavar="N", help="At most so many steps.", min=1)] = 4,
+    learn: Annotated[
+        bool, typer.Option("--learn", help="Learn laws where named effects do not explain the recordings.")
+    ] = False,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the falling error."), Writes(picture)
     ] = None,
@@ -55,7 +58,8 @@ def command(
     """Improve a crane file on a recording step by step; errors are open-loop, in units of the sensors' noise.
 
     Every accepted step is confirmed on the Exudyn engine. The crane file keeps what was added, from which recording and
-    with which evidence; `patu remove` undoes it.
+    with which evidence; `patu remove` undoes it. Learned laws are a last resort: a named effect that does as well later
+    replaces them.
     """
     chosen = load_crane(crane, effects)
     measured, other = load_all(recordings, check, chosen, mapping, map_file, anyway=anyway)
@@ -65,7 +69,7 @@ def command(
     printer = Printer(json)
     with progress("Improve") as done, scheduled(scheduler):
         result = improve(
-            chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most,
+            chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most, learn=learn,
             told=lambda step: tell(printer, step), progress=lambda part, share: done(share, part),
         )  # fmt: skip
     from validation.plots import save as save_figure

@@ -15,12 +15,14 @@ from crane_exudyn.effects import registry
 from crane_exudyn.measurement import Measurement
 from validation.fit.data import FitData
 from validation.fit.staged import LOOSE, first_knots, staged
-from validation.history import removed
+from validation.history import added, learned, removed
+from validation.improvement import improve
 from validation.learned.laws import Law, curve_at, knots, laws_of
 from validation.learned.own_effect import own_effect
 from validation.learned.resembles import resembles
 from validation.learned.screen import best_prior, screened
 from validation.learning import learn
+from validation.reports import report_improvement
 from validation.selection.moves import starts
 from validation.selection.screen import screen
 from validation.semi_recursive.engine import SemiRecursiveEngine
@@ -174,6 +176,34 @@ def test_a_leak_of_the_library_is_not_learned():
 def test_nothing_is_learned_from_a_sound_machine():
     found = learn(CRANE, _recorded("learn", CRANE, 1), jobs=1)
     assert found.laws == () and found.error_after == found.error_before < 1.1
+
+
+#: few parameters are uncertain here, so that the fits are short
+KNOWN = replace(CRANE, uncertainty={n: CRANE.uncertainty[n] for n in ("payload.mass", "fluid.oil_bulk_modulus")})
+
+
+def test_an_improvement_learns_where_named_effects_end(tmp_path):
+    y = [np.sign(u) * abs(u) ** 1.5 for u in PROGRESSIVE]
+    values = registry.find("learned_opening").curve.values("spool", PROGRESSIVE, y)
+    recording = _recorded("learn", KNOWN.with_effect("learned_opening@tilt", values), 1)
+    found = improve(KNOWN, recording, jobs=1, learn=True)
+    last = found.steps[-1]
+    assert last.added == "learned_opening@tilt" and "no named effect" in last.text
+    assert found.verdict == "adequate" and last.error < 1.1 < found.steps[0].error
+    found.crane.save(tmp_path / "new.toml")
+    assert learned(Crane.load(tmp_path / "new.toml")) == ("learned_opening@tilt",)
+    assert "learned_opening@tilt" in report_improvement(found, tmp_path).read_text(encoding="utf-8")
+
+
+def test_a_named_effect_that_does_as_well_replaces_a_learned_law(tmp_path):
+    law = registry.find("learned_leakage").curve.values("pressure_drop", [0.0, 40e5, 80e5], [0.0, 8e-5, 16e-5])
+    lawful = added(KNOWN, KNOWN.with_effect("learned_leakage@lift", law), learned=["learned_leakage@lift"])
+    machine = KNOWN.with_effect("internal_leakage@lift", {"k": 2e-11})
+    found = improve(lawful, _recorded("learn", machine, 1), jobs=1)
+    assert [e.key for e in found.crane.effects] == ["internal_leakage@lift"]
+    assert "replaces learned_leakage@lift" in found.steps[-1].text
+    found.crane.save(tmp_path / "new.toml")
+    assert removed(Crane.load(tmp_path / "new.toml"), "internal_leakage@lift") == lawful
 
 
 def test_a_curve_is_given_the_sign_and_slope_that_physics_asks_of_it():

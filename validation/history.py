@@ -17,7 +17,7 @@ def added(before: Crane, after: Crane, **evidence: Any) -> Crane:
     adjusted = {
         e.key: dict(e.parameters)
         for e in before.effects
-        if (now := after.effect(e.key)) and dict(now.parameters) != dict(e.parameters)
+        if (now := after.effect(e.key)) is None or dict(now.parameters) != dict(e.parameters)
     }
     entry: dict[str, Any] = {"added": keys or ["parameters"], **evidence, "parameters": moved}
     return after.with_history(entry | ({"effects_before": adjusted} if adjusted else {}))
@@ -51,6 +51,19 @@ def _undone(crane: Crane, entry: Mapping[str, Any]) -> Crane:
     for key, values in entry.get("effects_before", {}).items():
         result = result.with_effect(key, values)
     return replace(result, history=crane.history[:-1])
+
+
+def learned(crane: Crane) -> tuple[str, ...]:
+    """Return the laws of a crane that were learned, as its history says."""
+    keys = {key for entry in crane.history for key in entry.get("learned", ())}
+    return tuple(e.key for e in crane.effects if e.key in keys)
+
+
+def without_learned(crane: Crane) -> Crane:
+    """Return the crane without the laws that were learned, what moved with the last of them as it was before."""
+    while keys := learned(crane):
+        crane = removed(crane, keys[-1])
+    return crane
 
 
 def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:

@@ -19,12 +19,17 @@ from crane_exudyn.recording import Recording
 from .diagnosis import MOST, Candidate, Diagnosis, diagnosis_of, searched, sentence
 from .fit.data import FitData
 from .fit.staged import FINE, residuals, rms
-from .history import added
+from .history import added, learned, without_learned
+from .learning import Learned
+from .learning import learn as learn_laws
+from .learning import sentence as learned_sentence
 from .selection.criteria import CRITERIA
 from .selection.levels import Errors
 from .selection.many import Many, search_many
 from .selection.model import open_loop_error, parameters_of, together
+from .selection.search import Path as SearchPath
 from .selection.search import Progress, silent
+from .selection.verdict import verdict_of
 
 #: the two engines' errors may differ by this share before it is said
 AGREEMENT = 0.05
@@ -59,7 +64,7 @@ class Improvement:
     """The steps from the crane as given to the one that explains the recording as far as effects are justified.
 
     `many`: what was found where no single effect explained the recording, with the evidence for each effect; None
-    otherwise.
+    otherwise. `learned`: what was learned where named effects did not do; None where that was not asked for, or needed.
     """
 
     recording: str
@@ -68,14 +73,17 @@ class Improvement:
     verdict: str
     diagnoses: tuple[Diagnosis, ...]
     many: Many | None = None
+    learned: Learned | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to know about the recordings; and what the data demand, cannot separate and leave, where several effects
-        were taken in.
+        """What to know about the recordings; where several effects were taken in, what the data demand, cannot separate
+        and leave; and what was said of learning.
         """
         about = self.diagnoses[0].notes if self.diagnoses else ()
-        return about if self.many is None else (*about, *explained(self.many))
+        several = () if self.many is None else explained(self.many)
+        laws = () if self.learned is None else (n for n in self.learned.notes if n not in about)
+        return (*about, *several, *laws)
 
     def to_dict(self, path: str | Path = "") -> dict[str, Any]:
         """Return the JSON of improve; `path` is where the crane file was written."""
@@ -119,10 +127,13 @@ def improve(
     per_recording: Sequence[str] = (),
     jobs: int = 2,
     most: int = 4,
+    learn: bool = False,
     told: Callable[[Step], None] = lambda step: None,
     progress: Progress = silent,
 ) -> Improvement:
     """Return the crane with what the recordings justify; each step's errors are confirmed on the Exudyn engine.
+
+    Laws that the crane learned before go again where named effects do as well.
 
     Args:
         crane: the crane file as given.
@@ -130,37 +141,88 @@ def improve(
         per_recording: nominal parameters that differ from recording to recording.
         jobs: processes to use.
         most: at most so many effects.
+        learn: whether laws are learned where named effects do not explain the recordings.
         told: called with each step as soon as it is known.
         progress: called with a text and the share that is done.
     """
-    path, notes = searched(crane, recording, check, per_recording, min(most, MOST), jobs, progress)
-    d = diagnosis_of(path, check, notes)
+
+    def search(given: Crane) -> tuple[SearchPath, list[str]]:
+        return searched(given, recording, check, per_recording, min(most, MOST), jobs, progress)
+
+    path, notes = search(crane)
+    replaced = learned(crane)
+    if replaced:
+        named, _ = search(without_learned(crane))
+        path, replaced = (named, replaced) if _as_well(named, path) else (path, ())
+    d = replace(diagnosis_of(path, check, notes), given=crane)
     judge = _Judge(path.problem.recordings, check, path.problem.data.own)
     steps = [judge.step(None, crane, d.verdict, sentence(d))]
     told(steps[0])
-    many, left, chosen = None, d.verdict, _chosen(d)
+    result = _named(
+        Improvement(d.recording, tuple(steps), crane, d.verdict, (d,)), path, replaced, judge, most, progress
+    )
+    for step in result.steps[1:]:
+        told(step)
+    if not learn or result.verdict != "unknown" or d.misses_check:
+        return result
+    found = learn_laws(result.crane, judge.recordings, check, per_recording=per_recording, jobs=jobs, progress=progress)
+    result = _with_laws(result, found, judge)
+    if found.laws:
+        told(result.steps[-1])
+    return result
+
+
+def _as_well(named: SearchPath, lawful: SearchPath) -> bool:
+    """Whether named effects explain recordings as well as the laws that a crane learned: a law must bring the proof
+    against them, whatever is found beside it.
+    """
+    if named.best is None or verdict_of(named).kind not in ("effect", "tied"):
+        return False
+    with_law = max([lawful.bare, *(w.evidence for w in lawful.weighed)])
+    return named.best.evidence > with_law - CRITERIA.proof
+
+
+def _named(
+    result: Improvement, path: SearchPath, replaced: Sequence[str], judge: _Judge, most: int, progress: Progress
+) -> Improvement:
+    """Return the improvement with the named effects that a path justifies, instead of the laws that they replace."""
+    (d,), crane = result.diagnoses, result.crane
+    many, chosen = None, _chosen(d)
     if d.verdict == "unknown" and not d.misses_check:
         many = search_many(path.problem, most, progress)
         many = many if many is not None and many.predicts_better else None
     if many is not None:
         name, improved, evidence = " + ".join(many.needed), many.crane, sum(many.needed.values())
+        text = "no effect alone explains the recording, these together do what can be done"
     elif chosen is not None:
-        name, improved, evidence = chosen.name, chosen.crane, chosen.evidence
+        name, improved, evidence, text = chosen.name, chosen.crane, chosen.evidence, sentence(d)
     else:
-        return Improvement(d.recording, tuple(steps), crane, left, (d,))
-    entry = {"recording": d.recording, "evidence": evidence, "verdict": d.verdict, "error_before": steps[0].error}
+        return result
+    entry: dict[str, Any] = {
+        "recording": d.recording,
+        "evidence": evidence,
+        "verdict": d.verdict,
+        "error_before": result.steps[0].error,
+    }
+    if replaced:
+        entry, text = entry | {"replaced": list(replaced)}, f"{text}; it replaces {' and '.join(replaced)}"
     best = added(crane, replace(improved, history=crane.history), **entry)
-    text = (
-        "no effect alone explains the recording, these together do what can be done"
-        if many is not None
-        else sentence(d)
+    step = judge.step(name, best, d.verdict, text)
+    good = step.search_error < CRITERIA.level or (many is None and chosen is not None and chosen.level < CRITERIA.level)
+    left = "adequate" if good else "unknown"
+    return replace(result, steps=(*result.steps, step), crane=best, verdict=left, many=many)
+
+
+def _with_laws(result: Improvement, found: Learned, judge: _Judge) -> Improvement:
+    """Return the improvement with the laws that were learned as its last step."""
+    if not found.laws:
+        return replace(result, learned=found)
+    name = " + ".join((*found.effects, *(law.effect for law in found.laws)))
+    step = judge.step(
+        name, found.crane, "unknown", f"learned, as no named effect explains it: {learned_sentence(found)}"
     )
-    steps.append(judge.step(name, best, d.verdict, text))
-    told(steps[-1])
-    good = steps[-1].search_error < CRITERIA.level or (
-        chosen is not None and many is None and chosen.level < CRITERIA.level
-    )
-    return Improvement(d.recording, tuple(steps), best, "adequate" if good else "unknown", (d,), many)
+    left = "adequate" if step.search_error < CRITERIA.level else "unknown"
+    return replace(result, steps=(*result.steps, step), crane=found.crane, verdict=left, learned=found)
 
 
 def _chosen(d: Diagnosis) -> Candidate | None:

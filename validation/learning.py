@@ -141,6 +141,7 @@ def learn(
     recordings: Recording | Sequence[Recording],
     check: Recording | None = None,
     *,
+    per_recording: Sequence[str] = (),
     jobs: int = 2,
     progress: Progress = silent,
 ) -> Learned:
@@ -151,6 +152,7 @@ def learn(
         crane: effects that it has stay, and are fitted along.
         recordings: commands and sensors, of one run or of several of one machine.
         check: another recording of the same machine, which is only predicted.
+        per_recording: nominal parameters that differ from recording to recording.
         jobs: processes to use.
         progress: called with a text and the share that is done.
 
@@ -163,7 +165,7 @@ def learn(
     learned = several(recordings)
     notes = check_all(learned, check, crane)
     progress("fitting the nominal parameters", 0.05)
-    problem = Problem.of(crane, learned, (), jobs)
+    problem = Problem.of(crane, learned, per_recording, jobs)
     nothing = _explained(problem, [((), problem.base)], (TIGHT, STIFF))
     best, rivals = _searched(problem, nothing[0], progress, notes)
     progress("weighing", 0.85)
@@ -346,12 +348,14 @@ def _concluded(
             notes.append(f"effects of the library do as well: {names}. Go on with `patu diagnose`")
         return replace(unchanged, notes=tuple(notes))
     lean = _lean(problem, _refined(problem, best))
-    kept = {"recording": problem.data.name, "evidence": lean.evidence - nothing.evidence}
+    evidence, keys = lean.evidence - nothing.evidence, [p.key for p in lean.laws]
     found = lean.fit.crane
     for part in lean.laws:
         assert part.law is not None
         found = found.with_effect(part.key, part.law.values(_curve(lean, part)[0]))
-    learned = replace(given, crane=added(problem.crane, found, **kept))
+    learned = replace(
+        given, crane=added(problem.crane, found, recording=problem.data.name, evidence=evidence, learned=keys)
+    )
     learned = _with_errors(learned, lean, problem, check, unchanged)
     after, before = learned.check_error_after, learned.check_error_before
     if misled(before, after):
@@ -412,12 +416,13 @@ def _with_errors(
     """Add open-loop errors of its crane on all recordings; those of the crane as given are the same, or those of
     `before`.
     """
-    recordings = problem.recordings
-    tasks: list[tuple[Any, ...]] = [
-        (run_error, found.crane, r, None if found.crane is found.given else e.fit.of(i))
-        for i, r in enumerate(recordings)
-    ]
-    tasks += [(run_error, found.crane, check, None)] if check is not None else []
+    recordings, own = problem.recordings, problem.data.own
+    tasks: list[tuple[Any, ...]] = []
+    for i, r in enumerate(recordings):
+        fit = None if found.crane is found.given else e.fit.of(i)
+        crane = found.crane if fit is None else found.crane.with_parameters({n: fit.crane[n] for n in own})
+        tasks.append((run_error, crane, r, fit, own))
+    tasks += [(run_error, found.crane, check, None, own)] if check is not None else []
     errors = in_parallel(problem.jobs, tasks)
     error = together(recordings, errors[: len(recordings)])
     checked = errors[-1] if check is not None else math.nan

@@ -22,6 +22,7 @@ from .compare_figures import traces_figure
 from .diagnosis import Candidate, Diagnosis, sentence
 from .findings import VIOLATED, balance_words, people_unit
 from .improvement import Improvement
+from .learned.report import curve_parts
 from .report import Mood, Part, Picture, Section, Table, write_report
 from .selection.plots import in_words
 
@@ -412,7 +413,11 @@ def report_improvement(
     sections.append(("Before and after", [falling, *traces, table]))
     if added:
         sections.append(("Where", where_parts(first.given, _places(added))))
-        sections.append(("What was missing", law_parts(added, _complete(result.crane, added, parameters))))
+        named = [key for key in added if registry.split_key(key)[0].curve is None]
+        if named:
+            sections.append(("What was missing", law_parts(named, _complete(result.crane, named, parameters))))
+    if result.learned is not None and result.learned.laws:
+        sections.append(("Learned, as no named effect explains it", curve_parts(result.learned)))
     for i, d in enumerate(result.diagnoses):
         sections.append((f"How sure: diagnosis {i + 1}", [verdict(d), *sureness(d)]))
         sections += _details(d)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..learning import Learned, LearnedLaw, sentence
-from ..report import Mood, Picture, Section, Table, write_report
+from ..report import Mood, Part, Picture, Section, Table, write_report
 
 _CAPTION = (
     "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the "
@@ -19,7 +19,7 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
     text = sentence(found).replace("->", "→")
     sections: list[Section] = []
     if found.laws:
-        sections.append(("The curves", [Picture(found.plot(), _CAPTION), *(_knots(law) for law in found.laws)]))
+        sections.append(("The curves", curve_parts(found)))
     tied = [
         f"{law.effect}: the recording cannot tell it from {', or '.join(law.tied_with)}."
         for law in found.laws
@@ -48,6 +48,11 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
         parameters=parameters,
         mood=mood,
     )
+
+
+def curve_parts(found: Learned) -> list[Part]:
+    """Return the picture of the curves that were learned, and their knots."""
+    return [Picture(found.plot(), _CAPTION), *(_knots(law) for law in found.laws)]
 
 
 def _knots(law: LearnedLaw) -> Table:

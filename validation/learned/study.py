@@ -16,12 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
 
 from ..hidden import HiddenCase, make_case
 from ..hidden_plant import LEARNABLE
 from ..json_lines import read_lines
 from ..study import _share, _table, run
+from .laws import curve_at
 
 #: a machine without a law after each four with one: clean, and with effects of the library in turn
 _WITHOUT = ({"kind": "none"}, {"kind": "effect"}, {"kind": "parameters"}, {"kind": "two"})
@@ -41,9 +43,9 @@ def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]
     """Return how what was learned (the JSON of `patu learn`) compares with the answer of a case.
 
     Returns:
-        "place": balance and place right; "argument": the argument too, first or tied; "curve": greatest error over the
-        visited range by the greatest departure from neutral there; "check": the check recording explained. Where no law
-        was to be found: "silent".
+        "place": balance and place right; "argument": the argument too, first or tied; "curve", "departure": greatest
+        error over the visited range, by the curve's greatest value and by its greatest departure from neutral there;
+        "check": the check recording explained. Where no law was to be found: "silent".
     """
     truth = answer.get("law", {})
     if not truth.get("effect"):
@@ -52,20 +54,25 @@ def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]
     named = {f"{truth['effect']} over {truth['over']}"}
     tied = named & {t.partition(" against")[0].partition(" as")[0] for law in found["laws"] for t in law["tied_with"]}
     right = law is not None and law["over"] == truth["over"]
+    curve, departure = _curve_errors(law, truth) if right and law is not None else (None, None)
     return {
         "place": law is not None or bool(tied),
         "argument": right or bool(tied),
-        "curve": _curve_error(law, truth) if right and law is not None else None,
+        "curve": curve,
+        "departure": departure,
         "check": found["check_error_after"] <= _CHECK,
     }
 
 
-def _curve_error(law: Mapping[str, Any], truth: Mapping[str, Any]) -> float:
-    y = np.interp(law["x"], truth["x"], truth["y"])
-    neutral = (
-        {"spool": np.array(law["x"]), "pressure_drop": 1.0}.get(law["over"], 0.0) if "opening" in law["effect"] else 0.0
-    )
-    return float(np.abs(np.array(law["y"]) - y).max() / np.abs(y - neutral).max())
+def _curve_errors(law: Mapping[str, Any], truth: Mapping[str, Any]) -> tuple[float, float]:
+    x, y = np.array(truth["x"]), np.array(truth["y"])
+    inside = (x >= law["x"][0]) & (x <= law["x"][-1])
+    x, y = x[inside], y[inside]
+    curve = registry.split_key(law["effect"])[0].curve
+    assert curve is not None
+    over = curve.argument(law["over"], law["effect"])
+    error = np.abs(curve_at(np.array(law["x"]), np.array(law["y"]), x, over.slope) - y).max()
+    return float(error / np.abs(y).max()), float(error / np.abs(y - [over.neutral(v) for v in x]).max())
 
 
 def run_one(case: HiddenCase, name: str) -> dict[str, Any]:
@@ -112,7 +119,7 @@ def tables(lines: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of a study as Markdown."""
     good = [line["judged"] for line in lines if "judged" in line]
     laws, none = [j for j in good if "place" in j], [j for j in good if "silent" in j]
-    curves = [j["curve"] for j in laws if j["curve"] is not None]
+    curves, departures = ([j[k] for j in laws if j[k] is not None] for k in ("curve", "departure"))
     rows = [
         ("cases", str(len(good))),
         ("failed with an error", str(sum("failed" in line for line in lines))),
@@ -120,6 +127,7 @@ def tables(lines: Sequence[Mapping[str, Any]]) -> str:
         ("argument right or tied", _share(j["argument"] for j in laws)),
         ("error on check after <= 1.3", _share(j["check"] for j in laws)),
         ("curve within 10 % of its largest value", _share(c <= _CURVE for c in curves)),
+        ("curve within 10 % of its largest departure from neutral", _share(c <= _CURVE for c in departures)),
         ("no law where there is none to be found", _share(j["silent"] for j in none)),
     ]
     return _table(("", ""), rows)
