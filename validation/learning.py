@@ -229,12 +229,14 @@ def _grown(problem: Problem, best: Explained, before: Fit, progress: Progress) -
     tried = [((*best.parts, part), before) for part in _promising(problem, before)]
     progress("fitting the likely ones", 0.35)
     found = _explained(problem, tried, (SIFT,))
-    plain, curved = ([e for e in found if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
+    if not found:
+        return []
     least = found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
-    near = [e for e in curved if e.evidence > least][:CARRIED]
-    near = [e if plausible(e.fit) else _anew(problem, e) for e in near]
+    near = [e for e in found if e.evidence > least]
+    plain, curved = ([e for e in near if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
+    curved = [e if plausible(e.fit) else _anew(problem, e) for e in curved[:CARRIED]]
     progress("carrying the leading ones to the end", 0.5)
-    return _explained(problem, [(e.parts, e.fit) for e in (*near, *plain[:1])], (TIGHT, STIFF))
+    return _explained(problem, [(e.parts, e.fit) for e in (*curved, *plain[:1])], (TIGHT, STIFF))
 
 
 def _anew(problem: Problem, e: Explained) -> Explained:
