@@ -141,7 +141,8 @@ def improve(
         per_recording: nominal parameters that differ from recording to recording.
         jobs: processes to use.
         most: at most so many effects.
-        learn: whether laws are learned where named effects do not explain the recordings.
+        learn: whether laws are learned where named effects do not explain the recordings: beside these, or in their
+            place where laws alone leave less.
         told: called with each step as soon as it is known.
         progress: called with a text and the share that is done.
     """
@@ -165,7 +166,13 @@ def improve(
         told(step)
     if not learn or result.verdict != "unknown" or d.misses_check:
         return result
-    found = learn_laws(result.crane, judge.recordings, check, per_recording=per_recording, jobs=jobs, progress=progress)
+
+    def learned_from(given: Crane) -> Learned:
+        return learn_laws(given, judge.recordings, check, per_recording=per_recording, jobs=jobs, progress=progress)
+
+    found = learned_from(crane)
+    if len(result.steps) > 1 and not (found.laws and found.error_after < result.steps[-1].search_error):
+        found = learned_from(result.crane)
     result = _with_laws(result, found, judge)
     if found.laws:
         told(result.steps[-1])
@@ -217,10 +224,10 @@ def _with_laws(result: Improvement, found: Learned, judge: _Judge) -> Improvemen
     """Return the improvement with the laws that were learned as its last step."""
     if not found.laws:
         return replace(result, learned=found)
-    name = " + ".join((*found.effects, *(law.effect for law in found.laws)))
-    step = judge.step(
-        name, found.crane, "unknown", f"learned, as no named effect explains it: {learned_sentence(found)}"
-    )
+    name, text = " + ".join((*found.effects, *(law.effect for law in found.laws))), learned_sentence(found)
+    if found.given is not result.crane:
+        text += f"; {result.steps[-1].added}, which leaves more, goes again"
+    step = judge.step(name, found.crane, "unknown", f"learned, as no named effect explains it: {text}")
     left = "adequate" if step.search_error < CRITERIA.level else "unknown"
     return replace(result, steps=(*result.steps, step), crane=found.crane, verdict=left, learned=found)
 
