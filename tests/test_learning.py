@@ -2,9 +2,11 @@
 effect.
 """
 
+import math
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,16 +15,18 @@ from crane_exudyn import Crane, Recording
 from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import registry
 from crane_exudyn.measurement import Measurement
+from validation import improvement
+from validation.diagnosis import Candidate, Diagnosis
 from validation.fit.data import FitData
 from validation.fit.staged import LOOSE, first_knots, staged
-from validation.history import added, learned, removed
-from validation.improvement import improve
+from validation.history import added, learned, removed, without_learned
+from validation.improvement import Step, improve
 from validation.learned.laws import Law, curve_at, knots, laws_of
 from validation.learned.own_effect import own_effect
 from validation.learned.resembles import resembles
 from validation.learned.screen import best_prior, screened
-from validation.learning import learn
-from validation.reports import report_improvement
+from validation.learning import Learned, learn
+from validation.selection.model import with_effects
 from validation.selection.moves import starts
 from validation.selection.screen import screen
 from validation.semi_recursive.engine import SemiRecursiveEngine
@@ -178,34 +182,86 @@ def test_nothing_is_learned_from_a_sound_machine():
     assert found.laws == () and found.error_after == found.error_before < 1.1
 
 
-#: few parameters are uncertain here, so that the fits are short
-KNOWN = replace(CRANE, uncertainty={n: CRANE.uncertainty[n] for n in ("payload.mass", "fluid.oil_bulk_modulus")})
+LEAK, LAW = "internal_leakage@lift", "learned_leakage@lift"
+LEAKING = CRANE.with_effect(LEAK, {"k": 2e-11})
+LAWFUL = added(
+    CRANE,
+    CRANE.with_effect(LAW, registry.find("learned_leakage").curve.values("pressure_drop", [0.0, 8e6], [0.0, 16e-5])),
+    learned=[LAW],
+)
 
 
-def test_an_improvement_learns_where_named_effects_end(tmp_path, monkeypatch):
-    monkeypatch.setattr("validation.improvement.search_many", lambda *_: None)  # many effects do no better here
-    y = [np.sign(u) * abs(u) ** 1.5 for u in PROGRESSIVE]
-    values = registry.find("learned_opening").curve.values("spool", PROGRESSIVE, y)
-    recording = _recorded("learn", KNOWN.with_effect("learned_opening@tilt", values), 1)
-    found = improve(KNOWN, recording, jobs=1, most=1, learn=True)
-    last = found.steps[-1]
-    assert [e.key for e in found.crane.effects] == ["learned_opening@tilt"]
-    assert last.added == "learned_opening@tilt" and "no named effect" in last.text
-    assert found.verdict == "adequate" and last.error < 1.1 < found.steps[0].error
-    found.crane.save(tmp_path / "new.toml")
-    assert learned(Crane.load(tmp_path / "new.toml")) == ("learned_opening@tilt",)
-    assert "learned_opening@tilt" in report_improvement(found, tmp_path).read_text(encoding="utf-8")
+def test_a_learned_law_that_was_replaced_comes_back(tmp_path):
+    assert learned(LAWFUL) == (LAW,) and without_learned(LAWFUL) == CRANE
+    added(LAWFUL, replace(LEAKING, history=LAWFUL.history), replaced=[LAW]).save(tmp_path / "new.toml")
+    named = Crane.load(tmp_path / "new.toml")
+    assert [e.key for e in named.effects] == [LEAK] and learned(named) == ()
+    assert removed(named, LEAK) == LAWFUL
 
 
-def test_a_named_effect_that_does_as_well_replaces_a_learned_law(tmp_path):
-    law = registry.find("learned_leakage").curve.values("pressure_drop", [0.0, 40e5, 80e5], [0.0, 8e-5, 16e-5])
-    lawful = added(KNOWN, KNOWN.with_effect("learned_leakage@lift", law), learned=["learned_leakage@lift"])
-    machine = KNOWN.with_effect("internal_leakage@lift", {"k": 2e-11})
-    found = improve(lawful, _recorded("learn", machine, 1), jobs=1, most=1)
-    assert [e.key for e in found.crane.effects] == ["internal_leakage@lift"]
-    assert "replaces learned_leakage@lift" in found.steps[-1].text
-    found.crane.save(tmp_path / "new.toml")
-    assert removed(Crane.load(tmp_path / "new.toml"), "internal_leakage@lift") == lawful
+@pytest.fixture
+def stubbed(monkeypatch):
+    """Let `improve` find what is given here: by crane (its effects) the error of named effects and of laws, and the
+    evidence.
+    """
+
+    def set_up(verdict, evidence, laws):
+        def searched(crane, *_):
+            best = SimpleNamespace(evidence=evidence(crane))
+            problem = SimpleNamespace(recordings=(), data=SimpleNamespace(own=()), crane=crane)
+            return SimpleNamespace(best=best, bare=evidence(crane), weighed=(best,), problem=problem), []
+
+        def diagnosis_of(path, *_):
+            crane = path.problem.crane.with_effect(LEAK, {"k": 2e-11})
+            makeshift = Candidate((LEAK,), {}, 100.0, 1.0, crane, error_after=3.0, level=3.0)
+            return Diagnosis("rec", verdict, crane, path.problem.crane, {}, (makeshift,), (LEAK,), error_before=5.0)
+
+        def learn_from(crane, *_, **__):
+            found, left = with_effects(crane, {LAW: LAWFUL.effect(LAW).parameters}), laws(crane)
+            law = SimpleNamespace(effect=LAW, over="pressure_drop", resembles="")
+            given = Learned("rec", crane, crane)
+            return (
+                given if left is None else replace(given, crane=found, laws=(law,), error_before=5.0, error_after=left)
+            )
+
+        def step(judge, name, crane, said, text):
+            return Step(
+                name, {None: 5.0, LEAK: 3.0}.get(name, 1.0), math.nan, 6.0, said, 3.0 if name == LEAK else 1.0, text
+            )
+
+        for name, stub in (("searched", searched), ("diagnosis_of", diagnosis_of), ("learn_laws", learn_from)):
+            monkeypatch.setattr(improvement, name, stub)
+        monkeypatch.setattr(improvement, "search_many", lambda *_: None)
+        monkeypatch.setattr(improvement, "verdict_of", lambda path: SimpleNamespace(kind=verdict))
+        monkeypatch.setattr(improvement._Judge, "step", step)
+
+    return set_up
+
+
+@pytest.mark.parametrize(
+    ("laws", "effects"),
+    [
+        (lambda crane: 1.0, {LAW}),  # alone they leave less than the makeshift
+        (lambda crane: 1.0 if crane.effect(LEAK) else 4.0, {LEAK, LAW}),
+        (lambda crane: None, {LEAK}),
+    ],
+)
+def test_an_improvement_learns_where_named_effects_end(stubbed, laws, effects):
+    stubbed("unknown", lambda crane: 0.0, laws)
+    assert {e.key for e in improve(CRANE, (), most=1).crane.effects} == {LEAK}
+    found = improve(CRANE, (), most=1, learn=True)
+    assert {e.key for e in found.crane.effects} == effects
+    if LAW in effects:
+        assert "no named effect" in found.steps[-1].text
+
+
+@pytest.mark.parametrize(("lead", "effects"), [(0.0, [LEAK]), (50.0, [LAW, LEAK])])
+def test_a_named_effect_that_does_as_well_replaces_a_learned_law(stubbed, lead, effects):
+    stubbed("effect", lambda crane: lead if crane.effect(LAW) else 0.0, lambda crane: None)
+    found = improve(LAWFUL, (), most=1, learn=True)
+    assert sorted(e.key for e in found.crane.effects) == sorted(effects)
+    assert (f"replaces {LAW}" in found.steps[-1].text) == (effects == [LEAK])
+    assert found.crane.history[-1].get("replaced", []) == ([LAW] if effects == [LEAK] else [])
 
 
 def test_a_curve_is_given_the_sign_and_slope_that_physics_asks_of_it():
