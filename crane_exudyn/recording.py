@@ -327,8 +327,6 @@ class Recording:
             columns[f"{name}[{units[name] or '-'}]"] = values[:, k]
         write_table(path, columns)
 
-    to_csv = save
-
     def to_dataframe(self) -> Any:
         """Return all channels as a pandas DataFrame over time, SI, NaN where a channel has no sample; see
         `formats.data_frame`.

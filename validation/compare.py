@@ -174,7 +174,7 @@ class Comparison:
             "where": [finding.to_dict() for finding in self.where],
         }
 
-    def to_csv(self, path: str | Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write what was measured and what the open-loop run gave in SI to .csv, .csv.gz, .parquet or .mat.
 
         One row an instant of any channel, `z1_measured[rad]`, `z1_simulated[rad]`, …; NaN where a channel has no
