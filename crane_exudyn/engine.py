@@ -13,6 +13,7 @@ from . import faulty_laws, geometry, mechanism, reduction, statics, trapezoidal
 from .crane import Crane
 from .effects import hooks, registry
 from .errors import CraneError, nearest
+from .static_start import static_start
 from .step_control import MOST_HALVINGS, limit, next_level
 
 _MOST_ITERATIONS = 15
@@ -51,8 +52,8 @@ class ExudynEngine:
         return f"<ExudynEngine of {self.crane!r}, states {' '.join(self.state_names)}>"
 
     def static_start(self, *pose: Any, less_loaded: Any = 20e5) -> np.ndarray:
-        """Return the state (nx,) at rest with valves closed; see `statics.static_start`."""
-        return statics.static_start(self.crane, *pose, less_loaded=less_loaded)
+        """Return the state (nx,) at rest with valves closed; see `static_start`."""
+        return static_start(self.crane, *pose, less_loaded=less_loaded)
 
     def propagate(
         self,

@@ -28,10 +28,10 @@ import numpy as np
 from . import render_shapes as shapes
 from .crane import Crane
 from .errors import CraneError
+from .exudyn_quietly import exu, items
 from .files import replacing
 from .geometry import Pose, pose
 from .layout import Layout
-from .mechanism import exu, items
 from .render_text import MAPS, READ, write_on
 
 if TYPE_CHECKING:
@@ -240,7 +240,9 @@ class Scene:
         function.
         """
         paints = self._paints()
-        fixed = [*shapes.ground(self.middle, self.width, self.floor), *shapes.pillar(self.crane, paints[0], self.floor)]
+        thick = self.height if self.view == "side" else 0.06  # from the side, earth down to the lower edge
+        fixed = shapes.ground(self.middle, self.width, self.floor, thick)
+        fixed += shapes.pillar(self.crane, paints[0], self.floor)
         self.mbs.AddObject(items.ObjectGround(visualization=items.VObjectGround(graphicsData=fixed)))
         for i, paint in enumerate(paints):
             self._add_crane(paint, hidden=self._recoloured() if i == 0 else (), depth=-_BEHIND[self.view] * i)
@@ -341,12 +343,15 @@ class Scene:
                 placed = coordinates(self.crane, positions, np.array([t.swing_at(x) for x in at]))
                 payload = placed.reshape(len(placed), -1, 3)[:, shapes.part_names(self.crane).index("payload")]
                 boxes.append(_boxes(np.delete(payload, 2, axis=1), *shapes.payload_extent(self.crane)))
+        pins = shapes.ground_pins(self.crane)
+        if pins:
+            boxes.append(_boxes(np.array([[x, 0.0] for x in shapes.feet(pins, shapes.size(self.crane))]), 0.0, 0.0))
         machine_box = np.vstack(boxes)
         floor = min(0.0, float(machine_box[:, 1].min()))
         ground = machine_box * [1.0, 0.0, 1.0] + [0.0, floor, 0.0]
         seen = np.vstack([machine_box, ground]) @ self._rotation().T
         low, high = seen.min(axis=0)[:2], seen.max(axis=0)[:2]
-        above, below = 0.15, 0.04 if self.colour is None else 0.19  # shares of the height for heading and colour scales
+        above, below = 0.15, 0.08 if self.colour is None else 0.19  # shares of the height for heading, bar and colours
         height = max((high - low)[1] / (1.0 - above - below), 1.05 * (high - low)[0] * self.size[1] / self.size[0])
         x, y = (low + high) / 2.0
         middle = 0.5 * float(machine_box[:, 0].min() + machine_box[:, 0].max())

@@ -234,6 +234,16 @@ def test_the_floor_is_larger_than_the_picture_and_shadows_are_whole():
     assert np.ptp(ends) > 200 and len(ends) > 0.95 * np.ptp(ends)
 
 
+def test_from_the_side_the_machine_stands_on_earth_down_to_the_lower_edge_with_its_feet_in_the_picture():
+    scene = Scene(CRANE, [Trajectory.at_rest(CRANE)], size=(640, 360), view="side")
+    picture = draw(scene).astype(int)
+    floor = round(float(scene.project(np.zeros((1, 3)))[0, 1]))
+    assert (picture[floor + 3 :, 400:, 2] < picture[floor + 3 :, 400:, 0] + 5).all()  # no blue of the sky
+    feet = shapes.feet(shapes.ground_pins(CRANE), shapes.size(CRANE))
+    ends = scene.project(np.array([[x, 0.0, 0.0] for x in feet]))[:, 0]
+    assert (ends > 5).all() and (ends < 635).all()
+
+
 # -- what colours mean -------------------------------------------------------------------------------------------------
 
 
@@ -389,8 +399,9 @@ def test_command_writes_picture_solution_and_json(recording, tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_command_draws_the_crane_at_its_start_without_a_recording(tmp_path):
-    assert patu("render", "-o", tmp_path / "crane.png", "--size", "320x180") == 0
+def test_command_draws_the_crane_at_its_start_without_a_recording(tmp_path, capsys):
+    assert patu("render", "-o", tmp_path / "crane.png", "--crane", "loader", "--size", "320x180") == 0
+    assert "patu render --crane loader --open" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", MACHINES)

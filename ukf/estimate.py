@@ -13,7 +13,7 @@ import numpy as np
 from crane_exudyn import channels
 from crane_exudyn.crane import Crane
 from crane_exudyn.layout import Layout
-from crane_exudyn.recording import usual_layout
+from crane_exudyn.machine_toml import usual_layout
 
 from . import consistency
 from .monitor import ABSENT, FROZEN, OUTLIER, USED
