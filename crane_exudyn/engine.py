@@ -148,6 +148,16 @@ class ExudynEngine:
         """Return every term of the balances at one state by name; see `statics.terms`."""
         return statics.terms(self.crane, state, w, time)
 
+    def object_moments(self, states: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Return what objects of one's own put on the coordinates (n, coordinates) at states (n, nx) and times (n,), in
+        N m, or N where a joint slides.
+        """
+        lay, system = self.crane.layout, self._system(1)
+        w = np.zeros((1, len(lay.all_inputs)))
+        w[0, lay.driving] = lay.closed
+        N = [statics.reduced(self.crane, x, t)["N"][lay.positions] for x, t in zip(states, time, strict=True)]
+        return np.array([n @ system.push(x[None], w, t)[0] for n, x, t in zip(N, states, time, strict=True)])
+
     def residual(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, np.ndarray]:
         """Return what Exudyn itself assembles at one state with consistent accelerations, for checks.
 
@@ -378,6 +388,11 @@ class _System:
         return out, trapezoidal.finish(
             plant.topology, plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found
         )
+
+    def push(self, x: np.ndarray, w: np.ndarray, time: float) -> np.ndarray:
+        """Return the forces (n, width) of objects of one's own on the redundant coordinates at states x."""
+        self._measure_push(self._set_parameters(None, None, time, time), x, w, time)
+        return self._push
 
     def _measure_push(self, inertia: np.ndarray, x: np.ndarray, w: np.ndarray, time: float) -> None:
         """Fill the forces of objects of one's own at states x: what Exudyn assembles beyond the machine's own

@@ -138,19 +138,23 @@ def command(
     runs = _runs(described, recording, label, ghost or (), read)
     name = title if title is not None else recording.name if recording else described.name
     scene = Scene(described, runs, colour=colour, marks=mark or (), size=_size(size), view=view, title=name)
-    if output is not None:
-        with progress(f"drawing {output.name}", json) as done:
-            scene.save(output, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer, progress=done)
-    _hand_over(scene, save_solution, open_viewer)
+    drawn = partial(scene.save, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer)
     printer = Printer(json)
-    written = [str(p) for p in (output, save_solution) if p is not None]
-    for path in written:
-        printer.line(f"wrote {path}")
-    if not open_viewer:
+    with saving(printer) as save:
+        save(output, partial(_draw, drawn, json))
+        save(save_solution, scene.save_solution)
+        written = [str(p) for p in (output, save_solution) if p is not None]
+        save.json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
+    if open_viewer:
+        _view(scene)
+    else:
         again = ["patu render", recording, *([] if crane == DEFAULT_CRANE else ["--crane", crane]), "--open"]
         printer.line(f"To turn it and zoom: {' '.join(str(word) for word in again if word)} (needs a screen).")
-    with saving(printer) as save:
-        save.json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
+
+
+def _draw(drawn: Callable[..., None], json: str | None, path: Path) -> None:
+    with progress(f"drawing {path.name}", json) as done:
+        drawn(path, progress=done)
 
 
 def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:
@@ -160,10 +164,9 @@ def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:
     from crane_exudyn.plots import save as save_figure
     from crane_exudyn.render_frames import sketch
 
-    save_figure(sketch(crane), output)
     printer = Printer(json)
-    printer.line(f"wrote {output}")
     with saving(printer) as save:
+        save(output, partial(save_figure, sketch(crane)))
         save.json(json, {"written": [str(output)], "bodies": list(crane.machine.bodies)})
 
 
@@ -195,16 +198,11 @@ def _size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _hand_over(scene: Scene, save_solution: Path | None, open_viewer: bool) -> None:
-    """Write the solution file, and open Exudyn's viewer with it (or with a temporary one)."""
-    if save_solution is not None:
-        scene.save_solution(save_solution)
-    if not open_viewer:
-        return
+def _view(scene: Scene) -> None:
+    """Open Exudyn's viewer with the run."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        path = save_solution or Path(folder) / "run.txt"
-        if save_solution is None:
-            scene.save_solution(path)
+        path = Path(folder) / "run.txt"
+        scene.save_solution(path)
         scene.view_solution(path)
