@@ -40,9 +40,11 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/installed: $(BIN)/python $(SOURCES)
-	$(PIP) .
+	@echo "Installing into $(VENV), a minute or two"
+	@$(PIP) .
 	@touch $@
 
 $(VENV)/installed-dev: $(BIN)/python $(SOURCES)
-	$(PIP) '.[dev]'
+	@echo "Installing with the development tools into $(VENV), a minute or two"
+	@$(PIP) '.[dev]'
 	@touch $@ $(VENV)/installed

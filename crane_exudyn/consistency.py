@@ -21,7 +21,8 @@ from .geometry import cylinder_lengths
 from .inputs import SpoolPath
 from .recording import Recording
 from .signals import noise_std, sampling_rate
-from .statics import static_start, vapour_pressure
+from .static_start import static_start
+from .statics import vapour_pressure
 
 #: s: step of the common grid, what of a recording is looked at, width of the smoothing, what a window spans, and what a
 #: load's change takes

@@ -13,6 +13,7 @@ from . import faulty_laws, geometry, mechanism, reduction, statics, trapezoidal
 from .crane import Crane
 from .effects import hooks, registry
 from .errors import CraneError, nearest
+from .static_start import static_start
 from .step_control import MOST_HALVINGS, limit, next_level
 
 _MOST_ITERATIONS = 15
@@ -51,8 +52,8 @@ class ExudynEngine:
         return f"<ExudynEngine of {self.crane!r}, states {' '.join(self.state_names)}>"
 
     def static_start(self, *pose: Any, less_loaded: Any = 20e5) -> np.ndarray:
-        """Return the state (nx,) at rest with valves closed; see `statics.static_start`."""
-        return statics.static_start(self.crane, *pose, less_loaded=less_loaded)
+        """Return the state (nx,) at rest with valves closed; see `static_start`."""
+        return static_start(self.crane, *pose, less_loaded=less_loaded)
 
     def propagate(
         self,
@@ -146,6 +147,16 @@ class ExudynEngine:
     def terms(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
         """Return every term of the balances at one state by name; see `statics.terms`."""
         return statics.terms(self.crane, state, w, time)
+
+    def object_moments(self, states: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Return what objects of one's own put on the coordinates (n, coordinates) at states (n, nx) and times (n,), in
+        N m, or N where a joint slides.
+        """
+        lay, system = self.crane.layout, self._system(1)
+        w = np.zeros((1, len(lay.all_inputs)))
+        w[0, lay.driving] = lay.closed
+        N = [statics.reduced(self.crane, x, t)["N"][lay.positions] for x, t in zip(states, time, strict=True)]
+        return np.array([n @ system.push(x[None], w, t)[0] for n, x, t in zip(N, states, time, strict=True)])
 
     def residual(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, np.ndarray]:
         """Return what Exudyn itself assembles at one state with consistent accelerations, for checks.
@@ -377,6 +388,11 @@ class _System:
         return out, trapezoidal.finish(
             plant.topology, plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found
         )
+
+    def push(self, x: np.ndarray, w: np.ndarray, time: float) -> np.ndarray:
+        """Return the forces (n, width) of objects of one's own on the redundant coordinates at states x."""
+        self._measure_push(self._set_parameters(None, None, time, time), x, w, time)
+        return self._push
 
     def _measure_push(self, inertia: np.ndarray, x: np.ndarray, w: np.ndarray, time: float) -> None:
         """Fill the forces of objects of one's own at states x: what Exudyn assembles beyond the machine's own

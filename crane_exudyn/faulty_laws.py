@@ -16,6 +16,7 @@ import numpy as np
 from .crane import Crane
 from .effects import registry
 from .errors import CraneError, listed
+from .statics import size_of_state, terms
 
 #: parts of the failing step at which to look: an engine has halved it so often, or its iterates went beyond its end
 _FRACTIONS = (0.0, *(2.0**k for k in range(-14, 3)))
@@ -88,8 +89,6 @@ def _onwards(
     crane: Crane, state: np.ndarray, w: np.ndarray, time: float, h: float
 ) -> Iterator[tuple[np.ndarray, float]]:
     """Yield states with their times: the given one, and where it goes at its rates there."""
-    from .statics import terms
-
     lay = crane.layout
     yield state, time
     rates = terms(crane.nominal(), state[lay.basic], w[lay.driving], time)
@@ -102,8 +101,6 @@ def _onwards(
 
 def _terms_are_finite(crane: Crane, state: np.ndarray, w: np.ndarray, time: float) -> bool:
     """Return whether every term of the balances of a crane is a number at a state, which may be one with a pendulum."""
-    from .statics import size_of_state, terms
-
     x = state[: size_of_state(crane)]
     try:
         return bool(np.isfinite(list(terms(crane, x, w, time).values())).all())

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 
-from . import sensors
+from .sensors import Sensor
 
 #: the most coordinates (and cylinders) of a machine: how many places compiled code keeps for what acts on them
 MOST_COORDINATES = 6
@@ -134,9 +134,9 @@ class Layout:
         return tuple(sizes[self.unit_of(name)] for name in names)
 
     @cached_property
-    def sensors(self) -> Mapping[str, sensors.Sensor]:
+    def sensors(self) -> Mapping[str, Sensor]:
         """The sensors that the machine may have, by name."""
-        return MappingProxyType({sensor.name: sensor for sensor in sensors.of(self)})
+        return MappingProxyType({sensor.name: sensor for sensor in sensors_of(self)})
 
     # -- where effects act ------------------------------------------------------------------------------------------
 
@@ -243,3 +243,22 @@ class Layout:
     def driving(self) -> slice:
         """Where everything stands in the inputs but disturbances."""
         return slice(0, len(self.inputs))
+
+
+def sensors_of(layout: Layout) -> Iterator[Sensor]:
+    """Yield the sensors that a machine may have.
+
+    A body that stands on another has one place: an encoder at its joint shows the coordinate, an inclinometer the
+    absolute angle, and an effect at that place acts on what the sensor shows, whichever of the two it is.
+    """
+    for rate in ("", "d"):
+        for name in layout.coordinates:
+            cylinder, place, sum_ = layout.cylinder_of(name), "" if rate else name, layout.absolute(name)
+            unit = layout.unit_of(rate + name)
+            yield Sensor(rate + name, unit, (rate + name,), cylinder, place)
+            if len(sum_) > 1 and sum_[-1] == name:
+                yield Sensor(f"{rate}{name}_abs", unit, tuple(rate + n for n in sum_), cylinder, place)
+    for name in layout.chambers:
+        yield Sensor(name, "Pa", (name,), layout.cylinder_of(name), name)
+    for cylinder, name in enumerate(layout.lengths):
+        yield Sensor(name, "m", (), cylinder)

@@ -11,7 +11,7 @@ from importlib import resources
 from typing import Any
 
 from .errors import CraneError, nearest
-from .layout import MOST_COORDINATES
+from .layout import MOST_COORDINATES, Layout
 from .machine import GROUND, PRISMATIC, REVOLUTE, Cylinder, Joint, Machine
 
 #: keys that describe a machine, by section; the other keys there are numbers
@@ -61,6 +61,11 @@ def machine_of(document: Mapping[str, Any], where: str) -> Machine:
 def _earlier() -> Machine:
     text = resources.files("crane_exudyn.data").joinpath(f"{_EARLIER}.toml").read_text(encoding="utf-8")
     return machine_of(tomllib.loads(text), _EARLIER)
+
+
+def usual_layout() -> Layout:
+    """Return the layout of the machine of crane files that describe none: that of patu655."""
+    return _earlier().layout
 
 
 def _section(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:

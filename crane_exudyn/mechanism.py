@@ -19,21 +19,12 @@ Coordinates are absolute: the reference coordinates of the nodes are zero.
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-
-if "exudyn" not in sys.modules and not hasattr(sys, "exudynFast"):
-    sys.exudynFast = True  # type: ignore[attr-defined]  # the build without range checks; read when exudyn is imported
-with contextlib.redirect_stdout(io.StringIO()):  # it announces itself, which would spoil a JSON on standard output
-    import exudyn as exu
-    import exudyn.itemInterface as items
 
 from . import geometry as geo
 from . import hydraulics as hyd
@@ -43,6 +34,7 @@ from .compiled import njit
 from .crane import Crane
 from .effects import hooks
 from .errors import CraneError, nearest
+from .exudyn_quietly import exu, items
 from .machine import (
     CARRIER,
     CUT_PIN,

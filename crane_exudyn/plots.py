@@ -19,7 +19,7 @@ import numpy as np
 
 from . import channels
 from .layout import Layout
-from .recording import usual_layout
+from .machine_toml import usual_layout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,7 +16,7 @@ from .assembly import assemble, example, wanted
 from .channels import Channel
 from .errors import CraneError, nearest
 from .layout import Layout
-from .machine_toml import machine_of
+from .machine_toml import usual_layout
 from .mapping import Column, columns_of
 from .tables import RawColumn, RawTable
 
@@ -27,11 +27,6 @@ if TYPE_CHECKING:
 
 #: samples of other channels in a pause of a command by which it is known that the recording went on
 _RECORDED = 2
-
-
-def usual_layout() -> Layout:
-    """Return the layout of the machine of crane files that describe none: that of patu655."""
-    return machine_of({}, "").layout
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,8 +321,6 @@ class Recording:
         for k, name in enumerate(self.channels):
             columns[f"{name}[{units[name] or '-'}]"] = values[:, k]
         write_table(path, columns)
-
-    to_csv = save
 
     def to_dataframe(self) -> Any:
         """Return all channels as a pandas DataFrame over time, SI, NaN where a channel has no sample; see

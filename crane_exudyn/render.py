@@ -28,10 +28,10 @@ import numpy as np
 from . import render_shapes as shapes
 from .crane import Crane
 from .errors import CraneError
+from .exudyn_quietly import exu, items
 from .files import replacing
 from .geometry import Pose, pose
 from .layout import Layout
-from .mechanism import exu, items
 from .render_text import MAPS, READ, write_on
 
 if TYPE_CHECKING:
@@ -211,7 +211,11 @@ class Scene:
         self.colour, self.marks = colour, tuple(marks)
         self.view: View = view or ("side" if len(trajectories) > 1 else "oblique")
         self.scales = _scales(crane.layout, self.trajectories, colour)
-        self.floor, self.middle, self.center, self.height = self._frame()
+        box = self._box()
+        self.floor, self.middle = min(0.0, float(box[:, 1].min())), 0.5 * float(box[:, 0].min() + box[:, 0].max())
+        # a far point: shadows of a direction end in the ray tracer a few metres behind what throws them
+        self.sun = np.array([self.middle, 0.0, 0.0]) + np.ptp(box, axis=0).max() * np.array([-2.0, 9.0, 7.0])
+        self.center, self.height = self._frame(box)
         self.system = exu.SystemContainer()
         self.mbs = self.system.AddSystem()
         self._problem: Exception | None = None
@@ -240,7 +244,9 @@ class Scene:
         function.
         """
         paints = self._paints()
-        fixed = [*shapes.ground(self.middle, self.width, self.floor), *shapes.pillar(self.crane, paints[0], self.floor)]
+        thick = self.height if self.view == "side" else 0.06  # from the side, earth down to the lower edge
+        fixed = shapes.ground(self.middle, self.width, self.floor, thick)
+        fixed += shapes.pillar(self.crane, paints[0], self.floor)
         self.mbs.AddObject(items.ObjectGround(visualization=items.VObjectGround(graphicsData=fixed)))
         for i, paint in enumerate(paints):
             self._add_crane(paint, hidden=self._recoloured() if i == 0 else (), depth=-_BEHIND[self.view] * i)
@@ -290,10 +296,7 @@ class Scene:
         general.useMultiThreadedRendering = False  # with it, pictures are taken before they are whole
         settings.exportImages.saveImageTimeOut = 20000
         settings.openGL.lightModelAmbient = [0.62, 0.62, 0.64, 1.0]
-        # a far point: shadows of a direction (fourth entry 0) end in the ray tracer a few metres behind what throws
-        # them
-        sun = [self.middle - 2.0 * self.height, 9.0 * self.height, 7.0 * self.height, 1.0]
-        light.position, light.diffuse, light.specular, light.shadow = sun, 0.62, 0.25, 0.3
+        light.position, light.diffuse, light.specular, light.shadow = [*self.sun, 1.0], 0.62, 0.25, 0.3
         if (
             self.view == "side"
         ):  # the ground is a line, and shadows would only fall on ghosts; none at all spoils the depth
@@ -323,13 +326,8 @@ class Scene:
         c, s = math.cos(pitch), math.sin(pitch)
         return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ turn
 
-    def _frame(self, times: np.ndarray | None = None) -> tuple[float, float, np.ndarray, float]:
-        """Return the floor's height and x of its middle, and the picture's middle (3,), as it sees it, and height, in
-        m.
-
-        Every machine stays in the picture at the times (n,) in s, by default all the time; a machine that reaches below
-        its own ground stands on a lower one.
-        """
+    def _box(self, times: np.ndarray | None = None) -> np.ndarray:
+        """Return points (n, 3) between which every machine stays at the times (n,) in s, by default all the time."""
         machine, thick = self.crane.machine, 0.2 * shapes.size(self.crane)
         boxes = []
         for t in self.trajectories:
@@ -341,16 +339,22 @@ class Scene:
                 placed = coordinates(self.crane, positions, np.array([t.swing_at(x) for x in at]))
                 payload = placed.reshape(len(placed), -1, 3)[:, shapes.part_names(self.crane).index("payload")]
                 boxes.append(_boxes(np.delete(payload, 2, axis=1), *shapes.payload_extent(self.crane)))
-        machine_box = np.vstack(boxes)
-        floor = min(0.0, float(machine_box[:, 1].min()))
-        ground = machine_box * [1.0, 0.0, 1.0] + [0.0, floor, 0.0]
-        seen = np.vstack([machine_box, ground]) @ self._rotation().T
+        pins = shapes.ground_pins(self.crane)
+        if pins:
+            left, right = shapes.feet(pins, shapes.size(self.crane))
+            boxes.append(_boxes(np.array([[left, 0.0], [right, 0.0]]), 0.0, 2.0 * thick))
+        return np.vstack(boxes)
+
+    def _frame(self, box: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the picture's middle (3,), as it sees it, and height in m: with points (n, 3) and their shadows."""
+        share = (box[:, 1:2] - self.floor) / (self.sun[1] - box[:, 1:2])
+        shadows = box + share * (box - self.sun) if self.view == "oblique" else box * [1, 0, 1] + [0, self.floor, 0]
+        seen = np.vstack([box, shadows]) @ self._rotation().T
         low, high = seen.min(axis=0)[:2], seen.max(axis=0)[:2]
-        above, below = 0.15, 0.04 if self.colour is None else 0.19  # shares of the height for heading and colour scales
+        above, below = 0.15, 0.08 if self.colour is None else 0.19  # shares of the height for heading, bar and colours
         height = max((high - low)[1] / (1.0 - above - below), 1.05 * (high - low)[0] * self.size[1] / self.size[0])
         x, y = (low + high) / 2.0
-        middle = 0.5 * float(machine_box[:, 0].min() + machine_box[:, 0].max())
-        return floor, middle, np.array([x, y + 0.5 * (above - below) * height, 0.0]), float(height)
+        return np.array([x, y + 0.5 * (above - below) * height, 0.0]), float(height)
 
     # -- what changes with time ----------------------------------------------------------------------------------------
 
@@ -526,7 +530,7 @@ class Scene:
         else:
             times = film.times(self.start if start is None else start, self.end if end is None else end, fps, speed)
         self._check_times(times)
-        self.center, self.height = self._frame(times)[2:]
+        self.center, self.height = self._frame(self._box(times))
         with replacing(path) as temporary:
             film.write(temporary, kind, self.frames(list(times), renderer), len(times), fps, progress)
 

@@ -29,8 +29,8 @@ import numpy as np
 
 from .crane import Crane
 from .effects import hooks
+from .exudyn_quietly import draw
 from .machine import GROUND, PRISMATIC, Joint
-from .mechanism import exu  # imports Exudyn quietly, and always the same build of it
 
 Graphics = dict[str, Any]
 Color = tuple[float, float, float, float]
@@ -44,7 +44,9 @@ _BEAM, _NARROWER, _LINK, _LANE, _LUG = 0.085, 0.006, (0.098, 0.122), 0.026, (0.0
 _PIN, _WALL, _LOG_LENGTH = 0.026, 0.011, 1.5
 #: radii of a beam at its beginning, in its middle and at its end, and at most as a share of its length
 _RADII, _SLIMMEST = (0.08, 0.095, 0.055), 0.2
-#: half of the ground's width, and where arrows stand in front of the machine, m
+#: how far a column's foot reaches to either side of its pin
+_FOOT = (-0.35, 0.45)
+#: where arrows stand in front of the machine, m
 FRONT = 0.3
 #: m: the size of a grapple
 _GRAPPLE = 0.12
@@ -138,11 +140,9 @@ def bent(start: np.ndarray, middle: np.ndarray, end: np.ndarray, radii: Sequence
 
 def plate(outline: np.ndarray, near: float, far: float, color: Color, edges: Color) -> Graphics:
     """Return an outline (n, 2) drawn out from z = near to z = far, with outlined rims."""
-    from exudyn.graphics import SolidExtrusion
-
     n = len(outline)
     ring = [[i, (i + 1) % n] for i in range(n)]
-    made: Graphics = SolidExtrusion(
+    made: Graphics = draw.SolidExtrusion(
         outline.tolist(), ring, far - near, pOff=[0, 0, near], color=list(color), addEdges=True, edgeColor=list(edges)
     )
     return made
@@ -150,9 +150,7 @@ def plate(outline: np.ndarray, near: float, far: float, color: Color, edges: Col
 
 def bar(start: Sequence[float], axis: Sequence[float], radius: float, color: Color, edges: Color) -> Graphics:
     """Return a round bar from `start` along `axis` (both 3D, m)."""
-    from exudyn.graphics import Cylinder
-
-    made: Graphics = Cylinder(
+    made: Graphics = draw.Cylinder(
         list(start), list(axis), radius, color=list(color), nTiles=32, addEdges=True, edgeColor=list(edges)
     )
     return made
@@ -363,7 +361,7 @@ def pillar(crane: Crane, paint: Paint, floor: float = 0.0) -> list[Graphics]:
     height in m.
     """
     machine, unit, made = crane.machine, size(crane), []
-    pins = [place(crane, p) for joint, p in joints_of(crane, GROUND) if joint.kind != PRISMATIC]
+    pins = ground_pins(crane)
     for pin in pins:
         made += _column(pin, floor, unit, paint)
     sheath = _sheath(crane, GROUND)
@@ -386,10 +384,21 @@ def pillar(crane: Crane, paint: Paint, floor: float = 0.0) -> list[Graphics]:
     return made
 
 
+def ground_pins(crane: Crane) -> list[np.ndarray]:
+    """Return the pins (2,) on the ground."""
+    return [place(crane, p) for joint, p in joints_of(crane, GROUND) if joint.kind != PRISMATIC]
+
+
+def feet(pins: Sequence[np.ndarray], unit: float) -> tuple[float, float]:
+    """Return from which x to which x the feet of the columns at some pins reach, m; unit: `size`."""
+    return min(p[0] for p in pins) + _FOOT[0] * unit, max(p[0] for p in pins) + _FOOT[1] * unit
+
+
 def _column(pin: np.ndarray, floor: float, unit: float, paint: Paint) -> list[Graphics]:
     """Return foot, column and cheeks that hold a pin on the ground."""
     x, height = pin[0], pin[1] - floor
-    foot = hull([(x - 0.32 * unit, floor + 0.03, 0.03), (x + 0.42 * unit, floor + 0.03, 0.03)])
+    left, right = feet([pin], unit)
+    foot = hull([(left + 0.03, floor + 0.03, 0.03), (right - 0.03, floor + 0.03, 0.03)])
     top = floor + min(0.82 * height, height - 0.1 * unit)
     column = hull([(x - 0.12 * unit, floor + 0.06, 0.02), (x + 0.12 * unit, floor + 0.06, 0.02), (x, top, 0.13 * unit)])
     cheeks = hull([(x, top - 0.1 * height, 0.12 * unit), (*pin, 0.085 * unit)])
@@ -420,19 +429,24 @@ def _ground_lug(at: np.ndarray, pins: Sequence[np.ndarray], floor: float, unit: 
 
 def ground(
     middle: float,
-    half: float,
-    floor: float = 0.0,
+    radius: float,
+    floor: float,
+    thick: float,
     color: Color = (0.80, 0.81, 0.78, 1.0),
     line: Color = (0.70, 0.71, 0.68, 1.0),
 ) -> list[Graphics]:
-    """Return the floor around x = middle, so many m to all sides: a plate with lines every metre."""
-    from exudyn.graphics import Brick, Lines
-
-    made: list[Graphics] = [Brick([middle, floor - 0.03, 0.0], [2 * half, 0.06, 2 * half], color=list(color))]
+    """Return the floor at a height, round about x = middle so that its far edge is level from every side, with lines
+    every metre; all in m.
+    """
     top = floor + 0.003
-    low, high = middle - half, middle + half
-    made += [Lines([[x, top, -half], [x, top, half]], color=list(line)) for x in np.arange(math.ceil(low), high)]
-    made += [Lines([[low, top, z], [high, top, z]], color=list(line)) for z in np.arange(math.ceil(-half), half)]
+    disc = draw.Cylinder([middle, floor - thick, 0.0], [0.0, thick, 0.0], radius, color=list(color), nTiles=180)
+    made: list[Graphics] = [disc]
+    for at in np.arange(math.ceil(middle - radius), middle + radius):
+        half = math.sqrt(radius**2 - (at - middle) ** 2)
+        made.append(draw.Lines([[at, top, -half], [at, top, half]], color=list(line)))
+    for at in np.arange(math.ceil(-radius), radius):
+        half = math.sqrt(radius**2 - at**2)
+        made.append(draw.Lines([[middle - half, top, at], [middle + half, top, at]], color=list(line)))
     return made
 
 
@@ -629,20 +643,16 @@ def outlines(crane: Crane, centres: Mapping[str, np.ndarray]) -> dict[str, list[
 
 def moved(graphics: Graphics, by: tuple[float, float, float], angle: float = 0.0) -> Graphics:
     """Return graphics turned about the z axis and then moved."""
-    from exudyn.graphics import Move
-
     c, s = math.cos(angle), math.sin(angle)
-    turned: Graphics = Move(graphics, list(by), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+    turned: Graphics = draw.Move(graphics, list(by), np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
     return turned
 
 
 def arrow(tip: Sequence[float], direction: Sequence[float], length: float, color: Color) -> Graphics:
     """Return an arrow in front of the machine that ends at `tip`, coming along `direction`."""
-    from exudyn.graphics import Arrow
-
     unit = np.asarray(direction, dtype=float) / math.hypot(*direction)
     start = np.asarray(tip, dtype=float) - length * unit
-    made: Graphics = Arrow(
+    made: Graphics = draw.Arrow(
         [*start, FRONT], [*(length * unit), 0.0], radius=0.047 * length, color=list(color), nTiles=24
     )
     return made
@@ -653,7 +663,6 @@ __all__ = [
     "Paint",
     "arrow",
     "body_shape",
-    "exu",
     "ground",
     "moved",
     "oil",

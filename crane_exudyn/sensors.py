@@ -5,14 +5,11 @@ measured follow.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from .errors import CraneError, nearest
-
-if TYPE_CHECKING:
-    from .layout import Layout
 
 
 class Sizes(NamedTuple):
@@ -56,25 +53,6 @@ class Sensor:
     def sizes(self) -> Sizes:
         """Sizes of what it shows."""
         return SIZES[self.unit]
-
-
-def of(layout: Layout) -> Iterator[Sensor]:
-    """Yield the sensors that a machine may have.
-
-    A body that stands on another has one place: an encoder at its joint shows the coordinate, an inclinometer the
-    absolute angle, and an effect at that place acts on what the sensor shows, whichever of the two it is.
-    """
-    for rate in ("", "d"):
-        for name in layout.coordinates:
-            cylinder, place, sum_ = layout.cylinder_of(name), "" if rate else name, layout.absolute(name)
-            unit = layout.unit_of(rate + name)
-            yield Sensor(rate + name, unit, (rate + name,), cylinder, place)
-            if len(sum_) > 1 and sum_[-1] == name:
-                yield Sensor(f"{rate}{name}_abs", unit, tuple(rate + n for n in sum_), cylinder, place)
-    for name in layout.chambers:
-        yield Sensor(name, "Pa", (name,), layout.cylinder_of(name), name)
-    for cylinder, name in enumerate(layout.lengths):
-        yield Sensor(name, "m", (), cylinder)
 
 
 def sensor(name: str, table: Mapping[str, Sensor]) -> Sensor:

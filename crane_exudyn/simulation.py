@@ -70,7 +70,7 @@ class Simulation:
         name = f"simulation of {self.crane.name}"
         return Recording.from_arrays(name, self.time, self.channels(), layout=self.crane.layout)
 
-    def to_csv(self, path: str | Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write all channels in SI to .csv, .csv.gz, .parquet or .mat; `patu` reads them back as a recording."""
         from .formats import write_table
 

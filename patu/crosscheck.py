@@ -51,7 +51,7 @@ def command(
     )
     printer.line(verdict(result))
     with saving(printer) as save:
-        save.json(json, result.to_json())
+        save.json(json, result.to_dict())
         save(output, partial(save_figures, result))
         save(report, partial(_write_report, result, seed, states, seconds))
     raise typer.Exit(0 if result.ok else 1)

@@ -1,5 +1,5 @@
-"""`patu demo`: the main job in three acts: the filter follows a crane, a hidden effect is found and added, and a
-picture.
+"""`patu demo`: the main job in three acts: the filter follows a crane, a hidden effect is found and the crane file
+improved, and a picture.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
+from .improve import tell
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
 from .output import Printer, progress
 from .outputs import Writes, saving
@@ -24,12 +25,14 @@ if TYPE_CHECKING:
     from crane_exudyn.recording import Recording
     from validation.compare import Comparison
     from validation.diagnosis import Diagnosis
+    from validation.improvement import Improvement, Step
     from validation.paper import Case
     from validation.report import Section
 
 MODEL_ERROR = 0.15
 COLUMNS = ("state", "own means %", "paper's tuning %", "published %", "model alone %")
-_FILES = ("filter.png", "before_after.png", "error.png", "crane.png", "improved.toml", "report.html")
+_IMPROVED = "improved.toml"
+_FILES = ("filter.png", "before_after.png", "error.png", "crane.png", _IMPROVED, "report.html")
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,13 @@ class Found:
     cases: dict[str, Case]
     recordings: tuple[Recording, Recording]
     comparison: Comparison
-    diagnosis: Diagnosis
+    improvement: Improvement
     seconds: float
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What the model lacks."""
+        return self.improvement.diagnoses[0]
 
     @property
     def places(self) -> list[str]:
@@ -54,6 +62,7 @@ class Found:
             "cases": [case.document() for case in self.cases.values()],
             "compare": self.comparison.to_dict(),
             "diagnose": self.diagnosis.to_dict(),
+            "improve": self.improvement.to_dict(_IMPROVED),
             "seconds": self.seconds,
         }
 
@@ -74,8 +83,8 @@ def command(
     """Show the main job on what comes with the package.
 
     First a crane follows the paper's working cycle, and a filter whose model has wrong masses, joints, payload and pump
-    follows the crane. Then a recording of a crane with a hidden effect is compared and diagnosed, and the effect is
-    added. Last a picture of that crane is drawn. One report shows all three.
+    follows the crane. Then a recording of a crane with a hidden effect is compared and diagnosed, and the crane file is
+    improved, which the Exudyn engine confirms. Last a picture of that crane is drawn. One report shows all three.
     """
     printer = Printer(json)
     begin = perf_counter()
@@ -87,18 +96,22 @@ def command(
         cases = follow(chosen, engine, seed, done)
     printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(cases))
     printer.line(followed(cases))
-    printer.line("2 of 3: a recording of a crane with a hidden effect is compared and diagnosed, the effect is added.")
-    with progress("The hidden effect") as done:
-        recordings, comparison, diagnosis = search(chosen, jobs, done)
+    printer.line(
+        "2 of 3: a recording of a crane with a hidden effect is compared and diagnosed, the crane file improved."
+    )
+    with progress("Comparing") as done:
+        recordings, comparison = laid_beside(chosen, done)
     printer.line(f"Compared: {comparison.verdict}")
-    found = Found(engine, cases, recordings, comparison, diagnosis, perf_counter() - begin)
+    with progress("Improving") as done:
+        improvement = improved(chosen, recordings, jobs, partial(tell, printer), done)
+    found = Found(engine, cases, recordings, comparison, improvement, perf_counter() - begin)
     printer.line("3 of 3: a picture of that crane.")
     with saving(printer) as save:
         save(output, partial(write, found, seed, printer))
         save.json(json, found.document())
     from validation.reports import verdict
 
-    printer.line(f"Found in {perf_counter() - begin:.0f} s: {verdict(diagnosis)}")
+    printer.line(f"Found in {perf_counter() - begin:.0f} s: {verdict(found.diagnosis)}")
     printer.line(f"Report: {output / 'report.html'}")
 
 
@@ -148,18 +161,26 @@ def followed(cases: dict[str, Case]) -> str:
     )
 
 
-def search(
-    crane: Crane, jobs: int, done: Callable[..., None]
-) -> tuple[tuple[Recording, Recording], Comparison, Diagnosis]:
-    """Return the recordings that come with the package, how the model compares with the first, and what it lacks."""
+def laid_beside(crane: Crane, done: Callable[..., None]) -> tuple[tuple[Recording, Recording], Comparison]:
+    """Return the recordings that come with the package, and how the model compares with the first."""
     from validation.compare import compare
-    from validation.diagnosis import diagnose
     from validation.sample import with_the_package
 
-    learn, check = with_the_package()
-    comparison = compare(crane, learn, progress=lambda share: done(0.4 * share, "comparing"))
-    diagnosis = diagnose(crane, learn, check, jobs=jobs, progress=lambda part, share: done(0.4 + 0.6 * share, part))
-    return (learn, check), comparison, diagnosis
+    recordings = with_the_package()
+    return recordings, compare(crane, recordings[0], progress=done)
+
+
+def improved(
+    crane: Crane,
+    recordings: tuple[Recording, Recording],
+    jobs: int,
+    told: Callable[[Step], None],
+    done: Callable[..., None],
+) -> Improvement:
+    """Return the crane with what the first recording shows that it lacks, held against the second."""
+    from validation.improvement import improve
+
+    return improve(crane, *recordings, jobs=jobs, told=told, progress=lambda part, share: done(share, part))
 
 
 def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]:
@@ -178,20 +199,13 @@ def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]
         "before_after.png": traces_figure(
             from_one_start(found.recordings[0], {"as given": d.given, "improved": d.crane}), d.given.layout
         ),
-        "error.png": plots.bars(
-            ["learned from", "only predicted"],
-            {
-                "as given": (d.error_before, d.check_error_before),
-                "with what was found": (d.error_after, d.check_error_after),
-            },
-            axis="open-loop error / noise of the sensors",
-        ),
+        "error.png": found.improvement.plot(),
     }
     for name, figure in figures.items():
         plots.save(figure, folder / name)
     drawn = draw(found, folder / "crane.png", printer)
-    d.crane.save(folder / "improved.toml")
-    written = [*(folder / name for name in figures), *drawn, folder / "improved.toml"]
+    found.improvement.crane.save(folder / _IMPROVED)
+    written = [*(folder / name for name in figures), *drawn, folder / _IMPROVED]
     parameters = {
         "crane": found.comparison.crane,
         "engine of the crane": found.engine,
@@ -242,7 +256,7 @@ def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: 
             "as its file says.",
             f"Compared with the first: {found.comparison.verdict}",
             f"Diagnosed: {verdict(d)}",
-            Picture(figures["error.png"], "Open-loop error, 1 is the noise of the sensors."),
+            Picture(figures["error.png"], "The falling error, confirmed on the Exudyn engine."),
             Picture(figures["before_after.png"], "What was measured, and what the crane file as given and the improved "
                                                  "one do from the same start."),
             *where_parts(d.given, found.places),

@@ -115,7 +115,7 @@ def command(
     printer = Printer(json)
     tell(printer, result, measured)
     with saving(printer) as save:
-        save(output, best.to_csv)
+        save(output, best.save)
         save.json(json, result.document() | {"recording": str(recording), "engine": engine})
         save(plot, lambda path: save_figure(best.plot(), path))
         save(report, lambda path: save_report(result, measured.name, path, engine, std))

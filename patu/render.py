@@ -47,66 +47,83 @@ def ghost_of(entry: str) -> tuple[str, str]:
     return (name, path) if equals else ("", entry)
 
 
+RunArgument = Annotated[
+    Path | None,
+    typer.Argument(metavar="REC", help="Recording or result with the coordinates; none: the crane at its start."),
+    Reads(),
+]
+DrawnOption = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE", help=".png, .jpg, .gif or .mp4"),
+    Writes(picture_or_film),
+]
+FramesOption = Annotated[
+    bool, typer.Option("--frames", help="Sketch of the crane file instead: every body's frame with its points.")
+]
+GhostOption = Annotated[
+    list[str] | None,
+    typer.Option("--ghost", metavar="[NAME=]FILE", help="Another run in the same scene; repeatable."),
+    Reads(lambda entry: ghost_of(entry)[1]),
+]
+LabelOption = Annotated[
+    str | None, typer.Option(help="What the run itself is called; by default measured, or simulated without noise.")
+]
+TimeOption = Annotated[float | None, typer.Option(help="Time of the picture in s; the last if left out.")]
+FromOption = Annotated[float | None, typer.Option("--from", help="Start of the film in s.")]
+ToOption = Annotated[float | None, typer.Option("--to", help="End of the film in s.")]
+FpsOption = Annotated[float, typer.Option(help="Pictures a second of film.")]
+SpeedOption = Annotated[float, typer.Option(help="Seconds of the run in a second of film.")]
+ColourOption = Annotated[
+    Literal["pressure", "residual"] | None, typer.Option(help="Colour by pressure, or by what differs from --ghost.")
+]
+MarkOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber, joint, point or body by its name; repeatable."),
+]
+ViewOption = Annotated[Literal["side", "oblique"] | None, typer.Option(help="Where it is seen from.")]
+SizeOption = Annotated[str, typer.Option(metavar="WxH", help="Size in pixels.")]
+TitleOption = Annotated[str | None, typer.Option(help="Written at the top; the recording's name if left out.")]
+RendererOption = Annotated[
+    Literal["raytracer", "opengl"],
+    typer.Option(help="Exudyn's ray tracer, or its OpenGL window (on Xvfb without a screen)."),
+]
+SolutionOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write an Exudyn solution file, as its SolutionViewer opens."),
+    Writes(),
+]
+OpenOption = Annotated[bool, typer.Option("--open", help="Open Exudyn's SolutionViewer (needs a screen).")]
+
+
 def command(
-    recording: Annotated[
-        Path | None,
-        typer.Argument(metavar="REC", help="Recording or result with the coordinates; none: the crane at its start."),
-        Reads(),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help=".png, .jpg, .gif or .mp4"),
-        Writes(picture_or_film),
-    ] = None,
-    frames: Annotated[
-        bool, typer.Option("--frames", help="Sketch of the crane file instead: every body's frame with its points.")
-    ] = False,
-    ghost: Annotated[
-        list[str] | None,
-        typer.Option("--ghost", metavar="[NAME=]FILE", help="Another run in the same scene; repeatable."),
-        Reads(lambda entry: ghost_of(entry)[1]),
-    ] = None,
+    recording: RunArgument = None,
+    output: DrawnOption = None,
+    frames: FramesOption = False,
+    ghost: GhostOption = None,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
     map_file: MapFileOption = None,
-    label: Annotated[
-        str | None, typer.Option(help="What the run itself is called; by default measured, or simulated without noise.")
-    ] = None,
-    time: Annotated[float | None, typer.Option(help="Time of the picture in s; the last if left out.")] = None,
-    start: Annotated[float | None, typer.Option("--from", help="Start of the film in s.")] = None,
-    end: Annotated[float | None, typer.Option("--to", help="End of the film in s.")] = None,
-    fps: Annotated[float, typer.Option(help="Pictures a second of film.")] = 12.0,
-    speed: Annotated[float, typer.Option(help="Seconds of the run in a second of film.")] = 1.0,
-    colour: Annotated[
-        Literal["pressure", "residual"] | None,
-        typer.Option(help="Colour by pressure, or by what differs from --ghost."),
-    ] = None,
-    mark: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PLACE", help="Arrow at a cylinder, chamber, joint, point or body by its name; repeatable."
-        ),
-    ] = None,
-    view: Annotated[Literal["side", "oblique"] | None, typer.Option(help="Where it is seen from.")] = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Size in pixels.")] = "1280x720",
-    title: Annotated[str | None, typer.Option(help="Written at the top; the recording's name if left out.")] = None,
-    renderer: Annotated[
-        Literal["raytracer", "opengl"],
-        typer.Option(help="Exudyn's ray tracer, or its OpenGL window (on Xvfb without a screen)."),
-    ] = "raytracer",
-    save_solution: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write an Exudyn solution file, as its SolutionViewer opens."),
-        Writes(),
-    ] = None,
-    open_viewer: Annotated[bool, typer.Option("--open", help="Open Exudyn's SolutionViewer (needs a screen).")] = False,
+    label: LabelOption = None,
+    time: TimeOption = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    fps: FpsOption = 12.0,
+    speed: SpeedOption = 1.0,
+    colour: ColourOption = None,
+    mark: MarkOption = None,
+    view: ViewOption = None,
+    size: SizeOption = "1280x720",
+    title: TitleOption = None,
+    renderer: RendererOption = "raytracer",
+    save_solution: SolutionOption = None,
+    open_viewer: OpenOption = False,
     json: JsonOption = None,
 ) -> None:
     """Draw the crane of a run: one picture, a film, or Exudyn's live viewer.
 
     Other runs given with --ghost stand in the same scene, so that one sees where a model leaves the measurement.
-    """  # fmt: skip
+    """
     if output is None and save_solution is None and not open_viewer:
         raise CraneError("Nothing to do: give -o FILE.png (or .gif, .mp4), --save-solution FILE or --open.")
     described = load_crane(crane, effects)
@@ -119,22 +136,25 @@ def command(
         need_screen("--open")
     read = partial(load_recording, crane=described, entries=mapping, map_file=map_file)
     runs = _runs(described, recording, label, ghost or (), read)
-    scene = Scene(
-        described, runs, colour=colour, marks=mark or (), size=_size(size), view=view,
-        title=title if title is not None else recording.name if recording else described.name,
-    )  # fmt: skip
-    if output is not None:
-        with progress(f"drawing {output.name}", json) as done:
-            scene.save(output, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer, progress=done)
-    _hand_over(scene, save_solution, open_viewer)
-    written = [str(p) for p in (output, save_solution) if p is not None]
+    name = title if title is not None else recording.name if recording else described.name
+    scene = Scene(described, runs, colour=colour, marks=mark or (), size=_size(size), view=view, title=name)
+    drawn = partial(scene.save, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer)
     printer = Printer(json)
-    for path in written:
-        printer.line(f"wrote {path}")
-    if not open_viewer:
-        printer.line(f"To turn it and zoom: patu render {recording or ''} --open (needs a screen).".replace("  ", " "))
     with saving(printer) as save:
+        save(output, partial(_draw, drawn, json))
+        save(save_solution, scene.save_solution)
+        written = [str(p) for p in (output, save_solution) if p is not None]
         save.json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
+    if open_viewer:
+        _view(scene)
+    else:
+        again = ["patu render", recording, *([] if crane == DEFAULT_CRANE else ["--crane", crane]), "--open"]
+        printer.line(f"To turn it and zoom: {' '.join(str(word) for word in again if word)} (needs a screen).")
+
+
+def _draw(drawn: Callable[..., None], json: str | None, path: Path) -> None:
+    with progress(f"drawing {path.name}", json) as done:
+        drawn(path, progress=done)
 
 
 def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:
@@ -144,10 +164,9 @@ def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:
     from crane_exudyn.plots import save as save_figure
     from crane_exudyn.render_frames import sketch
 
-    save_figure(sketch(crane), output)
     printer = Printer(json)
-    printer.line(f"wrote {output}")
     with saving(printer) as save:
+        save(output, partial(save_figure, sketch(crane)))
         save.json(json, {"written": [str(output)], "bodies": list(crane.machine.bodies)})
 
 
@@ -179,16 +198,11 @@ def _size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _hand_over(scene: Scene, save_solution: Path | None, open_viewer: bool) -> None:
-    """Write the solution file, and open Exudyn's viewer with it (or with a temporary one)."""
-    if save_solution is not None:
-        scene.save_solution(save_solution)
-    if not open_viewer:
-        return
+def _view(scene: Scene) -> None:
+    """Open Exudyn's viewer with the run."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        path = save_solution or Path(folder) / "run.txt"
-        if save_solution is None:
-            scene.save_solution(path)
+        path = Path(folder) / "run.txt"
+        scene.save_solution(path)
         scene.view_solution(path)

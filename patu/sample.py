@@ -34,10 +34,9 @@ def command(
     printer = Printer(json)
     with saving(printer) as save:
         for sample in made:
-            save(folder / sample.file, partial(_write, sample))
+            if save(folder / sample.file, partial(_write, sample)):
+                printer.line(f"  {sample.text[0].upper()}{sample.text[1:]}. Try: {sample.told(folder)}")
         save.json(json, {"files": {s.file: {"text": s.text, "try": s.told(folder)} for s in made}})
-    for sample in made:
-        printer.line(f"{sample.file}: {sample.text}. Try: {sample.told(folder)}")
 
 
 def _write(sample: Sample, path: Path) -> None:

@@ -75,7 +75,7 @@ def command(
     tell(printer, run, recording, engine, seconds)
     accuracy = {"halved": holder.halved} | tell_accuracy(printer, run, recording, step, holder.halved)
     with saving(printer) as save:
-        save(output, run.to_csv)
+        save(output, run.save)
         save.json(json, summary(run, engine, seconds) | accuracy)
 
 

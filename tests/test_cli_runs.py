@@ -182,12 +182,16 @@ def test_demo_follows_finds_improves_and_draws_on_one_page(printed: Callable[...
     found = document["diagnose"]
     assert (found["verdict"], found["effects"]) == ("effect", ["internal_leakage@lift"])
     assert found["check_error_before"] > 5.0 and found["check_error_after"] < 1.1
+    given, better = document["improve"]["steps"]
+    assert (given["added"], better["added"]) == (None, "internal_leakage@lift")
+    assert better["error"] < 1.1 < 5.0 < given["error"] and better["check_error"] < 1.1  # on the Exudyn engine
     files = {p.name: p for p in folder.iterdir()}
     pictures = {"filter.png", "before_after.png", "error.png", "crane.png"}
     assert set(files) == pictures | {"improved.toml", "report.html"}
     assert all(files[name].read_bytes().startswith(b"\x89PNG") for name in pictures)
     assert all(f'href="{name}"' in files["report.html"].read_text() for name in pictures)
     assert Crane.load(files["improved.toml"]).effect("internal_leakage@lift") is not None
+    assert "+ internal_leakage@lift: error 0." in out or "+ internal_leakage@lift: error 1." in out
     last = out.splitlines()[-2:]
     assert "Internal leakage (lift), 2.4" in last[0] and "is missing (`internal_leakage@lift`)" in last[0]
     assert last[1] == f"Report: {files['report.html']}"

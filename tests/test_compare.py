@@ -17,7 +17,10 @@ from scipy.signal import lfilter
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.display import rounded
+from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
+from crane_exudyn.exudyn_quietly import items
+from crane_exudyn.geometry import pose
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import noise_std
 from crane_exudyn.simulation import Simulation, simulate
@@ -465,3 +468,45 @@ def test_slow_noise_at_rest_is_told_and_a_ring_that_dies_out_is_not() -> None:
     # parabolas through a quarter of a second take some of it away; the white estimate sees a fifth
     assert 1.5e4 < noise_at_rest(recording["p1"], time, commands) < 3.3e4
     assert noise_std(recording["p1"].values) < 1.2e4
+
+
+# -- objects of one's own ----------------------------------------------------------------------------------------------
+
+
+ABOVE, STIFFNESS, REST = np.array([4.5, 4.0]), 500.0, 1.5
+
+
+def hold_tip(mbs, plant, number):
+    """A spring from E to a point above it."""
+    above = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=plant.ground, localPosition=[*ABOVE, 0.0]))
+    markers = [above, plant.marker("E", number)]
+    mbs.AddObject(items.SpringDamper(markerNumbers=markers, referenceLength=REST, stiffness=STIFFNESS))
+
+
+def test_objects_of_ones_own_are_part_of_a_comparison() -> None:
+    """A spring that holds the tip explains the recording; without it, both joints lack its moment."""
+    time = np.arange(0.0, 2.5, 0.01)
+    commands = {"u1": ramps(time, (0.4, 1.2, 0.3)), "u2": ramps(time, (1.4, 2.1, 0.25))}
+    held = CRANE.with_objects(hold_tip)
+    start = ExudynEngine(held).static_start(np.radians(12.0), np.radians(-50.0))
+    run = simulate(held, Recording.from_arrays("held", time, commands), start=start, step=2.5e-3)
+    recording = measured(run, seed=3)
+    with pytest.raises(CraneError, match="Exudyn engine only"):
+        compare(held, recording)
+    found = compare(held, recording, "exudyn")
+    assert found.error < 1.1 and not found.violated
+    assert compare(CRANE, recording, "exudyn").violated == ("torque.O", "torque.A")
+
+
+def test_the_moments_of_objects_do_the_work_of_their_forces() -> None:
+    angles = np.radians([12.0, -50.0])
+    engine = ExudynEngine(CRANE.with_objects(hold_tip))
+    found = engine.object_moments(engine.static_start(*angles)[None], np.zeros(1))[0]
+
+    def energy(z: np.ndarray) -> float:
+        away = float(np.linalg.norm(ABOVE - pose(CRANE, *z).points["E"][0]))
+        return 0.5 * STIFFNESS * (away - REST) ** 2
+
+    h = 1e-5
+    by_energy = [-(energy(angles + h * v) - energy(angles - h * v)) / (2.0 * h) for v in np.eye(2)]
+    assert found == pytest.approx(by_energy, rel=1e-7)

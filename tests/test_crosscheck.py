@@ -279,7 +279,7 @@ def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -
     assert {q.name for q in result.failures} == {
         f"{m}: order of {o}" for m in cc.by_name(result.runs) for o in ("positions", "pressures")
     }
-    document = json.loads(json.dumps(result.to_json(), allow_nan=True))
+    document = json.loads(json.dumps(result.to_dict(), allow_nan=True))
     assert {"F1", "dz2_dz4", "static start: p1", "payload_swing", "drawn at random", "paper's cycle: p1"} <= set(
         document["quantities"]
     )

@@ -572,7 +572,7 @@ def test_recording_without_the_sensors_is_refused():
 
 def test_csv_plot_and_document(tmp_path):
     estimate = estimator(augment=("payload.mass",)).run(recording(every=10))
-    estimate.to_csv(tmp_path / "out.csv")
+    estimate.save(tmp_path / "out.csv")
     table = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True, deletechars="")
     assert table.size == estimate.time.size
     np.testing.assert_allclose(table["z1[rad]"], estimate["z1"], rtol=1e-8)

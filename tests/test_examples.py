@@ -37,7 +37,7 @@ def leaking(tmp_path_factory):
         run = simulate(crane, Recording.from_arrays("c", time, commands), engine=SemiRecursiveEngine(crane), step=2e-3)
         random = np.random.default_rng(seed)
         seen = {c: run[c] + random.normal(0.0, std, time.size) for c, std in NOISE.items()}
-        Recording.from_arrays(name, time, commands | seen).to_csv(folder / f"{name}.csv")
+        Recording.from_arrays(name, time, commands | seen).save(folder / f"{name}.csv")
     return folder
 
 

@@ -13,6 +13,7 @@ from crane_exudyn.effects import registry
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
 from crane_exudyn.simulation import simulate
+from crane_exudyn.static_start import static_start
 from ukf.channels import Channels
 from validation.semi_recursive import SemiRecursiveEngine
 
@@ -69,7 +70,7 @@ def test_a_sensor_names_the_effect_whose_law_gives_no_number(spoil: Callable[[st
 def test_it_is_found_where_the_failing_step_leads(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last good state is one at which the law still gave a number."""
     crane = Crane.load("patu655").with_effect("seal_friction@lift", {"dFc": 100.0})
-    state = statics.static_start(crane, 0.2, -0.7)
+    state = static_start(crane, 0.2, -0.7)
     state[2] = 0.1
     usual = statics.terms
 
@@ -77,7 +78,7 @@ def test_it_is_found_where_the_failing_step_leads(monkeypatch: pytest.MonkeyPatc
         beyond = bool(tried.effects) and x[0] > 0.2 + 0.5e-4
         return usual(tried, x, w, time) | ({"F1": np.nan} if beyond else {})
 
-    monkeypatch.setattr(statics, "terms", terms)
+    monkeypatch.setattr(faulty_laws, "terms", terms)
     found = faulty_laws.where_run_failed(crane, state, CLOSED, 1.0, 1e-3)
     assert found is not None and "'seal_friction@lift'" in str(found) and "t = 1.001 s" in str(found)
     state[2] = 0.0

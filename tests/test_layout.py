@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import math
 import re
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,7 @@ import pytest
 from made_up import made_up
 
 from crane_exudyn import Crane, CraneError, Recording, channels, hydraulics, plots, reduction
-from crane_exudyn.layout import Layout
-from crane_exudyn.sensors import of
+from crane_exudyn.layout import Layout, sensors_of
 from validation import phases
 from validation.phases import Phase
 
@@ -57,7 +57,7 @@ def test_places_in_the_inputs_of_another_machine():
 def test_cylinders_and_sensors_of_another_machine():
     assert DIGGER.side_of("b2") == "middle, rod side" and DIGGER.cylinder_of("b2") == 1
     assert DIGGER.cylinder_of("bucket") == 1 and DIGGER.absolute("bucket") == ("boom", "arm", "bucket")
-    sensors = {s.name: s for s in of(DIGGER)}
+    sensors = {s.name: s for s in sensors_of(DIGGER)}
     assert list(sensors)[:5] == ["boom", "arm", "arm_abs", "bucket", "bucket_abs"] and "boom_abs" not in sensors
     assert sensors["dbucket_abs"].shows == ("dboom", "darm", "dbucket") and not sensors["dbucket_abs"].place
     assert sensors["arm_abs"].place == "arm" and sensors["arm"].cylinder == 2 and sensors["x3"].cylinder == 2
@@ -136,7 +136,7 @@ LAYOUT = Crane.load("patu655").layout
 NAMES = {
     *LAYOUT.states, *LAYOUT.joints, *LAYOUT.bodies, *LAYOUT.cylinders, *LAYOUT.lengths, *LAYOUT.commands,
     *LAYOUT.voltages,
-    *LAYOUT.torques, *LAYOUT.flows, *(s.name for s in of(LAYOUT)),
+    *LAYOUT.torques, *LAYOUT.flows, *(s.name for s in sensors_of(LAYOUT)),
 }  # fmt: skip
 #: what is the PATU's own: the paper, recordings drawn for it
 OWN = {
@@ -145,6 +145,7 @@ OWN = {
 }  # fmt: skip
 #: what may fall back on the layout of patu655: where a user names no crane, and the PATU's own studies
 DEFAULTS = {
+    "crane_exudyn/machine_toml.py",
     "crane_exudyn/recording.py",
     "crane_exudyn/plots.py",
     "ukf/estimate.py",
@@ -179,6 +180,31 @@ def test_only_listed_files_know_where_things_stand():
 
 def test_only_listed_files_fall_back_on_one_machine():
     assert {path for path, text in sources().items() if "usual_layout" in text} == DEFAULTS
+
+
+def _imports(path: str, text: str, known: set[str]) -> set[str]:
+    """Return which known files a source takes something from, at whatever place in it."""
+    found = set()
+    for node in (n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.ImportFrom)):
+        base = (Path(path).parents[node.level - 1] if node.level else Path()) / (node.module or "").replace(".", "/")
+        for name in node.names:
+            found |= {next((f for f in (f"{base}/{name.name}.py", f"{base}.py") if f in known), path)}
+    return found - {path}
+
+
+#: a crane reads and writes its file, which holds cranes; a scene has texts written on it, which ask the scene
+BOTH_WAYS = {
+    "crane_exudyn/crane_toml.py": {"crane_exudyn/crane.py", "crane_exudyn/crane_edit.py"},
+    "crane_exudyn/crane_edit.py": {"crane_exudyn/crane.py"},
+    "crane_exudyn/render_text.py": {"crane_exudyn/render.py"},
+}
+
+
+def test_files_of_the_crane_import_each_other_one_way() -> None:
+    files = {path: text for path, text in sources().items() if path.startswith("crane_exudyn/")}
+    used = {path: _imports(path, text, set(files)) - BOTH_WAYS.get(path, set()) for path, text in files.items()}
+    assert sum(map(len, used.values())) > 100
+    TopologicalSorter(used).prepare()  # raises where there is a circle
 
 
 @pytest.mark.parametrize(

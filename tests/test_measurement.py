@@ -161,7 +161,7 @@ registry.load_file(sys.argv[1])
 sys.path.insert(0, sys.argv[2])
 from test_measurement import *
 from crane_exudyn.render_shapes import pendulum_length
-from crane_exudyn.statics import static_start
+from crane_exudyn.static_start import static_start
 from validation.fit.variables import effect_variables
 true = dict(zip(ALL, Measurement.of(CRANE).read(trajectory()).T))
 crane = CRANE.with_effect("compressed@z1", {"k": 0.7}).with_effect("compressed@p1", {"k": 1e-7})

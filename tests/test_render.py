@@ -226,12 +226,21 @@ def test_the_floor_is_larger_than_the_picture_and_shadows_are_whole():
     """Below a level boom its shadow is one piece: every column of pixels between its ends has some of it."""
     level = Trajectory("run", TIME, np.tile([0.3, -0.3], (81, 1)))
     picture = draw(Scene(CRANE, [level], size=(640, 360)))
-    assert (picture[-1].std(axis=1) < 12).all() and picture[
-        -1
-    ].mean() < 235  # floor, no background, along the lower edge
+    assert (picture[-1].std(axis=1) < 12).all()  # floor, no background, along the lower edge
+    assert picture[-1].mean() < 235
     dark = (np.abs(picture - 130) < 14).all(axis=2)
-    ends = np.flatnonzero(dark[200:].any(axis=0))
-    assert np.ptp(ends) > 200 and len(ends) > 0.95 * np.ptp(ends)
+    ends = np.flatnonzero(dark[200:, 110:].any(axis=0))  # right of the foot
+    assert np.ptp(ends) > 200 and len(ends) > 0.95 * np.ptp(ends) and ends.max() < 525
+
+
+def test_from_the_side_the_machine_stands_on_earth_down_to_the_lower_edge_with_its_feet_in_the_picture():
+    scene = Scene(CRANE, [Trajectory.at_rest(CRANE)], size=(640, 360), view="side")
+    picture = draw(scene).astype(int)
+    floor = round(float(scene.project(np.zeros((1, 3)))[0, 1]))
+    assert (picture[floor + 3 :, 400:, 2] < picture[floor + 3 :, 400:, 0] + 5).all()  # no blue of the sky
+    feet = shapes.feet(shapes.ground_pins(CRANE), shapes.size(CRANE))
+    ends = scene.project(np.array([[x, 0.0, 0.0] for x in feet]))[:, 0]
+    assert (ends > 5).all() and (ends < 635).all()
 
 
 # -- what colours mean -------------------------------------------------------------------------------------------------
@@ -389,8 +398,9 @@ def test_command_writes_picture_solution_and_json(recording, tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_command_draws_the_crane_at_its_start_without_a_recording(tmp_path):
-    assert patu("render", "-o", tmp_path / "crane.png", "--size", "320x180") == 0
+def test_command_draws_the_crane_at_its_start_without_a_recording(tmp_path, capsys):
+    assert patu("render", "-o", tmp_path / "crane.png", "--crane", "loader", "--size", "320x180") == 0
+    assert "patu render --crane loader --open" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", MACHINES)

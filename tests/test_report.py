@@ -245,7 +245,7 @@ def example_comparison():
 
 
 def test_a_comparison_leaves_on_the_clocks_of_its_channels(tmp_path):
-    example_comparison().to_csv(tmp_path / "c.csv")
+    example_comparison().save(tmp_path / "c.csv")
     assert (tmp_path / "c.csv").read_text().splitlines() == [
         "time[s],z1_measured[rad],z1_simulated[rad],p1_measured[Pa],p1_simulated[Pa]",
         "0.0,0.1,1.1,,", "0.1,0.2,1.2,3000000.0,3000001.0", "0.2,0.3,1.3,,",
@@ -258,7 +258,7 @@ def test_results_with_texts_leave_in_every_format(result, tmp_path):
     from scipy.io import loadmat
 
     for name in ("r.csv", "r.parquet", "r.mat"):
-        result().to_csv(tmp_path / name)
+        result().save(tmp_path / name)
     columns = parquet.read_table(tmp_path / "r.parquet").to_pydict()
     text, number = ("effect", "evidence") if "effect" in columns else ("added", "error")
     assert "internal_leakage@lift" in columns[text]

@@ -13,7 +13,7 @@ import numpy as np
 from crane_exudyn import channels
 from crane_exudyn.crane import Crane
 from crane_exudyn.layout import Layout
-from crane_exudyn.recording import usual_layout
+from crane_exudyn.machine_toml import usual_layout
 
 from . import consistency
 from .monitor import ABSENT, FROZEN, OUTLIER, USED
@@ -288,11 +288,11 @@ class Estimate:
         spans = [[float(self.time[a]), float(self.time[b - 1])] for a, b in zip(edges[::2], edges[1::2], strict=True)]
         return {"final": float(probability[-1]), "mean": float(probability.mean()), "leads": spans}
 
-    def to_csv(self, path: str | Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write states with 95 % limits, innovations, their standard deviations and NIS; SI, whole or not at all."""
-        from .tables import write_csv
+        from .tables import write_estimate
 
-        write_csv(self, path)
+        write_estimate(self, path)
 
     def to_dataframe(self) -> Any:
         """Return estimated quantities and, as "name_std", their standard deviations as a pandas DataFrame over time;

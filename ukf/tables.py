@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .estimate import Estimate
 
 
-def write_csv(estimate: Estimate, path: str | Path) -> None:
+def write_estimate(estimate: Estimate, path: str | Path) -> None:
     """Write .csv, .csv.gz, .parquet or .mat, one row an instant: time, inputs, each state with its 95 % limits,
     innovations with their std, NIS.
     """

@@ -253,8 +253,8 @@ def _transitions(
     lay = model.crane.layout
     nx, spread, columns = model.nx, spread_of(lay), [lay.all_inputs.index(e) for e in lay.equations]
     W = np.zeros((1 + len(columns), len(data.time), len(lay.all_inputs)))
-    W[:, :, lay.driving] = model.W
-    W[:, :, columns] = inputs * spread
+    W[:, :, : model.W.shape[1]] = model.W
+    W[:, :, columns] += inputs * spread
     for j, column in enumerate(columns):
         W[1 + j, :, column] += spread[j]
     m = len(columns)

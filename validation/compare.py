@@ -34,6 +34,7 @@ from .balances import Balances, balances_of
 from .findings import Finding, Scores, balance_words, people_unit, scores_of, told
 from .fit.data import FitData, known_parameters
 from .fit.model import model_of, spool_path
+from .fit.objects import with_objects
 from .fit.solve import Fit
 from .fit.staged import FINE, LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged, timing_of
 from .fitness import check_recording, usable
@@ -174,7 +175,7 @@ class Comparison:
             "where": [finding.to_dict() for finding in self.where],
         }
 
-    def to_csv(self, path: str | Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write what was measured and what the open-loop run gave in SI to .csv, .csv.gz, .parquet or .mat.
 
         One row an instant of any channel, `z1_measured[rad]`, `z1_simulated[rad]`, …; NaN where a channel has no
@@ -250,17 +251,22 @@ def compare(
     if engine not in ("semi-recursive", "exudyn"):
         raise CraneError(f'There is no engine {engine!r}. Use "exudyn" or "semi-recursive".')
     crane = Crane.load(crane) if isinstance(crane, str) else crane
+    if crane.objects and engine != "exudyn":
+        raise CraneError(
+            f'{crane.name}: objects of one\'s own are known to the Exudyn engine only. Compare with engine="exudyn".'
+        )
     recording = recording if isinstance(recording, Recording) else Recording.load(recording, layout=crane.layout)
     done = progress or (lambda fraction: None)
     notes = check_recording(recording, crane)
     kept = usable(recording)
-    data = FitData.of(kept, crane)
-    start = started(crane, data)
+    data = with_objects(crane, FitData.of(kept, crane))
+    bare = replace(crane, objects=())  # what the objects do, the data know
+    start = started(bare, data)
     late, starts = start.late, start.starts
     del start  # of ten minutes it holds as much as the recording
     done(0.3)
     data = data.with_step(FINE).shifted(late)
-    balances = balances_of(crane, data)
+    balances = balances_of(bare, data)
     done(0.6)
     estimate = filtered(crane, data, engine, lambda f: done(0.6 + 0.3 * f))
     measured, simulated, channels = _open_loop_errors(crane, kept, starts, late, engine)
@@ -343,7 +349,7 @@ def open_loop(crane: Crane, data: FitData, starts: np.ndarray, engine: Engine) -
         from crane_exudyn.engine import ExudynEngine
 
         simulate = partial(ExudynEngine(crane).simulate, step=data.step)
-    left = residuals(crane, data, starts, simulate=simulate)
+    left = residuals(replace(crane, objects=()), data, starts, simulate=simulate)
     measured = {s.channel: (left[s.channel][0], s.values) for s in data.samples}
     return measured, {s.channel: (left[s.channel][0], s.values - left[s.channel][1] * s.noise) for s in data.samples}
 

@@ -195,7 +195,7 @@ class CrossCheck:
         """What is out of tolerance; the first is nearest to the cause."""
         return [q for q in self.quantities if not q.ok]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable result."""
         return {
             "crane": self.crane,

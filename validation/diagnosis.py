@@ -123,7 +123,7 @@ class Diagnosis:
 
         return diagnosis_figure(self)
 
-    def to_csv(self, path: str | FilePath) -> None:
+    def save(self, path: str | FilePath) -> None:
         """Write the candidates, best first, to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""
         from crane_exudyn.formats import write_table
 

@@ -23,8 +23,9 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import pose
+from crane_exudyn.machine_toml import usual_layout
 from crane_exudyn.measurement import Measurement
-from crane_exudyn.recording import Recording, usual_layout
+from crane_exudyn.recording import Recording
 
 if TYPE_CHECKING:
     from .hidden_plant import Dialect, Law
@@ -453,7 +454,7 @@ def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law
     effects.
     """
     from crane_exudyn.engine import ExudynEngine
-    from crane_exudyn.statics import static_start
+    from crane_exudyn.static_start import static_start
 
     from .hidden_plant import inputs, simulate
 

@@ -101,7 +101,7 @@ class Improvement:
 
         return improvement_figure(self)
 
-    def to_csv(self, path: str | Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the steps to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""
         from crane_exudyn.formats import write_table
 

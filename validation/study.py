@@ -25,7 +25,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
-from crane_exudyn.recording import usual_layout
+from crane_exudyn.machine_toml import usual_layout
 
 from .hidden import HIDES, KINDS, SENSOR_SETS, SEVERITIES, HiddenCase, hideable, make_case
 from .json_lines import add_line, read_lines

@@ -52,6 +52,8 @@ class FitData:
         command_time, commands: (n,) s and (n, valves), linear between, on their own clock.
         supply: (N, 2) measured pump and tank pressure in Pa, NaN where not recorded.
         samples: one entry a measured channel; none where the commands are not known.
+        moments: (N, coordinates) in N m (N where a joint slides), what objects of one's own put on the joints; None
+            without any.
         blind: spans (from, to) in s in which a command was not recorded, or is still felt; the model is not run through
             them.
     """
@@ -64,6 +66,7 @@ class FitData:
     supply: np.ndarray
     samples: tuple[Samples, ...]
     blind: tuple[tuple[float, float], ...] = ()
+    moments: np.ndarray | None = None
 
     @cached_property
     def stretches(self) -> list[tuple[int, int]]:
@@ -156,7 +159,10 @@ class FitData:
         grid = self.time[0] + step * np.arange(int(np.ceil((end - self.time[0]) / step)) + 1)
         samples = _sharing(_placed(s, self.time[s.index] + s.fraction * self.step, grid) for s in self.samples)
         supply = np.column_stack([np.interp(grid, self.time, c) for c in self.supply.T])
-        return replace(self, time=grid, step=step, supply=supply, samples=samples)
+        moments = self.moments
+        if moments is not None:
+            moments = np.column_stack([np.interp(grid, self.time, m) for m in moments.T])
+        return replace(self, time=grid, step=step, supply=supply, samples=samples, moments=moments)
 
     def stepped(self, longest: float) -> FitData:
         """Return the same data on a grid with a step (s) of at most `longest` that suits its sampling."""
@@ -169,7 +175,8 @@ class FitData:
             inside = slice(*np.searchsorted(s.index, [start, end]))  # views: windows of ten minutes are thousands
             kept.append(Samples(s.channel, s.index[inside] - start, s.fraction[inside], s.values[inside], s.noise))
         cut = slice(start, end + 1)
-        return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept))
+        moments = None if self.moments is None else self.moments[cut]
+        return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept), moments=moments)
 
 
 @dataclass(frozen=True)

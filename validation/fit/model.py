@@ -20,8 +20,8 @@ from .data import FitData
 
 @dataclass(frozen=True)
 class Model:
-    """Vectors of one crane for one recording: P, E, the inputs W (N, valves + 2) on the recording's grid; and the
-    commands' lateness, s.
+    """Vectors of one crane for one recording: P, E, the inputs W (N, valves + 2) on the recording's grid, with
+    disturbances behind where any are known; and the commands' lateness, s.
     """
 
     crane: Crane
@@ -57,7 +57,19 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None 
     spool = None if near is None else _extrapolated(near, crane, P, E, data, late)
     if spool is None:
         spool = _paths(crane, P, E, data, late)
-    return Model(crane, P, E, np.column_stack([spool, data.supply]), late)
+    return Model(crane, P, E, _inputs(crane, data, spool), late)
+
+
+def _inputs(crane: Crane, data: FitData, spool: np.ndarray) -> np.ndarray:
+    """Return the inputs W (N, valves + 2); with disturbances behind, where objects of one's own make such."""
+    W = np.column_stack([spool, data.supply])
+    if data.moments is None:
+        return W
+    lay = crane.layout
+    wide = np.zeros((len(W), len(lay.all_inputs)))
+    wide[:, lay.driving] = W
+    wide[:, [lay.all_inputs.index(name) for name in lay.torques]] = data.moments
+    return wide
 
 
 def spool_path(crane: Crane, data: FitData, late: float = 0.0) -> np.ndarray:

@@ -1,0 +1,97 @@
+"""The static start: a state at rest, with valves closed and forces in balance."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from . import faulty_laws
+from . import geometry as geo
+from . import hydraulics as hyd
+from . import reduction as red
+from .crane import Crane
+from .effects import hooks
+from .errors import CraneError
+from .geometry import LENGTH
+from .statics import reduced, size_of_state, vapour_pressure
+
+
+def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e5) -> np.ndarray:
+    """Return the state (nx,) at rest with valves closed and forces in balance.
+
+    In each cylinder the less loaded chamber has the given pressure, the other follows from the balance of forces. A
+    payload on a pendulum hangs straight down (along gravity where that is turned).
+
+    Args:
+        pose: independent coordinates, rad or m.
+        less_loaded: pressure in Pa, one number or one per cylinder; may stand behind the coordinates.
+
+    Raises:
+        CraneError: the pose cannot be reached, a pressure below vapour pressure, or cylinders without leverage there.
+    """
+    lay = crane.layout
+    n = len(lay.coordinates)
+    if len(pose) == n + 1:
+        *pose, less_loaded = pose  # type: ignore[assignment]
+    if len(pose) != n:
+        raise CraneError(f"{crane.name}: a pose has {n} coordinates ({', '.join(lay.coordinates)}), found {len(pose)}.")
+    P, E = crane.parameter_vector(), crane.effect_vector()
+    gx, gy = hooks.gravity(E, 0.0, -1.0)
+    state = np.zeros(size_of_state(crane))
+    state[lay.positions] = pose
+    state[lay.extra][:1] = math.atan2(gx, -gy)
+    low = np.broadcast_to(np.asarray(less_loaded, dtype=float), len(lay.cylinders))
+    floor = vapour_pressure(crane)
+    if not np.all(low >= floor):
+        raise CraneError(
+            f"{crane.name}: the less loaded chamber cannot be at {low.min():g} Pa, below vapour pressure ({floor:g} "
+            "Pa)."
+        )
+    r = reduced(crane, state, 0.0)
+    forces = _holding_forces(crane, r, state)
+    for c, force in enumerate(forces):
+        state[lay.pressures_of(c)] = _pressures(P, E, c, r["lines"][c, LENGTH], force, low[c])
+    if not np.isfinite(state).all():
+        raise faulty_laws.where_start_failed(crane, state) or CraneError(
+            f"{crane.name}: there is no static start at {geo.told(lay, state)}: "
+            "the forces there are not finite. Look for numbers of the crane that are out of proportion."
+        )
+    return state
+
+
+def _holding_forces(crane: Crane, r: dict[str, Any], state: np.ndarray) -> np.ndarray:
+    """Return the cylinder forces (cylinders,) in N that hold weights and tip force at rest."""
+    lay, f = crane.layout, np.zeros(r["width"])
+    red.add_gravity(r["topology"], r["P"], r["E"], r["inertia"], f)
+    rest, w = np.zeros(r["width"]), np.zeros(len(lay.all_inputs))
+    red.add_joint_forces(r["topology"], r["E"], 0.0, w, r["arms"], rest, f)
+    leverage = r["D"][:, lay.positions]
+    if np.abs(leverage).max(axis=1).min() < 1e-6 or abs(np.linalg.det(leverage)) < 1e-9:
+        name = lay.cylinders[int(np.abs(leverage).max(axis=1).argmin())]
+        raise CraneError(
+            f"{crane.name}: the {name} cylinder has no leverage at {geo.told(lay, state)}, so no pressure balances the "
+            "load. Start at another pose."
+        )
+    return np.linalg.solve(leverage.T, -(r["N"] @ f)[lay.positions])
+
+
+def _pressures(P: np.ndarray, E: np.ndarray, c: int, s: float, force: float, low: float) -> tuple[float, float]:
+    """Return (p_piston, p_rod) that give a force at rest, with the less loaded chamber at `low`.
+
+    Effects may hold a part of it (a seal that sticks, an end stop): by the cylinder's length, which a spring in series
+    lets depend on the pressures. So the pressures are found again with what the effects hold at them.
+    """
+    area_a, area_b = hyd.areas(P, c)
+    found = low, low
+    for _ in range(50):
+        rest, before = force - hyd.extra_force(P, E, c, s, 0.0, found[0], found[1]), found
+        found = (
+            ((rest + low * area_b) / area_a, low)
+            if rest >= low * (area_a - area_b)
+            else (low, (low * area_a - rest) / area_b)
+        )
+        if abs(found[0] - before[0]) + abs(found[1] - before[1]) <= 1e-6:
+            break
+    return found
