@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,48 +39,57 @@ if TYPE_CHECKING:
     from ukf.noise import ProcessNoise
 
 
+PlotOption = Annotated[
+    Path | None,
+    typer.Option("--plot", metavar="FILE", help="Picture of the estimate: .png, .svg or .pdf."),
+    Writes(picture),
+]
+SensorsOption = Annotated[
+    list[str] | None, typer.Option("--sensor", metavar="CHANNEL", help="Use only this sensor; repeatable.")
+]
+AugmentOption = Annotated[
+    list[str] | None,
+    typer.Option("--augment", metavar="NAME", help="Also estimate this, such as payload.mass; repeatable."),
+]
+MethodOption = Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|simplex|ekf", help="Which filter.")]
+SmoothOption = Annotated[bool, typer.Option("--smooth", help="Also smooth back over the recording (RTS).")]
+TuneOption = Annotated[
+    bool, typer.Option("--tune", help="First find the most likely process noise, not only its size.")
+]
+ModelErrorOption = Annotated[
+    str,
+    typer.Option(
+        "--model-error",
+        metavar="auto|off|on",
+        help="Let the intervals allow for an error of the model; auto: where needed.",
+    ),
+]
+ModelsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--models",
+        metavar="A.toml B.toml …",
+        help="Run these cranes side by side, instead of --crane: which one is it, and when?",
+    ),
+    Reads(),
+]
+StepOption = Annotated[float, typer.Option("--step", metavar="SECONDS", help="Longest time step of the model.")]
+
+
 def command(
     recording: RecordingArgument,
     output: OutputOption = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option("--plot", metavar="FILE", help="Picture of the estimate: .png, .svg or .pdf."),
-        Writes(picture),
-    ] = None,
+    plot: PlotOption = None,
     report: ReportOption = None,
     engine: EngineOption = "exudyn",
-    sensors: Annotated[
-        list[str] | None, typer.Option("--sensor", metavar="CHANNEL", help="Use only this sensor; repeatable.")
-    ] = None,
-    augment: Annotated[
-        list[str] | None,
-        typer.Option("--augment", metavar="NAME", help="Also estimate this, such as payload.mass; repeatable."),
-    ] = None,
-    method: Annotated[
-        str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|simplex|ekf", help="Which filter.")
-    ] = "ukf",
-    smooth: Annotated[bool, typer.Option("--smooth", help="Also smooth back over the recording (RTS).")] = False,
-    tune: Annotated[
-        bool, typer.Option("--tune", help="First find the most likely process noise, not only its size.")
-    ] = False,
-    model_error: Annotated[
-        str,
-        typer.Option(
-            "--model-error",
-            metavar="auto|off|on",
-            help="Let the intervals allow for an error of the model; auto: where needed.",
-        ),
-    ] = "auto",
-    models: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--models",
-            metavar="A.toml B.toml …",
-            help="Run these cranes side by side, instead of --crane: which one is it, and when?",
-        ),
-        Reads(),
-    ] = None,
-    step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Longest time step of the model.")] = 1e-3,
+    sensors: SensorsOption = None,
+    augment: AugmentOption = None,
+    method: MethodOption = "ukf",
+    smooth: SmoothOption = False,
+    tune: TuneOption = False,
+    model_error: ModelErrorOption = "auto",
+    models: ModelsOption = None,
+    step: StepOption = 1e-3,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
@@ -92,35 +102,49 @@ def command(
     The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise
     of the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
     """
-    if not step > 0.0:
-        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
+    _refuse(step, model_error, smooth and bool(models))
     cranes = _cranes(models, crane, effects)
     chosen = next(iter(cranes.values()))
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
-    from ukf.estimator import Estimator
-    from ukf.model_error import estimate
-
-    noise = _tuned(cranes.values(), measured, std, augment or [], json, tune)
-    filters = {n: Estimator(c, engine, std, noise, method, augment or (), max_step=step) for n, c in cranes.items()}
-    slack = noise_slack(chosen, measured, std)
+    filters = _filters(cranes, engine, std, method, augment or [], step, bool(models))
+    noise, slack = _tuned(cranes.values(), measured, std, augment or [], json, tune), noise_slack(chosen, measured, std)
+    filters = {name: f.varied(noise=noise) for name, f in filters.items()}
     if models:
-        result = _side_by_side(filters, measured, model_error, smooth, slack)
+        result = _side_by_side(filters, measured, model_error, slack)
     else:
-        plain = filters[crane]
-        result = estimate(plain, measured, mode=model_error, smooth=smooth, noise_slack=slack, stage=progress)
-    best = result.smoothed if result.smoothed is not None else result
-    from crane_exudyn.plots import save as save_figure
-
+        result = _alone(filters[crane], measured, model_error, smooth, slack)
     printer = Printer(json)
     tell(printer, result, measured)
     with saving(printer) as save:
-        save(output, best.save)
+        save(output, _best(result).save)
         save.json(json, result.document() | {"recording": str(recording), "engine": engine})
-        save(plot, lambda path: save_figure(best.plot(), path))
+        save(plot, partial(_draw, result))
         save(report, lambda path: save_report(result, measured.name, path, engine, std))
     if result.failed:
         raise typer.Exit(1)
+
+
+def _refuse(step: float, model_error: str, smoothed_together: bool) -> None:
+    """Refuse options that cannot be, before any work begins."""
+    from ukf.model_error import mode_of
+
+    if not step > 0.0:
+        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
+    mode_of(model_error)
+    if smoothed_together:
+        raise CraneError("--smooth and --models exclude each other: several models cannot be smoothed together.")
+
+
+def _best(result: Estimate) -> Estimate:
+    """Return the smoothed estimate where there is one."""
+    return result.smoothed if result.smoothed is not None else result
+
+
+def _draw(result: Estimate, path: Path) -> None:
+    from crane_exudyn.plots import save
+
+    save(_best(result).plot(), path)
 
 
 def _cranes(models: list[str] | None, crane: str, effects: list[Path] | None) -> dict[str, Crane]:
@@ -133,15 +157,39 @@ def _cranes(models: list[str] | None, crane: str, effects: list[Path] | None) ->
     return loaded if len(loaded) == len(models) else dict(zip(models, loaded.values(), strict=False))
 
 
-def _side_by_side(
-    filters: dict[str, Estimator], recording: Recording, model_error: str, smooth: bool, slack: float
-) -> Estimate:
+def _filters(
+    cranes: dict[str, Crane],
+    engine: str,
+    std: dict[str, float],
+    method: str,
+    augment: list[str],
+    step: float,
+    together: bool,
+) -> dict[str, Estimator]:
+    """Return a filter for each model with the default noise; what cannot run is refused here, before the search for a
+    noise.
+    """
+    from ukf.estimator import Estimator
+    from ukf.side_by_side import SideBySide
+
+    filters = {n: Estimator(c, engine, std, None, method, augment, max_step=step) for n, c in cranes.items()}
+    if together:
+        SideBySide(filters)
+    return filters
+
+
+def _alone(plain: Estimator, recording: Recording, model_error: str, smooth: bool, slack: float) -> Estimate:
+    """Return the estimate by one model."""
+    from ukf.model_error import estimate
+
+    return estimate(plain, recording, mode=model_error, smooth=smooth, noise_slack=slack, stage=progress)
+
+
+def _side_by_side(filters: dict[str, Estimator], recording: Recording, model_error: str, slack: float) -> Estimate:
     """Return the mixed estimate of several models, each with its own model error if that was asked for."""
     from ukf.model_error import find
     from ukf.side_by_side import SideBySide
 
-    if smooth:
-        raise CraneError("--smooth and --models exclude each other: several models cannot be smoothed together.")
     if model_error == "on":
         with progress("Model error"):
             found = {n: find(e.crane, recording, e.std_of, augment=e.augment) for n, e in filters.items()}
@@ -193,7 +241,7 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
     from ukf.plots import display, innovations_figure, states_figure
     from validation.report import Picture, Table, write_report
 
-    best = result.smoothed if result.smoothed is not None else result
+    best = _best(result)
     states = Picture(states_figure(best), "Every quantity with its 95 % interval, and what the sensors showed.")
     words = "Innovations in units of what the filter expects; 95 % should lie in the band, without a pattern in time."
     sections: list[tuple[str, list[Any]]] = [
@@ -248,7 +296,7 @@ def tell(printer: Printer, result: Estimate, recording: Any) -> None:
         f"{result.crane}, {result.method}, {recording.name}: {result.time.size} instants, "
         f"{result.time[0]:g} to {result.time[-1]:g} s, sensors {', '.join(result.channel_names)}"
     )
-    printer.table("", COLUMNS, rows(result.smoothed if result.smoothed is not None else result))
+    printer.table("", COLUMNS, rows(_best(result)))
     if result.models:
         printer.table("", MODEL_COLUMNS, model_rows(result))
     for line in (consistency(result), verdict(result), *allowance(result), *event_lines(result)):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,51 +21,56 @@ if TYPE_CHECKING:
     from validation.paper import Case, Reproduction, Told
 
 
+FolderOption = Annotated[
+    Path,
+    typer.Option("-o", "--output", "--report", metavar="DIR", help="Folder for figures and report; made if missing."),
+    Writes(files=("figure[567]_*.png", "report.html")),
+]
+ErrorsOption = Annotated[
+    list[float] | None,
+    typer.Option("--error", metavar="SHARE", help="Only this error of the booms' masses, such as 0.15; repeatable."),
+]
+InputsOption = Annotated[
+    list[int] | None, typer.Option("--inputs", metavar="1|2|3", help="Only this input set; repeatable.")
+]
+TuningOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tuning",
+        metavar="NAME",
+        help="Only this row: paper, paper-0.15-bar, own, own-file, own-half, own-twice; repeatable.",
+    ),
+]
+SensorsOption = Annotated[
+    list[str] | None,
+    typer.Option("--sensors", metavar="CHANNEL …", help="What the filter gets instead of z1 z4 p1 p4."),
+]
+NoiseOption = Annotated[
+    list[str] | None,
+    typer.Option("--sensor-noise", metavar="CHANNEL=STD[UNIT] …", help="Noise of a sensor, such as 'p1=0.15[bar]'."),
+]
+SeedOption = Annotated[int, typer.Option("--seed", help="Of the sensors' noise.")]
+FiltersOption = Annotated[
+    bool,
+    typer.Option("--filters", help="Also compare UKF, square root, cubature, simplex and EKF on the 15 % case."),
+]
+ToldOption = Annotated[
+    bool, typer.Option("--what-sensors-tell", help="Also find the payload with more and more sensors.")
+]
+
+
 def command(
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", "--report", metavar="DIR", help="Folder for figures and report; made if missing."
-        ),
-        Writes(files=("figure[567]_*.png", "report.html")),
-    ] = Path("out/paper"),
+    output: FolderOption = Path("out/paper"),
     engine: EngineOption = "exudyn",
-    model_error: Annotated[
-        list[float] | None,
-        typer.Option(
-            "--error", metavar="SHARE", help="Only this error of the booms' masses, such as 0.15; repeatable."
-        ),
-    ] = None,
-    inputs: Annotated[
-        list[int] | None, typer.Option("--inputs", metavar="1|2|3", help="Only this input set; repeatable.")
-    ] = None,
-    tuning: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--tuning",
-            metavar="NAME",
-            help="Only this row: paper, paper-0.15-bar, own, own-file, own-half, own-twice; repeatable.",
-        ),
-    ] = None,
-    sensors: Annotated[
-        list[str] | None,
-        typer.Option("--sensors", metavar="CHANNEL …", help="What the filter gets instead of z1 z4 p1 p4."),
-    ] = None,
-    noise: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--sensor-noise", metavar="CHANNEL=STD[UNIT] …", help="Noise of a sensor, such as 'p1=0.15[bar]'."
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise.")] = 0,
+    model_error: ErrorsOption = None,
+    inputs: InputsOption = None,
+    tuning: TuningOption = None,
+    sensors: SensorsOption = None,
+    noise: NoiseOption = None,
+    seed: SeedOption = 0,
     jobs: JobsOption = 1,
-    filters: Annotated[
-        bool,
-        typer.Option("--filters", help="Also compare UKF, square root, cubature, simplex and EKF on the 15 % case."),
-    ] = False,
-    what_sensors_tell: Annotated[
-        bool, typer.Option("--what-sensors-tell", help="Also find the payload with more and more sensors.")
-    ] = False,
+    filters: FiltersOption = False,
+    what_sensors_tell: ToldOption = False,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     json: JsonOption = None,
@@ -76,40 +82,69 @@ def command(
     more. Beside each the published row, where there is one, and the model without filter.
     """
     chosen = load_crane(crane, effects)
-    _check(model_error, inputs)
-    from validation.paper import INPUT_SETS, MODEL_ERRORS, ROWS, SENSOR_STD, reproduce, sensors_of, tuning_of
-
-    for name in tuning or ():
-        tuning_of(name)
-    std, used = _noise(noise, chosen), tuple(sensors or SENSOR_STD)
-    sensors_of(used, std, chosen.layout)
-
-    with progress("Cases") as done:
-        result = reproduce(
-            tuple(model_error or MODEL_ERRORS),
-            tuple(inputs or INPUT_SETS),
-            engine,
-            seed,
-            tunings=tuple(tuning or ROWS),
-            sensors=used,
-            noise=std,
-            crane=chosen,
-            jobs=jobs,
-            progress=done,
-        )
-    compared = _compare(engine, seed, chosen) if filters else []
-    told = _what_sensors_tell(engine, seed, chosen, jobs) if what_sensors_tell else []
-    document = result.document() | ({"filters": [r.document() for r in compared]} if filters else {})
-    document |= {"what_sensors_tell": [r.document() for r in told]} if told else {}
+    _check(model_error, inputs, tuning)
+    seen = _seen(sensors, noise, chosen)
+    found = Found(
+        _reproduced(model_error, inputs, tuning, engine=engine, seed=seed, crane=chosen, jobs=jobs, **seen),
+        _compare(engine, seed, chosen) if filters else [],
+        _what_sensors_tell(engine, seed, chosen, jobs) if what_sensors_tell else [],
+    )
     printer = Printer(json)
-    tell(printer, result, compared)
-    if told:
-        printer.table(
-            "Payload found in the 15 % case, kg ± one standard deviation; PN-RMSE in %", TOLD_COLUMNS, told_rows(told)
-        )
+    tell(printer, found)
     with saving(printer) as save:
-        save(output, partial(write, result, seed, engine, compared, chosen))
-        save.json(json, document)
+        save(output, partial(write, found, seed, engine, chosen))
+        save.json(json, found.document())
+
+
+@dataclass(frozen=True)
+class Found:
+    """The cases, and what was asked for beside them: filters compared, and what sensors tell."""
+
+    cases: Reproduction
+    compared: list[Row]
+    told: list[Told]
+
+    def document(self) -> dict[str, Any]:
+        """Return all of it as JSON."""
+        more: dict[str, Sequence[Row | Told]] = {"filters": self.compared, "what_sensors_tell": self.told}
+        return self.cases.document() | {name: [r.document() for r in rows] for name, rows in more.items() if rows}
+
+    def tables(self) -> list[tuple[str, tuple[str, ...], list[tuple[object, ...]]]]:
+        """Return title, columns and rows of every table."""
+        tables = [
+            ("PN-RMSE in % of the state's range", COLUMNS, rows(self.cases)),
+            (
+                "Inside the 95 % interval, % of the time; NEES (8 expected), NIS (4 expected)",
+                COVERAGE_COLUMNS,
+                coverage_rows(self.cases),
+            ),
+            ("Filters on the 15 % case, PN-RMSE in % and cost of a step", FILTER_COLUMNS, filter_rows(self.compared)),
+            (
+                "Payload found in the 15 % case, kg ± one standard deviation; PN-RMSE in %",
+                TOLD_COLUMNS,
+                told_rows(self.told),
+            ),
+        ]
+        return [table for table in tables if table[2]]
+
+
+def _seen(sensors: list[str] | None, noise: list[str] | None, crane: Crane) -> dict[str, Any]:
+    """Return the sensors that the filter gets, and their noise where it is not the paper's, as keywords."""
+    from validation.paper import SENSOR_STD, sensors_of
+
+    std, used = _noise(noise, crane), tuple(sensors or SENSOR_STD)
+    sensors_of(used, std, crane.layout)
+    return {"sensors": used, "noise": std}
+
+
+def _reproduced(
+    errors: list[float] | None, inputs: list[int] | None, tunings: list[str] | None, **seen: Any
+) -> Reproduction:
+    from validation.paper import INPUT_SETS, MODEL_ERRORS, ROWS, reproduce
+
+    chosen = tuple(errors or MODEL_ERRORS), tuple(inputs or INPUT_SETS)
+    with progress("Cases") as done:
+        return reproduce(*chosen, tunings=tuple(tunings or ROWS), progress=done, **seen)
 
 
 def _compare(engine: str, seed: int, crane: Crane) -> list[Row]:
@@ -189,8 +224,9 @@ def filter_rows(compared: list[Row]) -> list[tuple[object, ...]]:
     ]
 
 
-def _check(errors: list[float] | None, inputs: list[int] | None) -> None:
+def _check(errors: list[float] | None, inputs: list[int] | None, tunings: list[str] | None) -> None:
     from crane_exudyn.errors import CraneError
+    from validation.paper import tuning_of
 
     for error in errors or ():
         if not 0.0 <= error < 1.0:
@@ -198,6 +234,8 @@ def _check(errors: list[float] | None, inputs: list[int] | None) -> None:
     for i in inputs or ():
         if i not in (1, 2, 3):
             raise CraneError(f"--inputs {i}: there are the input sets 1, 2 and 3.")
+    for name in tunings or ():
+        tuning_of(name)
 
 
 _CAPTIONS = (
@@ -255,21 +293,13 @@ def coverage_rows(result: Reproduction) -> list[tuple[object, ...]]:
 COVERAGE_COLUMNS = (*COLUMNS[:2], "tuning", *COLUMNS[3:], "NEES", "NIS")
 
 
-def tell(printer: Printer, result: Reproduction, compared: list[Row]) -> None:
+def tell(printer: Printer, found: Found) -> None:
     """Print the tables, and what they say."""
-    printer.table("PN-RMSE in % of the state's range", COLUMNS, rows(result))
-    printer.table(
-        "Inside the 95 % interval, % of the time; NEES (8 expected), NIS (4 expected)",
-        COVERAGE_COLUMNS,
-        coverage_rows(result),
-    )
-    if compared:
-        printer.table(
-            "Filters on the 15 % case, PN-RMSE in % and cost of a step", FILTER_COLUMNS, filter_rows(compared)
-        )
-    for line in findings(result):
+    for table in found.tables():
+        printer.table(*table)
+    for line in findings(found.cases):
         printer.line(line)
-    printer.line(f"All in {result.seconds:.0f} s.")
+    printer.line(f"All in {found.cases.seconds:.0f} s.")
 
 
 def findings(result: Reproduction) -> list[str]:
@@ -320,32 +350,35 @@ def _found(case: Case) -> str:
     )
 
 
-def write(result: Reproduction, seed: int, engine: str, compared: list[Row], crane: Crane, folder: Path) -> list[Path]:
+def write(found: Found, seed: int, engine: str, crane: Crane, folder: Path) -> list[Path]:
     """Write figures and report to `folder`, and return the files."""
-    from validation import paper_figures, plots
-    from validation.paper import TUNINGS
-    from validation.report import Picture, Table, write_report
+    from validation.report import Table, write_report
 
     folder.mkdir(parents=True, exist_ok=True)
-    paths: list[Path] = []
+    cases, said = found.cases, findings(found.cases)
+    drawn = [_drawn(tuning, case, folder) for tuning, case in cases.shown.items()]
     sections: list[tuple[str, list[Any]]] = [
-        ("PN-RMSE in %", [Table(COLUMNS, rows(result)), *findings(result)]),
-        ("Inside the 95 % interval, % of the time", [Table(COVERAGE_COLUMNS, coverage_rows(result))]),
+        *([("What came out", list(said))] if said else []),
+        *((title, [Table(columns, rows)]) for title, columns, rows in found.tables()),
+        *(section for section, _ in drawn),
     ]
-    if compared:
-        sections.append(("Filters on the 15 % case", [Table(FILTER_COLUMNS, filter_rows(compared))]))
-    for tuning, case in result.shown.items():
-        figures = {
-            f"figure5_{tuning}.png": paper_figures.figure_5(case),
-            f"figure6_{tuning}.png": paper_figures.figure_6(case),
-            f"figure7_{tuning}.png": paper_figures.figure_7(case),
-        }
-        for name, figure in figures.items():
-            plots.save(figure, folder / name)
-            paths.append(folder / name)
-        pictures = [Picture(figure, words) for figure, words in zip(figures.values(), _CAPTIONS, strict=True)]
-        sections.append((f"Figures 5, 6, 7: {TUNINGS[tuning].text}", list(pictures)))
-    verdict = findings(result)[0] if result.shown else f"{len(result.documents)} cases."
-    parameters = {"crane": crane.name, "engine": engine, "cases": len(result.documents)}
+    verdict = said[0] if said else f"{len(cases.documents)} cases."
+    parameters = {"crane": crane.name, "engine": engine, "cases": len(cases.documents)}
     report = write_report(folder, "The paper's experiment", verdict, sections, seed=seed, parameters=parameters)
-    return [*paths, report]
+    return [*(path for _, paths in drawn for path in paths), report]
+
+
+def _drawn(tuning: str, case: Case, folder: Path) -> tuple[tuple[str, list[Any]], list[Path]]:
+    """Draw a case's figures into `folder`; return the section of the report that shows them, and the files."""
+    from validation import paper_figures, plots
+    from validation.paper import TUNINGS
+    from validation.report import Picture
+
+    figures = {
+        folder / f"figure{number}_{tuning}.png": draw(case)
+        for number, draw in enumerate((paper_figures.figure_5, paper_figures.figure_6, paper_figures.figure_7), 5)
+    }
+    for path, figure in figures.items():
+        plots.save(figure, path)
+    pictures = [Picture(figure, words) for figure, words in zip(figures.values(), _CAPTIONS, strict=True)]
+    return (f"Figures 5, 6, 7: {TUNINGS[tuning].text}", pictures), list(figures)

@@ -10,6 +10,7 @@ import pytest
 from crane_exudyn.crane import Crane
 from crane_exudyn.inputs import SpoolPath
 from patu.main import run
+from ukf import tuning
 from validation.semi_recursive import SemiRecursiveEngine
 
 
@@ -74,9 +75,13 @@ def test_estimate_with_one_sensor_on_standard_output(lift, capsys):
         (("--plot", "picture.gif"), "unknown ending"),
         (("-o", "no/folder/out.csv"), "no/folder"),
         (("--step", "0"), "not a positive time"),
+        (("--model-error", "onn"), "model error 'onn'"),
+        (("--smooth", "--models", "patu655", "patu655-lab"), "exclude each other"),
+        (("--models", "patu655"), "Only one model"),
     ],
 )
-def test_estimate_refuses_what_cannot_work(lift, capsys, words, message):
+def test_estimate_refuses_what_cannot_work_before_the_search_for_a_noise(lift, capsys, monkeypatch, words, message):
+    monkeypatch.setattr(tuning, "scale", lambda *a, **k: pytest.fail("the noise was searched for"))
     status, _, said = call(capsys, "estimate", str(lift), "--engine", "semi-recursive", *words)
     assert status == 2 and message in said
 

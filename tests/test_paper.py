@@ -10,7 +10,7 @@ import pytest
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from ukf.estimator import Estimator
-from validation import montecarlo, paper, workers
+from validation import filters, montecarlo, paper, paper_seeds, workers, wrong_models
 from validation.metrics import pn_rmse, r2
 
 CRANE = Crane.load("patu655")
@@ -115,6 +115,61 @@ def test_sensors_noise_and_filter_may_be_ones_own():
     assert case.estimate.channel_names == ("z1", "z4", "p3") and case.estimate.method == "ckf"
     with pytest.raises(CraneError, match="p3, which is not among"):
         paper.run_case(0.15, 1, FAST, 0, noise={"p3": 1e5}, duration=0.1)
+
+
+def test_filters_are_compared_with_the_same_priors_which_are_chosen_once(monkeypatch):
+    chosen = []
+    monkeypatch.setattr(paper, "likeliest_width", lambda wrong, experiment, tuning: chosen.append(tuning) or 2.0)
+    rows = filters.compare_filters(FAST, tunings=("own",), methods=("ekf", "simplex"), duration=0.03)
+    assert chosen == ["own"] and [r.method for r in rows] == ["ekf", "simplex"]
+    assert all(np.isfinite(r.nis_mean) and r.states_per_step > 8 for r in rows)
+
+
+def test_one_width_is_not_weighed_and_the_likeliest_of_several_is():
+    experiment = paper.real_system(CRANE, 1, FAST, 0, duration=0.1)
+    wrong = paper.wrong_crane(CRANE, 0.15)
+    assert [paper.likeliest_width(wrong, experiment, t) for t in ("paper", "own-half")] == [1.0, 0.5]
+    width = paper.likeliest_width(wrong, experiment, "own")
+    runs = {
+        w: paper.estimator(wrong, experiment, FAST, "own", width=w).run(experiment.signals).log_likelihood
+        for w in paper.TUNINGS["own"].widths
+    }
+    assert width == max(runs, key=runs.__getitem__)
+
+
+def test_seeds_count_what_is_below_the_published_errors_and_inside():
+    good = {"pn_rmse": paper.PUBLISHED, "coverage95": dict.fromkeys(paper.STATES, 0.9), "nees_mean": 8.0, "found": {}}
+    lines = [
+        good | {"name": "a", "seed": 2, "width": 2.0},
+        good | {"name": "b", "seed": 1, "pn_rmse": paper.PUBLISHED | {"p2": 2.0}},
+        good | {"name": "c", "seed": 3, "coverage95": good["coverage95"] | {"z1": 0.5}},
+    ]
+    table = paper_seeds.table(lines).splitlines()
+    assert [row.split(" | ")[0] for row in table[2:5]] == ["| 1", "| 2", "| 3"] and "z1 50 %" in table[4]
+    assert "published error: 2 of 3;" in table[-1] and "both: 1." in table[-1]
+
+
+def test_wrong_models_are_judged_by_what_no_sensor_measures():
+    def line(p2, width, machine="1 % of air in the oil"):
+        states = {"inside": 1.0, "rmse": 1e5, "width": 2.0}
+        now = {k: dict.fromkeys(paper.STATES, v) for k, v in states.items()}
+        now["inside"] |= {"p2": p2, "p1": 0.1}  # p1 is measured
+        now["width"] |= {"p3": width}
+        return {"machine": machine, "seed": 0, "why": "", "off": now, "auto": now}
+
+    lines = [line(0.85, 4.0), line(0.84, 4.0), line(0.85, 4.1), line(0.0, 1.0, "nothing")]
+    assert [wrong_models.held(entry) for entry in lines] == [True, False, False, False]
+    assert wrong_models.table(lines).strip().endswith("1 of 3.")
+
+
+@pytest.mark.parametrize("machine", wrong_models.MACHINES)
+def test_every_wrong_machine_moves_and_is_no_other(machine, monkeypatch):
+    monkeypatch.setattr(wrong_models, "DURATION", 2.5)
+    signals, truth = wrong_models.recorded(machine, 0)
+    right, _ = wrong_models.recorded("nothing", 0)
+    assert truth.shape[1] == 8 and np.isfinite(truth).all() and np.ptp(truth[:, 0]) > 0.05
+    same = all(np.array_equal(signals.sensors[n][1], right.sensors[n][1]) for n in signals.sensors)
+    assert same == (machine == "nothing")
 
 
 def test_unknown_names_are_refused():

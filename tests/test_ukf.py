@@ -238,14 +238,29 @@ def test_paper_noise_is_singular_and_has_a_root():
         semidefinite_root(np.array([[1.0, 2.0], [2.0, 1.0]]))
 
 
-def test_continuous_noise_adds_up_over_steps():
+@pytest.mark.parametrize("creep", [(), (1e-6, 2e-6)])
+def test_continuous_noise_adds_up_over_steps(creep):
     """Ten steps of 1 ms leave the covariance of one step of 10 ms: Φ Q Φᵀ + Q repeated."""
-    noise, total = ProcessNoise((1e-3, 2e-3), (1e8, 2e8, 3e8, 4e8)), np.zeros((8, 8))
+    noise, total = ProcessNoise((1e-3, 2e-3), (1e8, 2e8, 3e8, 4e8), creep), np.zeros((8, 8))
     phi = np.eye(8)
     phi[0, 2] = phi[1, 3] = 1e-3
     for _ in range(10):
         total = phi @ total @ phi.T + noise.covariance(1e-3)
     np.testing.assert_allclose(total, noise.covariance(1e-2), rtol=1e-12)
+
+
+def test_a_coordinate_that_creeps_is_known_with_a_margin():
+    """Of a coordinate at rest the filter believes in a variance r/τ and errs by half of it, τ = √(r/q)."""
+    dt, r, q, rng = 1e-2, 1e-4, 1e-4, np.random.default_rng(1)
+    added = ProcessNoise((0.0,), (), (q,)).covariance(dt)[0, 0]
+    variance, estimate, errors = 1.0, 0.0, []
+    for _ in range(40000):
+        variance += added
+        gain = variance / (variance + r / dt)
+        estimate, variance = estimate + gain * (rng.normal(0.0, np.sqrt(r / dt)) - estimate), (1.0 - gain) * variance
+        errors.append(estimate)
+    assert variance == pytest.approx(np.sqrt(q * r), rel=0.02)
+    assert np.var(errors[1000:]) == pytest.approx(0.5 * variance, rel=0.15)  # 400 time constants
 
 
 def test_measurement_and_start_covariances():

@@ -27,6 +27,11 @@ def nees(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     return nis(errors / scale, unit)
 
 
+def log_likelihood(innovation: np.ndarray, variance: np.ndarray) -> float:
+    """Return the log-likelihood of independent normal innovations (k,) of zero mean with these variances (k,)."""
+    return float(-0.5 * np.sum(innovation**2 / variance + np.log(2.0 * np.pi * variance)))
+
+
 def mean_bounds(degrees: float, count: float, probability: float = 0.95) -> tuple[float, float]:
     """Return the interval that holds the mean of `count` independent χ²(degrees) values with this probability."""
     low, high = stats.chi2.ppf([0.5 - probability / 2, 0.5 + probability / 2], degrees * count)

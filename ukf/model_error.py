@@ -274,6 +274,13 @@ def _silent(_: str) -> Iterator[Callable[[float], None]]:
     yield lambda fraction: None
 
 
+def mode_of(name: str) -> str:
+    """Return a mode of `MODES` by its name. Raises CraneError where there is none."""
+    if name not in MODES:
+        raise CraneError(f"There is no model error {name!r}.{nearest(name, list(MODES))}")
+    return name
+
+
 def estimate(
     plain: Estimator,
     recording: Any,
@@ -298,9 +305,7 @@ def estimate(
     Raises:
         CraneError: no such mode, or as `Estimator.run`.
     """
-    if mode not in MODES:
-        raise CraneError(f"There is no model error {mode!r}.{nearest(mode, list(MODES))}")
-    if mode != "on":
+    if mode_of(mode) != "on":
         with stage("Estimate") as done:
             first = _run(plain, recording, smooth, noise_slack, done)
         why = "not asked for" if mode == "off" else unasked(first)

@@ -57,11 +57,13 @@ def paper_start_covariance() -> np.ndarray:
 class ProcessNoise:
     """White-noise densities: what the model does not know, per second, so that any step gives the same growth.
 
-    acceleration: rad²/s³ or m²/s³ (one for each coordinate); pressure: Pa²/s (one for each chamber).
+    acceleration: rad²/s³ or m²/s³ (one for each coordinate); pressure: Pa²/s (one for each chamber); creep: of the
+    coordinates themselves, rad²/s or m²/s (one for each, or none): a boom that sinks while its pressures stand.
     """
 
     acceleration: tuple[float, ...]
     pressure: tuple[float, ...]
+    creep: tuple[float, ...] = ()
 
     @classmethod
     def of(
@@ -75,7 +77,10 @@ class ProcessNoise:
     def covariance(self, dt: float) -> np.ndarray:
         """Return Q (n, n) over `dt` seconds: Van Loan's integral of white acceleration, and white pressure rates."""
         block = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-        return _in_blocks(self.acceleration, block, [density * dt for density in self.pressure])
+        out = _in_blocks(self.acceleration, block, [density * dt for density in self.pressure])
+        for i, density in enumerate(self.creep):
+            out[i, i] += density * dt
+        return out
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from .consistency import log_likelihood
+
 #: log of the likelihood ratio at which the hearing ends before its time
 _CLEAR = 50.0
 #: longest hearing, s, and the fewest samples of it
@@ -59,7 +61,8 @@ class SecondOpinion:
         if self.row is not None:
             rows[self.row] = False
         self.others += int(rows.sum())
-        self.evidence += _log_likelihood(*second, rows) - _log_likelihood(*first, rows)
+        for sign, (innovation, variance) in ((1.0, second), (-1.0, first)):
+            self.evidence += sign * log_likelihood(innovation[rows], variance[rows])
 
     def right(self, time: float) -> bool | None:
         """Return whether the second filter is right and the first one wrong; None while that is open."""
@@ -70,8 +73,3 @@ class SecondOpinion:
         if self.row is None:
             return self.evidence > _CLEAR
         return self.evidence > 0.0 or self.others == 0
-
-
-def _log_likelihood(innovation: np.ndarray, variance: np.ndarray, rows: np.ndarray) -> float:
-    """Return the log-likelihood of some innovations, but for a constant."""
-    return float(-0.5 * np.sum(innovation[rows] ** 2 / variance[rows] + np.log(variance[rows])))

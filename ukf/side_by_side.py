@@ -6,8 +6,7 @@ samples the machine may go over from one model to another: it stays with one for
 sample is one round:
 
 1. *Interaction.* Each filter begins from the mixture of all beliefs, weighed by how probable it is that the machine was
-   with their
-   model and goes over to its own.
+   with their model and goes over to its own.
 2. *Prediction and correction*, each with its own model.
 3. *Probabilities* go up and down with the likelihood of each filter's innovations.
 4. *The estimate* is the mixture: its covariance holds what the models differ by.
@@ -26,6 +25,7 @@ import numpy as np
 
 from crane_exudyn.errors import CraneError
 
+from .consistency import log_likelihood
 from .estimate import Estimate, Recorder
 from .estimator import Estimator
 from .filter import Belief
@@ -61,8 +61,7 @@ class SideBySide:
             if other.crane.layout.states != self.states or other.channel_names != first.channel_names:
                 raise CraneError(
                     f"{name} is not a model of the same machine as {self.names[0]}: its states or sensors have other "
-                    "names. "
-                    "Give crane files of one machine."
+                    "names. Give crane files of one machine."
                 )
 
     def run(self, recording: Any, *, progress: Callable[[float], None] | None = None) -> Estimate:
@@ -152,9 +151,7 @@ def _logs(results: Sequence[Result]) -> np.ndarray:
     logs = []
     for innovation, variance, flags, _, log in results:
         left = ~np.isnan(innovation) & (flags != USED) & (flags != ABSENT)
-        logs.append(
-            log - 0.5 * float(np.sum(innovation[left] ** 2 / variance[left] + np.log(2.0 * np.pi * variance[left])))
-        )
+        logs.append(log + log_likelihood(innovation[left], variance[left]))
     lost = np.array([bool((r[2] == ABSENT).all()) for r in results])
     found = np.array(logs)
     if lost.any():

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from ukf.estimator import Estimator
 from ukf.methods import METHODS
 from ukf.process import engine_of
 from ukf.tuning import cut
@@ -81,15 +82,17 @@ def compare_filters(
     wrong = paper.wrong_crane(crane, model_error)
     model = engine_of(engine, wrong)
     rows = []
+    widths = {t: paper.likeliest_width(wrong, experiment, t) for t in tunings}
     for k, (tuning, method) in enumerate((t, m) for t in tunings for m in methods):
-        rows.append(_row(Timed(model), wrong, experiment, tuning, method))
+        filter_ = paper.estimator(wrong, experiment, Timed(model), tuning, method, widths[tuning])
+        rows.append(_row(filter_, experiment, tuning, method))
         if progress is not None:
             progress((k + 1) / (len(tunings) * len(methods)))
     return rows
 
 
-def _row(engine: Timed, wrong: Crane, experiment: paper.Experiment, tuning: str, method: str) -> Row:
-    filter_ = paper.estimator(wrong, experiment, engine, tuning, method)
+def _row(filter_: Estimator, experiment: paper.Experiment, tuning: str, method: str) -> Row:
+    engine = filter_.engine
     filter_.run(cut(experiment.signals, 0.0, 0.02))  # compiles
     engine.seconds, engine.rows = 0.0, 0
     begin = clock.process_time()
@@ -97,7 +100,7 @@ def _row(engine: Timed, wrong: Crane, experiment: paper.Experiment, tuning: str,
     seconds = clock.process_time() - begin
     steps = estimate.time.size - 1
     assert estimate.covariance is not None
-    errors = metrics.pn_rmse(estimate.mean[:, wrong.layout.basic], experiment.truth)
+    errors = metrics.pn_rmse(estimate.mean[:, filter_.crane.layout.basic], experiment.truth)
     return Row(
         method=method,
         tuning=tuning,

@@ -1,0 +1,97 @@
+"""Many seeds of the paper's 15 % case, all counted: how often own means reach the published errors, with intervals that
+hold.
+
+python -m validation.paper_seeds results.jsonl --seeds 100-115    a line a run, then the table; what is there is not run
+again
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from crane_exudyn.crane import Crane
+
+from .json_lines import read_lines
+from .paper import PUBLISHED, STATES, TUNINGS, run_case
+from .study import _table, run
+
+#: share of time that each state is to be inside its 95 % interval
+INSIDE = 0.9
+_COLUMNS = ("seed", "width", *STATES, "least inside", "NEES", "payload / kg")
+
+
+def one_seed(name: str, tuning: str, inputs: int, seed: int) -> dict[str, Any]:
+    """Return the document of one run, with its name, its seed and the width of its priors."""
+    case = run_case(0.15, inputs, "semi-recursive", seed, tuning=tuning)
+    told = {"name": name, "seed": seed}
+    if TUNINGS[tuning].widths:
+        pump = "supply.pump_pressure"
+        start = case.estimate.std[0, case.estimate.state_names.index(pump)]
+        told["width"] = float(start / Crane.load("patu655").uncertainty[pump].std)
+    return told | case.document()
+
+
+def below(line: Mapping[str, Any]) -> bool:
+    """Whether every state is at or below the published error."""
+    return all(line["pn_rmse"][s] <= error for s, error in PUBLISHED.items())
+
+
+def inside(line: Mapping[str, Any]) -> bool:
+    """Whether every state is inside its 95 % interval for at least `INSIDE` of the time."""
+    return min(line["coverage95"].values()) >= INSIDE
+
+
+def table(lines: Sequence[Mapping[str, Any]]) -> str:
+    """Return one row a run, and how many reach what is asked for, as Markdown."""
+    count, both = len(lines), sum(below(line) and inside(line) for line in lines)
+    words = (
+        f"Every state at or below the published error: {sum(map(below, lines))} of {count}; all eight inside their "
+        f"intervals at least {100 * INSIDE:g} % of the time: {sum(map(inside, lines))}; both: {both}."
+    )
+    return f"{_table(_COLUMNS, [_row(line) for line in sorted(lines, key=lambda line: line['seed'])])}\n\n{words}\n"
+
+
+def _row(line: Mapping[str, Any]) -> list[str]:
+    least = min(line["coverage95"], key=line["coverage95"].__getitem__)
+    payload = line["found"].get("payload.mass")
+    return [
+        str(line["seed"]),
+        f"{line['width']:.1f}" if "width" in line else "",
+        *(f"{line['pn_rmse'][s]:.3f}" for s in STATES),
+        f"{least} {100 * line['coverage95'][least]:.0f} %",
+        f"{line['nees_mean']:.1f}",
+        f"{payload['value']:.1f} ± {payload['std']:.1f}" if payload else "",
+    ]
+
+
+def said(line: Mapping[str, Any]) -> str:
+    """Return a run in one line of text."""
+    return f"{line['name']}: " + " ".join(_row(line))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run seeds of the paper's 15 % case on the semi-recursive engine, and show the table of them."""
+    parser = argparse.ArgumentParser(prog="python -m validation.paper_seeds", description=main.__doc__)
+    parser.add_argument("results", type=Path, help="results file, a JSON a line")
+    parser.add_argument("--seeds", default="100-115", help="FIRST-LAST (default %(default)s)")
+    parser.add_argument("--tuning", choices=TUNINGS, default="own")
+    parser.add_argument("--inputs", type=int, choices=(1, 2, 3), default=1)
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args(arguments)
+    first, _, last = given.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
+    names = {f"{given.tuning} {given.inputs} {seed}": seed for seed in seeds}
+    run(
+        given.results,
+        [(name, one_seed, (name, given.tuning, given.inputs, seed)) for name, seed in names.items()],
+        jobs=given.jobs,
+        say=said,
+    )
+    print(table([line for line in read_lines(given.results) if line["name"] in names]))
+
+
+if __name__ == "__main__":
+    main()
