@@ -1,8 +1,7 @@
 """Many seeds of the paper's 15 % case, all counted: how often own means reach the published errors, with intervals that
 hold.
 
-python -m validation.paper_seeds results.jsonl --seeds 100-115    a line a run, then the table; what is there is not run
-again
+python -m validation.paper_seeds results.jsonl --seeds 100-115    a line a run, then the table; what is there is kept
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from crane_exudyn.crane import Crane
 
 from .json_lines import read_lines
 from .paper import PUBLISHED, STATES, TUNINGS, run_case
-from .study import _table, run
+from .study import markdown, run
 
 #: share of time that each state is to be inside its 95 % interval
 INSIDE = 0.9
@@ -51,7 +50,7 @@ def table(lines: Sequence[Mapping[str, Any]]) -> str:
         f"Every state at or below the published error: {sum(map(below, lines))} of {count}; all eight inside their "
         f"intervals at least {100 * INSIDE:g} % of the time: {sum(map(inside, lines))}; both: {both}."
     )
-    return f"{_table(_COLUMNS, [_row(line) for line in sorted(lines, key=lambda line: line['seed'])])}\n\n{words}\n"
+    return f"{markdown(_COLUMNS, [_row(line) for line in sorted(lines, key=lambda line: line['seed'])])}\n\n{words}\n"
 
 
 def _row(line: Mapping[str, Any]) -> list[str]:

@@ -230,7 +230,8 @@ def tables(lines: Sequence[Mapping[str, Any]]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _share(flags: Iterable[bool]) -> str:
+def share(flags: Iterable[bool]) -> str:
+    """Return how many of some flags are set, as text."""
     kept = [bool(f) for f in flags]
     return f"{sum(kept)} of {len(kept)} ({100.0 * sum(kept) / len(kept):.0f} %)" if kept else "-"
 
@@ -253,19 +254,19 @@ def _summary(lines: Sequence[Mapping[str, Any]], good: Sequence[Mapping[str, Any
         ("failed with an error", str(len(lines) - len(good))),
         (
             f"one effect, visibility >= {PROMISED:g}: right (first or tied)",
-            _share(g["judged"]["right"] for g in singles),
+            share(g["judged"]["right"] for g in singles),
         ),
-        ("two effects: both right", _share(g["judged"]["right"] for g in _of(good, "two"))),
-        ("two effects: at least one named", _share(g["judged"]["partly"] for g in _of(good, "two"))),
-        ("three or four effects: all named", _share(not g["judged"]["missed"] for g in _of(good, *_MANY))),
-        ("three or four effects: no wrong one", _share(not g["judged"]["wrong"] for g in _of(good, *_MANY))),
-        ("nothing hidden: false alarms", _share(g["judged"]["alarm"] for g in clean)),
-        ("parameter errors only: verdict parameters", _share(g["judged"]["right"] for g in _of(good, "parameters"))),
-        ("law that the library lacks: unknown", _share(g["judged"]["right"] for g in _of(good, "unknown"))),
-        ("right ones: error on check after <= 1.2", _share(a <= 1.2 for a in after)),
-        ("right ones: all parameters within 10 %", _share(near)),
+        ("two effects: both right", share(g["judged"]["right"] for g in _of(good, "two"))),
+        ("two effects: at least one named", share(g["judged"]["partly"] for g in _of(good, "two"))),
+        ("three or four effects: all named", share(not g["judged"]["missed"] for g in _of(good, *_MANY))),
+        ("three or four effects: no wrong one", share(not g["judged"]["wrong"] for g in _of(good, *_MANY))),
+        ("nothing hidden: false alarms", share(g["judged"]["alarm"] for g in clean)),
+        ("parameter errors only: verdict parameters", share(g["judged"]["right"] for g in _of(good, "parameters"))),
+        ("law that the library lacks: unknown", share(g["judged"]["right"] for g in _of(good, "unknown"))),
+        ("right ones: error on check after <= 1.2", share(a <= 1.2 for a in after)),
+        ("right ones: all parameters within 10 %", share(near)),
     ]
-    return _table(("", ""), rows)
+    return markdown(("", ""), rows)
 
 
 def _by_severity(good: Sequence[Mapping[str, Any]]) -> str:
@@ -278,14 +279,14 @@ def _by_severity(good: Sequence[Mapping[str, Any]]) -> str:
         ]
         errors = [max(g["judged"]["relative_errors"].values()) for g in inside if g["judged"]["relative_errors"]]
         rows.append((
-            f"{low:g} … {high:g}", _share(g["judged"]["right"] for g in inside),
-            _share(g["judged"]["first"] for g in inside),
+            f"{low:g} … {high:g}", share(g["judged"]["right"] for g in inside),
+            share(g["judged"]["first"] for g in inside),
             _median([g["diagnosis"]["check_error_before"] for g in inside]),
             _median([g["diagnosis"]["check_error_after"] for g in inside if g["judged"]["right"]]),
             _median([100.0 * e for e in errors]),
         ))  # fmt: skip
     head = ("visibility", "right", "first", "check error before", "after (right ones)", "parameter error, %")
-    return _table(head, rows)
+    return markdown(head, rows)
 
 
 def _by_sensors(good: Sequence[Mapping[str, Any]]) -> str:
@@ -297,10 +298,10 @@ def _by_sensors(good: Sequence[Mapping[str, Any]]) -> str:
             own = [g for g in good if (len(noise := g["answer"]["noise"]), noise[usual_layout().loaded[0]]) == wanted]
             hiding = [g for g in own if g["answer"]["effects"]]
             rows.append((
-                " ".join(sensors), name, _share(g["judged"]["right"] for g in hiding),
-                _share(g["judged"]["right"] for g in own if not g["answer"]["effects"]),
+                " ".join(sensors), name, share(g["judged"]["right"] for g in hiding),
+                share(g["judged"]["right"] for g in own if not g["answer"]["effects"]),
             ))  # fmt: skip
-    return _table(("sensors", "noise", "effects right", "right without an effect"), rows)
+    return markdown(("sensors", "noise", "effects right", "right without an effect"), rows)
 
 
 def _by_effect(good: Sequence[Mapping[str, Any]]) -> str:
@@ -310,8 +311,8 @@ def _by_effect(good: Sequence[Mapping[str, Any]]) -> str:
         wrong = Counter(g["judged"]["said"] for g in own if not g["judged"]["right"])
         seen = [g for g in own if _visible(g)]
         said = ", ".join(f"{k} ({n})" if n > 1 else k for k, n in wrong.most_common())
-        rows.append((name, _share(g["judged"]["right"] for g in own), _share(g["judged"]["right"] for g in seen), said))
-    return _table(("effect", "right", f"right, visibility >= {PROMISED:g}", "else said"), rows)
+        rows.append((name, share(g["judged"]["right"] for g in own), share(g["judged"]["right"] for g in seen), said))
+    return markdown(("effect", "right", f"right, visibility >= {PROMISED:g}", "else said"), rows)
 
 
 def _confusion(good: Sequence[Mapping[str, Any]]) -> str:
@@ -321,7 +322,7 @@ def _confusion(good: Sequence[Mapping[str, Any]]) -> str:
     for kind in KINDS:
         counts = Counter(_said(g) for g in _of(good, kind))
         rows.append((kind, *(str(counts[s]) for s in said)))
-    return _table(("hidden", *said), rows)
+    return markdown(("hidden", *said), rows)
 
 
 def _said(line: Mapping[str, Any]) -> str:
@@ -338,7 +339,7 @@ def _errors(good: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for kind in KINDS:
         rows.append((kind, *(_median([g["diagnosis"][k] for g in _of(good, kind)]) for k in keys)))
-    return _table(("median error, noise units", "learn before", "learn after", "check before", "check after"), rows)
+    return markdown(("median error, noise units", "learn before", "learn after", "check before", "check after"), rows)
 
 
 def _median(values: Sequence[float | None]) -> str:
@@ -346,7 +347,8 @@ def _median(values: Sequence[float | None]) -> str:
     return f"{np.median(finite):.3g}" if finite else "-"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table as Markdown."""
     lines = ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows)]
     return "\n".join(lines)
 

@@ -1,8 +1,7 @@
 """Intervals when the model is wrong: machines that are not as the crane file says, followed by the filter that believes
 the file.
 
-python -m validation.wrong_models results.jsonl --seeds 0-2    a line a run, then the table; what is there is not run
-again
+python -m validation.wrong_models results.jsonl --seeds 0-2    a line a run, then the table; what is there is kept
 
 A seed draws the sensors' noise and chooses the input set: the paper's cycle or one of our own, at twice the pace.
 """
@@ -32,7 +31,7 @@ from . import metrics
 from .json_lines import read_lines
 from .paper import INPUT_SETS
 from .semi_recursive import SemiRecursiveEngine
-from .study import _table, run
+from .study import markdown, run
 
 #: what the filter gets: channels with their noise, SI
 SENSORS = {"z1": np.radians(0.05), "z4": np.radians(0.05), "p1": 0.3e5, "p4": 0.3e5}
@@ -152,7 +151,7 @@ def table(lines: Sequence[Mapping[str, Any]]) -> str:
         f"Every unmeasured state inside >= {100 * INSIDE:g} % of the time, intervals no wider than {WIDEST:g} RMS "
         f"errors: {sum(map(held, wrong))} of {len(wrong)}."
     )
-    return f"{_table(head, map(partial(_row, states), lines))}\n\n{words}\n"
+    return f"{markdown(head, map(partial(_row, states), lines))}\n\n{words}\n"
 
 
 def _row(states: Sequence[str], line: Mapping[str, Any]) -> list[str]:

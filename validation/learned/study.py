@@ -22,7 +22,7 @@ from crane_exudyn.errors import CraneError
 from ..hidden import HiddenCase, make_case
 from ..hidden_plant import LEARNABLE
 from ..json_lines import read_lines
-from ..study import _share, _table, run
+from ..study import markdown, run, share
 from .laws import curve_at
 
 #: a machine without a law after each four with one: clean, and with effects of the library in turn
@@ -123,14 +123,14 @@ def tables(lines: Sequence[Mapping[str, Any]]) -> str:
     rows = [
         ("cases", str(len(good))),
         ("failed with an error", str(sum("failed" in line for line in lines))),
-        ("balance and place right", _share(j["place"] for j in laws)),
-        ("argument right or tied", _share(j["argument"] for j in laws)),
-        ("error on check after <= 1.3", _share(j["check"] for j in laws)),
-        ("curve within 10 % of its largest value", _share(c <= _CURVE for c in curves)),
-        ("curve within 10 % of its largest departure from neutral", _share(c <= _CURVE for c in departures)),
-        ("no law where there is none to be found", _share(j["silent"] for j in none)),
+        ("balance and place right", share(j["place"] for j in laws)),
+        ("argument right or tied", share(j["argument"] for j in laws)),
+        ("error on check after <= 1.3", share(j["check"] for j in laws)),
+        ("curve within 10 % of its largest value", share(c <= _CURVE for c in curves)),
+        ("curve within 10 % of its largest departure from neutral", share(c <= _CURVE for c in departures)),
+        ("no law where there is none to be found", share(j["silent"] for j in none)),
     ]
-    return _table(("", ""), rows)
+    return markdown(("", ""), rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
