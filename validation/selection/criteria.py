@@ -63,7 +63,8 @@ class Criteria:
     # where errors drift and levels follow the model
     demanded: float = 5.0  # log evidence of independent samples that an effect must bring
     serious: float = 0.5  # share of the best one's from which on others are run over whole recordings
-    gained: float = 0.1  # log by which open-loop errors must fall, learned and left out together: less is a makeshift's
+    # log by which open-loop errors must fall, learned and left out together: less is a makeshift's, and two falls that
+    gained: float = 0.1  # differ by less are alike
     tolerated: float = 0.1  # log by which those left out may rise
     mended: float = (
         1.5  # an effect stays, for all its evidence, if some channel's error is so many times as large without it

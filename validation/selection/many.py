@@ -296,7 +296,7 @@ def _best(problem: Problem, offered: Sequence[tuple[str, float, Fit]], last: Jud
 
     Of those that the data demand, at least half as much as the first, and that make the errors fall; None if there is
     none. Windows tell what is at work, but not whether it adds up over a whole run; and what merely imitates the cause
-    predicts worse.
+    predicts worse. Where whole runs differ by less than counts as a fall, the evidence decides.
     """
     found = []
     for key, gain, fit_with in offered:
@@ -306,7 +306,8 @@ def _best(problem: Problem, offered: Sequence[tuple[str, float, Fit]], last: Jud
         fall, ahead = (falls(a, b) for a, b in zip(last, errors, strict=True))
         if fall + ahead > CRITERIA.gained and ahead > -CRITERIA.tolerated:
             found.append((fall + ahead, key, fit_with, errors))
-    return max(found, key=lambda f: f[0])[1:] if found else None
+    most = max((f[0] for f in found), default=0.0)
+    return next((f[1:] for f in found if f[0] > most - CRITERIA.gained), None)  # they stand best evidence first
 
 
 def judged(problem: Problem, found: Fit) -> Judged:
