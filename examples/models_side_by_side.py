@@ -1,6 +1,4 @@
-"""A leak opens in the middle of a recording: two models side by side tell when. `models_side_by_side.py 100` does so
-for 100 machines.
-"""
+"""A leak opens in the middle of a recording: two models side by side tell when; with 100 behind it, in 100 machines."""
 
 import sys
 
@@ -42,7 +40,5 @@ for seed in range(int(sys.argv[1]) if len(sys.argv) > 1 else 1):
     waited.append(min(doubted[doubted > opens] - opens, default=np.inf))
     alarms += bool((doubted < opens).any())
     print(f"leak of {leak:.1e} from {opens:.2f} s: found {waited[-1]:.3f} s later", flush=True)
-said = "{} leaks, {} found; s until then: {:.2f} (median), {:.2f} (95 %), {:.2f} (all); false alarms before: {}"
-print(
-    said.format(len(waited), np.isfinite(waited).sum(), *np.quantile(waited, [0.5, 0.95, 1], method="higher"), alarms)
-)
+late = np.quantile(waited, [0.5, 0.95, 1.0], method="higher")
+print(f"{np.isfinite(waited).sum()} of {len(waited)} found, after {late} s (50, 95, 100 %); false alarms: {alarms}")

@@ -102,8 +102,8 @@ def command(
     The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise
     of the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
     """
+    cranes = _cranes(models, crane, effects)  # with the user's own effects, before anything is compiled
     _refuse(step, model_error, smooth and bool(models))
-    cranes = _cranes(models, crane, effects)
     chosen = next(iter(cranes.values()))
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)

@@ -54,7 +54,7 @@ def test_samples_come_from_a_socket_and_odd_ones_are_left_out():
 def test_a_leak_that_opens_is_found():
     said = example("models_side_by_side.py", 1)
     late = float(said.partition("found ")[2].partition(" s later")[0])
-    assert 0.0 < late < 1.0 and "1 leaks, 1 found" in said and said.strip().endswith("false alarms before: 0")
+    assert 0.0 < late < 1.0 and "1 of 1 found" in said and said.strip().endswith("false alarms: 0")
 
 
 def test_own_objects_act_on_the_crane(tmp_path):
