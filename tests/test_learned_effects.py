@@ -5,7 +5,7 @@ import pytest
 
 from crane_exudyn import Crane, CraneError
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.curve import KNOTS, NUMBER, X, Y, value
+from crane_exudyn.effects.curve import AGAINST, KNOTS, NUMBER, X, Y, value
 from crane_exudyn.engine import ExudynEngine
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -33,15 +33,16 @@ def _with(key, over, x, y, against=None):
     return CRANE.with_effect(key, curve.values(over, x, y, against))
 
 
-def test_a_curve_goes_through_its_knots_with_a_continuous_derivative_and_levels_off():
+def test_a_curve_goes_through_its_knots_with_a_continuous_derivative_and_straight_on_beyond_them():
     E, x = np.zeros(3 + 2 * KNOTS), np.array([0.0, 0.2, 0.5, 0.7, 1.0])
     E[NUMBER], E[X : X + 5], E[Y : Y + 5] = 5, x, np.sin(3.0 * x)
-    assert [value(E, 0, v, 0.0) for v in x] == pytest.approx(np.sin(3.0 * x))
-    slope = [(value(E, 0, v + 1e-7, 0.0) - value(E, 0, v - 1e-7, 0.0)) / 2e-7 for v in np.linspace(-0.5, 1.5, 20001)]
+    assert [value(E, 0, v) for v in x] == pytest.approx(np.sin(3.0 * x))
+    slope = [(value(E, 0, v + 1e-7) - value(E, 0, v - 1e-7)) / 2e-7 for v in np.linspace(-0.5, 1.5, 20001)]
     assert np.abs(np.diff(slope)).max() < 2e-3  # 1e-4 apart; a kink would show as a step
-    assert abs(value(E, 0, 9.0, 0.0) - value(E, 0, 5.0, 0.0)) < 1e-6
     E[Y : Y + 5] = 1.0 + 2.0 * x
-    assert value(E, 0, -3.0, 2.0) == pytest.approx(-5.0)
+    assert [value(E, 0, -3.0), value(E, 0, 4.0)] == pytest.approx([-5.0, 9.0])
+    E[AGAINST] = 1.0
+    assert value(E, 0, -3.0) == 0.0, "what acts against motion drives nothing, however far it falls"
 
 
 @pytest.mark.parametrize(("key", "over", "x", "y", "against"), CURVES)

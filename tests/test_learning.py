@@ -57,7 +57,7 @@ def _read(law, y, share=0.01):
             "5 kN within 0.42 ± 0.1 m of the stroke",
             "",
         ),
-        (FORCE, lambda x: 2e3 + 0 * x, "constant", "2 kN", "seal_friction@lift"),
+        (_law("learned_torque@O", "angle", -0.2, 0.6), lambda x: -3e3 * (x - 0.1), "spring", "about 5.73 deg", ""),
         (
             _law("learned_opening@tilt", "spool", -0.6, 0.6),
             lambda u: np.sign(u) * np.abs(u) ** 1.5,
@@ -116,9 +116,18 @@ def test_a_refined_law_follows_a_narrow_curve_more_closely():
     bump = lambda x: 4e3 * np.exp(-(((x - 0.42) / 0.06) ** 2))  # noqa: E731
     finer = FORCE.refined(bump(FORCE.x))
     fine = np.linspace(0.2, 0.7, 200)
-    errors = [np.abs(curve_at(law.x, bump(law.x), fine, 0.0) - bump(fine)).max() for law in (FORCE, finer)]
+    errors = [np.abs(curve_at(law.x, bump(law.x), fine) - bump(fine)).max() for law in (FORCE, finer)]
     assert errors[1] < 0.5 * errors[0]
     assert (finer.x[0], finer.x[-1]) == pytest.approx((FORCE.x[0], FORCE.x[-1]))
+
+
+def test_a_curve_ends_where_it_is_known():
+    y, std = 1e7 * (FORCE.x - 0.2) ** 2, np.full(len(FORCE.x), 100.0)
+    assert FORCE.narrowed(y, std) is FORCE
+    std[-1] = 0.2 * y[-1]
+    narrow = FORCE.narrowed(y, std)
+    assert narrow.x[[0, -1]].tolist() == FORCE.x[[0, -2]].tolist() and len(narrow.x) == len(FORCE.x)
+    assert FORCE.narrowed(y, np.full(len(y), 1e6)) is FORCE, "known nowhere: told as it is, with its interval"
 
 
 def _recorded(name, crane, seed):

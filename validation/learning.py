@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from typing import Any
@@ -188,7 +188,7 @@ def _searched(
     """Return the best explanation of effects and laws, and all that were carried to the end with it, best first."""
     best, rivals = nothing, []
     for step in range(MOST):
-        if best.weighed.good:
+        if step and best.weighed.good:
             break
         progress("looking for another" if step else "screening all laws", 0.2 + 0.35 * step)
         found = _grown(problem, best, problem.base if not step else best.fit, progress)
@@ -293,8 +293,8 @@ def _sound(e: Explained) -> bool:
     """Whether all curves have the sign that physics asks of them."""
     for part in e.laws:
         assert part.law is not None
-        y, cov = e.curve(part)
-        astray = (part.law.neutral - y) - ASTRAY * np.sqrt(np.maximum(np.diag(cov), 0.0))
+        y, std = e.spread(part)
+        astray = (part.law.neutral - y) - ASTRAY * std
         if part.law.one_sided and (astray > 0.1 * np.abs(y - part.law.neutral).max()).any():
             return False
     return True
@@ -314,13 +314,24 @@ def _predicts(problem: Problem, before: Explained, after: Explained, notes: list
 
 
 def _refined(problem: Problem, best: Explained) -> Explained:
-    """Return the explanation with more knots where its curves bend; itself where that is no better supported."""
-    parts = [p if p.found is None else Part.of(p.found.refined(best.curve(p)[0])) for p in best.parts]
+    """Return the explanation with curves that end where they are known, and with more knots where they bend if that is
+    better supported.
+    """
+    narrow = {p.key: p.law.narrowed(*best.spread(p)) for p in best.laws if p.law is not None}
+    if any(narrow[p.key] is not p.law for p in best.laws):
+        best = _reknotted(problem, best, narrow)
+    closer = {p.key: p.law.refined(best.curve(p)[0]) for p in best.laws if p.law is not None}
+    found = _reknotted(problem, best, closer)
+    return found if found.evidence > best.evidence else best
+
+
+def _reknotted(problem: Problem, best: Explained, laws: Mapping[str, Law]) -> Explained:
+    """Return the explanation fitted again with its laws at other knots."""
+    parts = [p if p.found is None else Part.of(p.found.over(laws[p.key], best.curve(p)[0])) for p in best.parts]
     keys = {p.key for p in best.laws}
     shared = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in keys]
     before = replace(best.fit, variables=tuple(best.fit.variables[i] for i in shared), u=best.fit.u[shared])
-    found = explain(problem.crane, problem.data, problem.shared, before, parts, (STIFF,))
-    return found if found.evidence > best.evidence else best
+    return explain(problem.crane, problem.data, problem.shared, before, parts, (STIFF,))
 
 
 def _lean(problem: Problem, best: Explained) -> Explained:
@@ -348,6 +359,8 @@ def _concluded(
         if best.parts:
             names = ", ".join(p.key for p in best.parts)
             notes.append(f"effects of the library do as well: {names}. Go on with `patu diagnose`")
+        elif best.weighed.good and unchanged.error_before > CRITERIA.level:
+            notes.append("nominal parameters within their uncertainty explain it. Go on with `patu diagnose`")
         return replace(unchanged, notes=tuple(notes))
     lean = _lean(problem, _refined(problem, best))
     evidence, keys = lean.evidence - nothing.evidence, [p.key for p in lean.laws]
@@ -393,8 +406,7 @@ def _name(part: Part) -> str:
 def _curve(e: Explained, part: Part) -> tuple[np.ndarray, np.ndarray]:
     """Return the values (K,) of a law as physics allows them, and their covariance."""
     assert part.law is not None
-    y, cov = e.curve(part)
-    return part.law.physical(y, np.sqrt(np.maximum(np.diag(cov), 0.0))), cov
+    return part.law.physical(*e.spread(part)), e.curve(part)[1]
 
 
 def _told(problem: Problem, e: Explained, part: Part, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
@@ -403,11 +415,12 @@ def _told(problem: Problem, e: Explained, part: Part, tied: tuple[str, ...], evi
     curve = registry.split_key(law.key)[0].curve
     assert curve is not None
     y, cov = _curve(e, part)
-    form = resembles(law.x, y, cov, law.over, curve.unit, law.key, law.against)
+    over = replace(law.over, unit=unit_over(law, problem.crane.layout))
+    form = resembles(law.x, y, cov, over, curve.unit, law.key, law.against)
     text = form.text + (f", which is {form.library}" if form.library else "")
     return LearnedLaw(
-        law.key, law.over.name, unit_over(law, problem.crane.layout), curve.unit, law.x, y,
-        np.sqrt(np.maximum(np.diag(cov), 0.0)),
+        law.key, law.over.name, over.unit, curve.unit, law.x, y,
+        e.spread(part)[1],
         law.against, text, tied, evidence, law, form,
     )  # fmt: skip
 

@@ -139,12 +139,12 @@ class Curve:
             )
 
 
-def value(E: Any, at: int, x: float, slope: float) -> float:
+def value(E: Any, at: int, x: float) -> float:
     """Return the curve whose parameters begin at E[at]: a cubic a stretch, with a continuous derivative, linear in all
     y.
 
-    The derivative in a knot is that of the parabola through it and its neighbours. Beyond the ends it turns, within the
-    width of the last stretch, into `slope`.
+    The derivative in a knot is that of the parabola through it and its neighbours. Beyond the ends it goes on straight,
+    as a curve does of whose bends nothing is known; what acts against motion stays above 0.
     """
     n = int(E[at])
     a, b = at + 3, at + 15  # X, Y
@@ -165,12 +165,9 @@ def value(E: Any, at: int, x: float, slope: float) -> float:
         left = 2.0 * d - right
     if k == n - 2 and n > 2:
         right = 2.0 * d - left
-    if x < E[a]:
-        t = x - E[a]
-        return E[b] + slope * t + (left - slope) * h * math.tanh(t / h)
-    if x > E[a + k + 1]:
-        t = x - E[a + k + 1]
-        return E[b + k + 1] + slope * t + (right - slope) * h * math.tanh(t / h)
-    t = (x - E[a + k]) / h
-    c2, c3 = 3.0 * d - 2.0 * left - right, left + right - 2.0 * d
-    return E[b + k] + h * t * (left + t * (c2 + t * c3))
+    if E[a] <= x <= E[a + k + 1]:
+        t = (x - E[a + k]) / h
+        c2, c3 = 3.0 * d - 2.0 * left - right, left + right - 2.0 * d
+        return E[b + k] + h * t * (left + t * (c2 + t * c3))
+    y = E[b] + left * (x - E[a]) if x < E[a] else E[b + k + 1] + right * (x - E[a + k + 1])
+    return max(y, 0.0) if E[at + AGAINST] > 0.0 else y

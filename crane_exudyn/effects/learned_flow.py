@@ -17,4 +17,4 @@ class LearnedFlow(Effect):
 
     @staticmethod
     def leakage(E, at, p):
-        return -value(E, at, p, 0.0) if E[at] > 0.0 else 0.0
+        return -value(E, at, p) if E[at] > 0.0 else 0.0

@@ -30,5 +30,5 @@ class LearnedForce(Effect):
         if E[at] == 0.0:
             return 0.0
         over = E[at + 1]
-        force = value(E, at, abs(v) if over == 0.0 else (la if over == 1.0 else abs(pa - pb)), 0.0)
+        force = value(E, at, abs(v) if over == 0.0 else (la if over == 1.0 else abs(pa - pb)))
         return -force * math.tanh(v / 2e-3) if E[at + 2] > 0.0 else force

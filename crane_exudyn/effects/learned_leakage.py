@@ -21,5 +21,5 @@ class LearnedLeakage(Effect):
     def leakage(E, at, pa, pb):
         if E[at] == 0.0:
             return 0.0, 0.0
-        q = math.copysign(value(E, at, abs(pa - pb), 0.0), pa - pb) if pa != pb else 0.0
+        q = math.copysign(value(E, at, abs(pa - pb)), pa - pb) if pa != pb else 0.0
         return -q, q

@@ -24,15 +24,15 @@ class LearnedOpening(Effect):
 
     @staticmethod
     def opening(E, at, U):
-        return value(E, at, U, 1.0) if E[at] > 0.0 and E[at + 1] == 0.0 else U
+        return value(E, at, U) if E[at] > 0.0 and E[at + 1] == 0.0 else U
 
     @staticmethod
     def supply_drop(E, at, dp):
         if E[at] == 0.0 or E[at + 1] == 0.0:
             return dp
-        factor = value(E, at, dp, 0.0)
-        return factor * abs(factor) * dp  # the flow grows with its root
+        factor = max(value(E, at, dp), 0.0)
+        return factor * factor * dp  # the flow grows with its root
 
     @staticmethod
     def return_gain(E, at, p_own, p_other, load_side, drop):
-        return value(E, at, drop, 0.0) if E[at] > 0.0 and E[at + 1] > 0.0 else 1.0
+        return max(value(E, at, drop), 0.0) if E[at] > 0.0 and E[at + 1] > 0.0 else 1.0

@@ -17,4 +17,4 @@ class LearnedReturn(Effect):
 
     @staticmethod
     def tank_pressure(E, at, pt, q):
-        return pt + value(E, at, q, 0.0) if E[at] > 0.0 and q > 0.0 else pt
+        return pt + value(E, at, q) if E[at] > 0.0 and q > 0.0 else pt

@@ -16,4 +16,4 @@ class LearnedSupply(Effect):
 
     @staticmethod
     def supply_pressure(E, at, pp, q):
-        return pp - value(E, at, q, 0.0) if E[at] > 0.0 and q > 0.0 else pp
+        return pp - value(E, at, q) if E[at] > 0.0 and q > 0.0 else pp

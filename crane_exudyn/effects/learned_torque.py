@@ -29,5 +29,5 @@ class LearnedTorque(Effect):
     def joint_torque(E, at, omega, angle):
         if E[at] == 0.0:
             return 0.0
-        torque = value(E, at, angle if E[at + 1] == 0.0 else abs(omega), 0.0)
+        torque = value(E, at, angle if E[at + 1] == 0.0 else abs(omega))
         return -torque * math.tanh(omega / 2e-3) if E[at + 2] > 0.0 else torque

@@ -70,6 +70,11 @@ class Explained:
         """Return the fitted values (K,) of a law at its knots and their covariance (K, K), SI."""
         return curve_of(self.fit, part.key)[1:]
 
+    def spread(self, part: Part) -> tuple[np.ndarray, np.ndarray]:
+        """Return the fitted values (K,) of a law at its knots and their standard deviations (K,), SI."""
+        y, cov = self.curve(part)
+        return y, np.sqrt(np.maximum(np.diag(cov), 0.0))
+
 
 def explain(
     crane: Crane, data: Data, shared: Sequence[Variable], before: Fit, parts: Sequence[Part], stages: Sequence[Stage]

@@ -22,6 +22,8 @@ from ..semi_recursive.engine import SemiRecursiveEngine
 
 #: knots of a curve, and share of the visited instants beyond its outermost ones
 COUNT, BEYOND = 9, 0.002
+#: standard deviation, as a share of the curve's greatest departure from neutral, up to which an end of it is known
+KNOWN = 0.1
 #: time between the instants at which the trajectory is looked at, s
 _EVERY = 0.01
 #: a curve is not sought over less than this share of the range that is met in practice
@@ -63,14 +65,23 @@ class Law:
 
     def curve(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the curve through y at other knots x, at this law's knots."""
-        return curve_at(x, y, self.x, self.over.slope)
+        return curve_at(x, y, self.x)
+
+    def narrowed(self, y: np.ndarray, std: np.ndarray) -> Law:
+        """Return the law over the range at whose ends a curve y (K,) is known; itself where it is known at both, or
+        nowhere.
+        """
+        known = self.x[std <= KNOWN * np.abs(y - self.neutral).max()]
+        if len(known) < COUNT // 2 or (known[0], known[-1]) == (self.x[0], self.x[-1]):
+            return self
+        return replace(self, x=np.interp(self.x, self.x[[0, -1]], known[[0, -1]]))
 
     def refined(self, y: np.ndarray) -> Law:
         """Return the law with as many knots as there may be over the same range, closer where the curve through y (K,)
         bends.
         """
         fine = np.linspace(self.x[0], self.x[-1], 401)
-        bend = np.abs(np.gradient(np.gradient(curve_at(self.x, y, fine, self.over.slope))))
+        bend = np.abs(np.gradient(np.gradient(curve_at(self.x, y, fine))))
         spread = np.ones(len(fine)) / len(fine) + 2.0 * np.sqrt(bend) / max(float(np.sqrt(bend).sum()), 1e-300)
         spread = np.convolve(np.pad(spread, 20, mode="edge"), np.ones(41) / 41.0, mode="valid")
         passed = np.concatenate([[0.0], np.cumsum(0.5 * (spread[1:] + spread[:-1]))])
@@ -95,11 +106,11 @@ class Law:
         return Table(self.over, tuple(self.x.tolist()), tuple(y.tolist()), self.against)
 
 
-def curve_at(x: np.ndarray, y: np.ndarray, at: np.ndarray, slope: float) -> np.ndarray:
+def curve_at(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the curve through knots x, y (K,) at `at` (n,), as the engines have it."""
     E = np.zeros(Y + KNOTS)
     E[NUMBER], E[X : X + len(x)], E[Y : Y + len(x)] = len(x), x, y
-    return np.array([value(E, 0, float(v), slope) for v in at])
+    return np.array([value(E, 0, float(v)) for v in at])
 
 
 def laws_of(fit: Fit) -> list[Law]:

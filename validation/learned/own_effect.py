@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 _HOOKS = {
     ("learned_opening", "spool"): ("opening", "U", "U + share * (y - U)"),
     ("learned_opening", "pressure_drop"): ("supply_drop", "dp", "dp * (1.0 + share * (y * abs(y) - 1.0))"),
-    ("learned_force", "speed"): ("cylinder_force", "abs(v)", "-share * y * math.tanh(v / 2e-3)"),
-    ("learned_force", "stroke"): ("cylinder_force", "la", "-share * y * math.tanh(v / 2e-3)"),
-    ("learned_force", "pressure_drop"): ("cylinder_force", "abs(pa - pb)", "-share * y * math.tanh(v / 2e-3)"),
+    ("learned_force", "speed"): ("cylinder_force", "abs(v)", "-share * max(y, 0.0) * math.tanh(v / 2e-3)"),
+    ("learned_force", "stroke"): ("cylinder_force", "la", "-share * max(y, 0.0) * math.tanh(v / 2e-3)"),
+    ("learned_force", "pressure_drop"): ("cylinder_force", "abs(pa - pb)", "-share * max(y, 0.0) * math.tanh"
+                                                                          "(v / 2e-3)"),
     ("learned_leakage", "pressure_drop"): ("leakage", "abs(pa - pb)", "-share * math.copysign(y, pa - pb), share * "
                                                                       "math.copysign(y, pa - pb)"),
     ("learned_flow", "pressure"): ("leakage", "p", "-share * y"),
-    ("learned_torque", "rate"): ("joint_torque", "abs(omega)", "-share * y * math.tanh(omega / 2e-3)"),
+    ("learned_torque", "rate"): ("joint_torque", "abs(omega)", "-share * max(y, 0.0) * math.tanh(omega / 2e-3)"),
     ("learned_supply", "flow"): ("supply_pressure", "q", "pp - share * y"),
     ("learned_return", "flow"): ("tank_pressure", "q", "pt + share * y"),
 }  # fmt: skip
@@ -47,24 +48,27 @@ Y = ({y})
 
 @register_jitable
 def curve(x):
-    """Return the curve at x: a cubic a stretch, level beyond the ends."""
-    n = len(X)
-    if x <= X[0]:
-        return Y[0]
-    if x >= X[n - 1]:
-        return Y[n - 1]
-    k = 0
-    while x > X[k + 1]:
+    """Return the curve at x: a cubic a stretch, straight on beyond the ends."""
+    n, k = len(X), 0
+    while k < n - 2 and x > X[k + 1]:
         k += 1
     h = X[k + 1] - X[k]
     d = (Y[k + 1] - Y[k]) / h
-    left, right = 0.0, 0.0
+    left = right = d
     if k > 0:
         before = X[k] - X[k - 1]
         left = (h * (Y[k] - Y[k - 1]) / before + before * d) / (h + before)
     if k < n - 2:
         after = X[k + 2] - X[k + 1]
         right = (h * (Y[k + 2] - Y[k + 1]) / after + after * d) / (h + after)
+    if k == 0 and n > 2:
+        left = 2.0 * d - right
+    if k == n - 2 and n > 2:
+        right = 2.0 * d - left
+    if x < X[0]:
+        return Y[0] + left * (x - X[0])
+    if x > X[n - 1]:
+        return Y[n - 1] + right * (x - X[n - 1])
     t = (x - X[k]) / h
     return Y[k] + h * t * (left + t * (3.0 * d - 2.0 * left - right + t * (left + right - 2.0 * d)))
 

@@ -33,7 +33,7 @@ def figure(found: Learned) -> Any:
 def _panel(axes: Any, law: LearnedLaw) -> None:
     (x_unit, fx), (y_unit, fy) = read_in(law.unit_over), read_in(law.unit)
     at = np.linspace(law.x[0], law.x[-1], 300)
-    middle, low, high = (curve_at(law.x, law.y + s * law.std, at, law.law.over.slope) / fy for s in (0.0, -1.96, 1.96))
+    middle, low, high = (curve_at(law.x, law.y + s * law.std, at) / fy for s in (0.0, -1.96, 1.96))
     color = OTHERS[2].color
     axes.fill_between(at / fx, low, high, color=color, alpha=0.25, linewidth=0, label="95 %")
     axes.plot(at / fx, middle, color=color, label="learned")

@@ -54,6 +54,12 @@ def _greatest(y: np.ndarray) -> float:
     return float(y[np.argmax(np.abs(y))])
 
 
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return slope and zero of the straight line through points."""
+    slope, level = np.polyfit(x, y, 1)
+    return float(slope), float(-level / slope) if slope else 0.0
+
+
 def _softplus(x: np.ndarray) -> np.ndarray:
     return np.maximum(x, 0.0)
 
@@ -70,6 +76,12 @@ FORMS = (
         lambda x, p: p[0] * x,
         lambda x, y: [[float(x @ y / (x @ x))]],
         lambda p, s, u, v: f"{p[0]:.3g} {_per(u, v)}",
+    ),
+    Form(
+        "spring",
+        lambda x, p: p[0] * (x - p[1]),
+        lambda x, y: [list(_line(x, y))],
+        lambda p, s, u, v: f"{p[0]:.3g} {_per(u, v)} about {p[1]:.3g} {v}",
     ),
     Form(
         "square root",

@@ -45,11 +45,8 @@ class Found:
     size: float = 0.0
     length: float = 0.0
 
-    def refined(self, y: np.ndarray) -> Found:
-        """Return the law with as many knots as a curve may have, closest where the curve y (K,) bends most, and the
-        same prior.
-        """
-        law = self.law.refined(y)
+    def over(self, law: Law, y: np.ndarray) -> Found:
+        """Return the same law and prior with other knots, beginning at the curve that is y (K,) at its own."""
         root = prior_root(law.table(law.neutral), self.size, self.length)
         before = law.curve(self.law.x, y)
         return replace(self, law=law, root=root, u=np.linalg.lstsq(root, before - law.neutral, rcond=None)[0], y=before)

@@ -71,7 +71,7 @@ def _curve_errors(law: Mapping[str, Any], truth: Mapping[str, Any]) -> tuple[flo
     curve = registry.split_key(law["effect"])[0].curve
     assert curve is not None
     over = curve.argument(law["over"], law["effect"])
-    error = np.abs(curve_at(np.array(law["x"]), np.array(law["y"]), x, over.slope) - y).max()
+    error = np.abs(curve_at(np.array(law["x"]), np.array(law["y"]), x) - y).max()
     return float(error / np.abs(y).max()), float(error / np.abs(y - [over.neutral(v) for v in x]).max())
 
 
