@@ -1,5 +1,5 @@
-"""The search to many effects, each step confirmed on the Exudyn engine; where no two explain a recording, one after the
-other (`selection.many`).
+"""The search to many effects, confirmed on the Exudyn engine; where these leave errors that drift, one after the other
+by what they do to whole runs (`selection.many`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
-from .diagnosis import MOST, Candidate, Diagnosis, diagnosis_of, searched, sentence
+from .diagnosis import Candidate, Diagnosis, diagnosis_of, searched, sentence
 from .fit.data import FitData
 from .fit.staged import FINE, residuals, rms
 from .history import added, learned, without_learned
@@ -148,7 +148,7 @@ def improve(
     """
 
     def search(given: Crane) -> tuple[SearchPath, list[str]]:
-        return searched(given, recording, check, per_recording, min(most, MOST), jobs, progress)
+        return searched(given, recording, check, per_recording, most, jobs, progress)
 
     path, notes = search(crane)
     replaced = learned(crane)
