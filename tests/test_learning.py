@@ -179,6 +179,15 @@ def test_a_screen_needs_nothing_that_moves():
     assert screened(fit, laws_of(fit), 1.0)[0].law.key == "learned_leakage@lift"
 
 
+def test_a_soft_mount_is_seen_where_it_is():
+    """With the tangent of the stiff machine the screen put it on the other cylinder, a hundred times stiffer."""
+    data = FitData.of(_recorded("soft", CRANE.with_effect("structural_compliance@tilt", {"stiffness": 3e6}), 1), CRANE)
+    fit = staged(CRANE, data, (), np.zeros(0), first_knots(CRANE, data), (LOOSE,))
+    best = screen(fit, starts(CRANE, data), 1.0)[0]
+    assert (best.start.key, best.start.values["stiffness"]) == ("structural_compliance@tilt", 3e6)
+    assert 0.5 < best.amplitude < 2.0
+
+
 def test_a_leak_of_the_library_is_not_learned():
     machine = CRANE.with_effect("internal_leakage@lift", {"k": 2e-11})
     found = learn(CRANE, _recorded("learn", machine, 1), jobs=1)

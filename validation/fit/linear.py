@@ -138,7 +138,7 @@ class Columns:
     W_index: np.ndarray
     size: np.ndarray
     dynamic: np.ndarray  # which columns change the motion (the others only what sensors show)
-    own: np.ndarray  # which columns are answered with a tangent of their own (a pendulum that the base lacks)
+    own: np.ndarray  # which are answered with a tangent of their own (a pendulum that the base lacks, softer oil)
 
 
 def columns_of(

@@ -8,9 +8,11 @@ for all of them at once, how much the cost would fall, with the nominal paramete
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from crane_exudyn.effects.registry import split_key
 
 from ..fit.data import FitData
 from ..fit.linear import Columns, Probes, linearised, pack
@@ -21,6 +23,9 @@ from .moves import Start, around, starts
 
 #: amplitudes are sought between these, in units of the start's own values
 _SMALLEST, _LARGEST = 0.02, 20.0
+#: hooks by which oil or a mount gets softer, thousandfold perhaps: what follows is seen with the tangent of the softer
+#: machine only, since the one without would take everything back at once
+_SOFTENS = {"free_gas", "series_compliance"}
 
 
 @dataclass(frozen=True)
@@ -48,10 +53,12 @@ class Projected:
 def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     """Return the score of every start at a fit, best first; a start that changes nothing scores 0."""
     room = len(fit.crane.layout.all_states) - fit.knots.shape[1]  # for a pendulum
+    soft = np.array([bool(_SOFTENS & set(split_key(s.key)[0].hooks())) for s in starts], dtype=bool)
 
     def probes(base: Model, data: FitData, recording: int) -> Columns:
         models = [model_of(base.crane.with_effect(s.key, s.values), data, base.late) for s in starts]
-        return pack(base, models, np.ones(len(models)))
+        columns = pack(base, models, np.ones(len(models)))
+        return replace(columns, own=columns.own | soft)
 
     found = projected(fit, np.pad(fit.knots, ((0, 0), (0, room))), probes, stiffness)
     if found is None:

@@ -132,6 +132,14 @@ class Path:
         """The best model with effects."""
         return self.weighed[0] if self.weighed else None
 
+    def ahead(self, most: int) -> Fitted | None:
+        """Return the model with fewer than so many effects that has the most evidence, each of its effects acting.
+
+        Of three effects that are missing two may leave more than half of what one leaves: no verdict, but the way on.
+        """
+        done = best_of_each([w for r in self.rounds for w in r.done])
+        return next((w for w in done if len(w.keys) < most and not w.idle), None)
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -202,10 +210,14 @@ def search(problem: Problem, most: int, progress: Progress = silent) -> Path:
         found = _round(path, most)
         if found is None:
             return _judged(path)
-        before, path = path.best, replace(path, rounds=(*path.rounds, found))
-        after = path.best
-        if before is not None and (after is None or after.evidence < before.evidence + CRITERIA.proof):
+        before, path = path, replace(path, rounds=(*path.rounds, found))
+        if not (_gained(before.best, path.best) or _gained(before.ahead(most), path.ahead(most))):
             return _judged(path)
+
+
+def _gained(before: Fitted | None, after: Fitted | None) -> bool:
+    """Whether a model has the proof against the one before it."""
+    return after is not None and (before is None or after.evidence >= before.evidence + CRITERIA.proof)
 
 
 def _begun(problem: Problem) -> Path:
@@ -240,11 +252,15 @@ def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]
     Moved parameters can make up for a further effect, but not for nothing: their prior charges for it, and the screen
     knows that.
     """
-    singles = [w for w in best_of_each([*(w for r in path.rounds for w in r.done), *done]) if len(w.keys) == 1]
-    first = singles[0] if singles else None
-    if first is None or not first.good:
+    known = best_of_each([*(w for r in path.rounds for w in r.done), *done])
+    leading = {len(w.keys): w for w in reversed(known)}  # of each number of effects the best
+    first = next((leading[n] for n in sorted(leading) if n and leading[n].good), None)
+    if first is None:
         return {}
-    more = [w for w in done if len(w.keys) > 1 and w.evidence > first.evidence + CRITERIA.proof and not w.idle]
+    more = [
+        w for w in done
+        if len(w.keys) > len(first.keys) and w.evidence > first.evidence + CRITERIA.proof and not w.idle
+    ]  # fmt: skip
     if not more:
         return {}
     errors = path.problem.errors([w.fit for w in (first, *more)])
@@ -264,7 +280,8 @@ def _beam(path: Path, most: int) -> Sequence[Fitted]:
         return []
     if len(path.rounds) == 1 and most > 1 and not (best.good or path.parameters.good):
         return path.rounds[0].tried[: CRITERIA.beam]
-    return [best] if len(best.keys) < most else []
+    ahead = path.ahead(most)
+    return [ahead] if ahead is not None and len(best.keys) < most else []
 
 
 def _additions(path: Path, parent: Fitted) -> list[Move]:
