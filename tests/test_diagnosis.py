@@ -168,6 +168,8 @@ def test_a_search_goes_on_from_what_has_the_most_evidence():
     found = search.Path(None, bare, bare, bare, (search.Round((), (idle, two, one)),))
     assert found.best is one
     assert (found.ahead(4), found.ahead(2)) == (two, one)
+    hopeless = search.Path(None, bare, bare, bare, (search.Round((), (model(LEAK, 100.0, False, level=2.1),)),))
+    assert hopeless.best is not None and hopeless.ahead(4) is None
 
 
 def test_what_predicts_the_blocks_that_were_left_out_explains_although_it_leaves_something():

@@ -43,7 +43,7 @@ class Criteria:
     left_of_rest: float = (
         0.05  # or this share of the excess on blocks left out: a chamber that boils spoils the stretch where it boils
     )
-    misled: float = 2.0  # error on the check recording from which on it was not predicted
+    misled: float = 2.0  # error on the check recording from which on it was not predicted, and level of lost cases
 
     # how far is searched
     beam: int = 3  # models that a round goes on from

@@ -133,12 +133,14 @@ class Path:
         return self.weighed[0] if self.weighed else None
 
     def ahead(self, most: int) -> Fitted | None:
-        """Return the model with fewer than so many effects that has the most evidence, each of its effects acting.
+        """Return the model with fewer than so many effects that has the most evidence, each of its effects acting; None
+        where it leaves too much for more of them to mend.
 
         Of three effects that are missing two may leave more than half of what one leaves: no verdict, but the way on.
         """
         done = best_of_each([w for r in self.rounds for w in r.done])
-        return next((w for w in done if len(w.keys) < most and not w.idle), None)
+        found = next((w for w in done if len(w.keys) < most and not w.idle), None)
+        return found if found is not None and found.level < CRITERIA.misled else None
 
 
 @dataclass(frozen=True)
