@@ -57,6 +57,7 @@ def _read(law, y, share=0.01):
             "5 kN within 0.42 ± 0.1 m of the stroke",
             "",
         ),
+        (FORCE, lambda x: 2e3 + 0 * x, "constant", "2 kN", "seal_friction@lift"),
         (_law("learned_torque@O", "angle", -0.2, 0.6), lambda x: -3e3 * (x - 0.1), "spring", "about 5.73 deg", ""),
         (
             _law("learned_opening@tilt", "spool", -0.6, 0.6),

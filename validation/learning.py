@@ -327,7 +327,7 @@ def _refined(problem: Problem, best: Explained) -> Explained:
 
 def _reknotted(problem: Problem, best: Explained, laws: Mapping[str, Law]) -> Explained:
     """Return the explanation fitted again with its laws at other knots."""
-    parts = [p if p.found is None else Part.of(p.found.over(laws[p.key], best.curve(p)[0])) for p in best.parts]
+    parts = [p if p.found is None else Part.of(p.found.reknotted(laws[p.key], best.curve(p)[0])) for p in best.parts]
     keys = {p.key for p in best.laws}
     shared = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in keys]
     before = replace(best.fit, variables=tuple(best.fit.variables[i] for i in shared), u=best.fit.u[shared])
@@ -367,7 +367,7 @@ def _concluded(
     found = lean.fit.crane
     for part in lean.laws:
         assert part.law is not None
-        found = found.with_effect(part.key, part.law.values(_curve(lean, part)[0]))
+        found = found.with_effect(part.key, part.law.values(_curve(lean, part)))
     learned = replace(
         given, crane=added(problem.crane, found, recording=problem.data.name, evidence=evidence, learned=keys)
     )
@@ -403,10 +403,10 @@ def _name(part: Part) -> str:
     return f"{part.key} over {part.law.over.name}{kind}"
 
 
-def _curve(e: Explained, part: Part) -> tuple[np.ndarray, np.ndarray]:
-    """Return the values (K,) of a law as physics allows them, and their covariance."""
+def _curve(e: Explained, part: Part) -> np.ndarray:
+    """Return the values (K,) of a law as physics allows them."""
     assert part.law is not None
-    return part.law.physical(*e.spread(part)), e.curve(part)[1]
+    return part.law.physical(*e.spread(part))
 
 
 def _told(problem: Problem, e: Explained, part: Part, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
@@ -414,13 +414,12 @@ def _told(problem: Problem, e: Explained, part: Part, tied: tuple[str, ...], evi
     assert law is not None
     curve = registry.split_key(law.key)[0].curve
     assert curve is not None
-    y, cov = _curve(e, part)
+    y, (_, cov), (_, std) = _curve(e, part), e.curve(part), e.spread(part)
     over = replace(law.over, unit=unit_over(law, problem.crane.layout))
     form = resembles(law.x, y, cov, over, curve.unit, law.key, law.against)
     text = form.text + (f", which is {form.library}" if form.library else "")
     return LearnedLaw(
-        law.key, law.over.name, over.unit, curve.unit, law.x, y,
-        e.spread(part)[1],
+        law.key, law.over.name, over.unit, curve.unit, law.x, y, std,
         law.against, text, tied, evidence, law, form,
     )  # fmt: skip
 

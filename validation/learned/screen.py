@@ -45,7 +45,7 @@ class Found:
     size: float = 0.0
     length: float = 0.0
 
-    def over(self, law: Law, y: np.ndarray) -> Found:
+    def reknotted(self, law: Law, y: np.ndarray) -> Found:
         """Return the same law and prior with other knots, beginning at the curve that is y (K,) at its own."""
         root = prior_root(law.table(law.neutral), self.size, self.length)
         before = law.curve(self.law.x, y)

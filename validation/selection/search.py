@@ -106,17 +106,21 @@ class Path:
         return not plausible(self.problem.base) or (self.parameters.good and self.fewest.strained)
 
     @cached_property
+    def done(self) -> list[Fitted]:
+        """All models with effects that were fitted to the end, best first, the best of each set of effects."""
+        return best_of_each([w for r in self.rounds for w in r.done])
+
+    @cached_property
     def weighed(self) -> tuple[Fitted, ...]:
         """Models with effects that were fitted to the end and justify each of their effects, best first."""
-        done = best_of_each([w for r in self.rounds for w in r.done])
-        alone = {frozenset(w.keys): w.evidence for w in done}
-        return tuple(w for w in done if len(w.keys) == 1 or self._justified(w, alone, done))
+        alone = {frozenset(w.keys): w.evidence for w in self.done}
+        return tuple(w for w in self.done if len(w.keys) == 1 or self._justified(w, alone))
 
-    def _justified(self, w: Fitted, alone: Mapping[frozenset[str], float], done: Sequence[Fitted]) -> bool:
+    def _justified(self, w: Fitted, alone: Mapping[frozenset[str], float]) -> bool:
         """Whether each effect of several acts, brings evidence, and together they take away most of what fewer
         leave.
         """
-        fewer = [v for v in done if len(v.keys) < len(w.keys)]
+        fewer = [v for v in self.done if len(v.keys) < len(w.keys)]
         least = max([self.bare, *(e for keys, e in alone.items() if keys < frozenset(w.keys))])
         if w.idle or w.evidence < least + CRITERIA.proof:
             return False
@@ -138,8 +142,7 @@ class Path:
 
         Of three effects that are missing two may leave more than half of what one leaves: no verdict, but the way on.
         """
-        done = best_of_each([w for r in self.rounds for w in r.done])
-        found = next((w for w in done if len(w.keys) < most and not w.idle), None)
+        found = next((w for w in self.done if len(w.keys) < most and not w.idle), None)
         return found if found is not None and found.level < CRITERIA.misled else None
 
 
@@ -254,9 +257,9 @@ def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]
     Moved parameters can make up for a further effect, but not for nothing: their prior charges for it, and the screen
     knows that.
     """
-    known = best_of_each([*(w for r in path.rounds for w in r.done), *done])
+    known = best_of_each([*path.done, *done])
     leading = {len(w.keys): w for w in reversed(known)}  # of each number of effects the best
-    first = next((leading[n] for n in sorted(leading) if n and leading[n].good), None)
+    first = next((leading[n] for n in sorted(leading) if leading[n].good), None)
     if first is None:
         return {}
     more = [
