@@ -1,18 +1,18 @@
 """The search where no effect alone, nor two, explain the recordings: many effects, one a round, and something is always
 left.
 
-The same moves and the same score as in `search`, but for three things: the error levels follow the model (`levels`), so
-that a round's models share those of the model that it goes on from; windows are two seconds long, all but joined, so
-that a ring dies out or a drift shows in them; and what is taken is judged by open-loop runs, also over the last part of
-each recording, which is not fitted before the end. At last everything is fitted in one open-loop run, and each effect
-is left out once to see what the others make of the recordings without it.
+The same moves, the same beam and the same score as in `search`, but for three things: the error levels follow the model
+(`levels`), so that a round's models share those of the best that it goes on from; windows are two seconds long, all but
+joined, so that a ring dies out or a drift shows in them; and models are ranked by open-loop runs, also over the last
+part of each recording, which is not fitted before the end. At last everything is fitted in one open-loop run, and each
+effect is left out once to see what the others make of the recordings without it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
 import numpy as np
@@ -126,58 +126,77 @@ class Many:
 
 @dataclass(frozen=True)
 class Standing:
-    """Where the search stands: a fit to the first part of each recording (`learned`, with the sensors' noise), the
-    effects that it took in, the error levels of the round, and effects that were demanded but not taken: a linear look
-    from a model without them may not show them a second time.
+    """A model that the search goes on from.
+
+    Attributes:
+        fit: to the first part of each recording.
+        levels: the error levels of its round.
+        taken: how its effects were taken in, one a round.
+        errors: of open-loop runs, over what was learned from and over the rest.
+        tried: effects that were demanded but not taken: a linear look from a model without them may not show them a
+            second time.
     """
 
-    learned: Data
     fit: Fit
-    keys: tuple[str, ...]
     levels: Levels
-    tried: Mapping[str, Mapping[str, float]]
+    taken: tuple[Taken, ...] = ()
+    errors: Judged = ({}, {})
+    tried: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The effects that it took in."""
+        return tuple(t.key for t in self.taken)
+
+    def fall(self, before: Standing) -> float:
+        """Return the log by which open-loop errors fall against those of another model, on both stretches together."""
+        return sum(falls(a, b) for a, b in zip(before.errors, self.errors, strict=True))
+
+    def serves(self, before: Standing) -> bool:
+        """Whether errors of open-loop runs fall, and not at the cost of what was not learned from."""
+        return self.fall(before) > CRITERIA.gained and falls(before.errors[1], self.errors[1]) > -CRITERIA.tolerated
 
 
 def search_many(problem: Problem, most: int, progress: Progress = silent) -> Many | None:
     """Return the crane with at most so many effects taken in one by one, or None where none is worth it."""
-    problem, standing = _begun(problem)
-    nominal = last = judged(problem, standing.fit)
-    taken: list[Taken] = []
-    while len(taken) < most:
-        progress(f"looking for effect {len(taken) + 1}", 0.05 + 0.6 * len(taken) / most)
-        offered = _offered(problem, standing)
-        chosen = _best(problem, offered, last)
-        if chosen is None:
-            break
-        key, found, last = chosen
-        gains = {k: gain for k, gain, _ in offered}
-        taken.append(Taken(key, gains.pop(key), gains))
-        again = {k: parameters_of(f.crane, k) for k, gain, f in offered if gain > CRITERIA.demanded and k != key}
-        standing = _relevelled(problem, replace(standing, fit=found, keys=(*standing.keys, key), tried=again))
-    if not taken:
+    problem, nominal = _begun(problem)
+    best, beam, size = nominal, [nominal], 0
+    while beam and size < most:
+        progress(f"looking for effect {size + 1}", 0.05 + 0.6 * size / most)
+        found, size = _round(problem, beam, best), size + 1
+        beam = _relevelled(problem, found)
+        if found and found[0].serves(best):
+            best = beam[0]
+    if not best.keys:
         return None
     progress("fitting everything together", 0.7)
-    return _together(problem, standing, taken, (nominal[1], last[1]), progress)
+    return _together(problem, best, (nominal.errors[1], best.errors[1]), progress)
 
 
 def _begun(problem: Problem) -> tuple[Problem, Standing]:
     """Return the problem in coarse steps, and where its search begins: nominal parameters fitted, levels of the
     channels found.
     """
-    crane, whole = problem.crane, problem.data.stepped(STEP)
-    learned = replace(whole, parts=tuple(map(_part, whole.parts))) if isinstance(whole, Joint) else _part(whole)
+    crane = problem.crane
+    problem = replace(problem, data=problem.data.stepped(STEP))
+    learned = _learned(problem)
     base = all_parameters(crane, learned, (Stage(SHORT, 1.0, 5, STEP),))
-    shared = (*informed_directions(base), *stated_effects(crane))
+    problem = replace(problem, shared=(*informed_directions(base), *stated_effects(crane)))
     raised = Levels({c: max(1.0, e) for c, e in base.errors.items()}).raised(learned)
-    current = staged(crane, raised, shared, _begins(shared, base), base, joined(8))
-    problem = replace(problem, data=whole, shared=shared)
-    standing = Standing(learned, current, (), Levels(dict.fromkeys(base.errors, math.inf)), {})
-    return problem, _relevelled(problem, standing)
+    current = staged(crane, raised, problem.shared, _begins(problem.shared, base), base, joined(8))
+    standing = Standing(current, Levels(dict.fromkeys(base.errors, math.inf)))
+    return problem, _relevelled(problem, [standing])[0]
 
 
 def _begins(variables: Sequence[Variable], before: Fit) -> np.ndarray:
     known = values_of(before)
     return np.array([known.get(v.name, begin(v, before, known)) for v in variables])
+
+
+def _learned(problem: Problem) -> Data:
+    """Return what is learned from, with the sensors' noise."""
+    whole = problem.data
+    return replace(whole, parts=tuple(map(_part, whole.parts))) if isinstance(whole, Joint) else _part(whole)
 
 
 def _part(data: FitData) -> FitData:
@@ -222,41 +241,60 @@ def _neutral(found: Fit, key: str) -> bool:
     )
 
 
-def _relevelled(problem: Problem, now: Standing) -> Standing:
-    """Return the standing with the channels' levels as its model leaves them, never higher than before, all fitted
-    again.
-
-    By way of one open-loop run: slow drifts do not show in windows of two seconds.
+def _relevelled(problem: Problem, found: Sequence[Standing]) -> list[Standing]:
+    """Return models with the channels' levels as the first of them leaves them, never higher than before, all fitted
+    again and judged.
     """
-    levels = levels_of(now.fit, now.learned, now.levels.of)
-    data, crane, shared, keys = levels.raised(now.learned), problem.crane, problem.shared, now.keys
+    if not found:
+        return []
+    levels = levels_of(found[0].fit, _learned(problem), found[0].levels.of)
+    return in_parallel(problem.jobs, [(_at, problem, now, levels) for now in found])
+
+
+def _at(problem: Problem, now: Standing, levels: Levels) -> Standing:
+    """Return a model fitted with other levels, by way of one open-loop run: slow drifts do not show in windows of two
+    seconds.
+    """
+    data, crane, shared, keys = levels.raised(_learned(problem)), problem.crane, problem.shared, now.keys
     long = _carried(crane, data, shared, _variables(now.fit.crane, keys), now.fit, run(6), keys)
     near = replace(long, knots=now.fit.knots, windows=now.fit.windows)  # its parameters, where the windows stand
     again = _carried(crane, data, shared, _variables(long.crane, keys), near, joined(6), keys)
-    return replace(now, fit=again, levels=levels)
+    return replace(now, fit=again, levels=levels, errors=judged(problem, again))
 
 
 # -- one round -------------------------------------------------------------------------------------------------------
 
 
-def _offered(problem: Problem, now: Standing) -> list[tuple[str, float, Fit]]:
-    """Return effects fitted beside those taken in: key, gain in log evidence, fit; best first."""
-    begins = _promising(problem, now) | dict(now.tried)
-    own = [effect_variables(k, v, problem.crane.layout) for k, v in begins.items()]
-    fits = in_parallel(problem.jobs, [(_tried, problem, now, variables) for variables in own])
-    bare = log_evidence(now.fit)
-    gains = [(k, log_evidence(f) - bare, f) for k, f in zip(begins, fits, strict=True) if not at_bound(f, k)]
-    return sorted((g for g in gains if math.isfinite(g[1])), key=lambda g: -g[1])
+def _round(problem: Problem, beam: Sequence[Standing], best: Standing) -> list[Standing]:
+    """Return the models with one effect more that a round finds, best first, at most as many as a beam holds.
+
+    Of those whose effect the data demand, at least half as much as the first beside the same model, and that make the
+    errors of whole runs fall, over what was learned from and what was not, below those of the best model with fewer:
+    windows tell what is at work, but not whether it adds up over a whole run, and what merely imitates the cause
+    predicts worse. Where whole runs differ by less than counts as a fall, the evidence decides.
+    """
+    jobs = problem.jobs
+    begins = in_parallel(jobs, [(_promising, problem, now) for now in beam])
+    moves = [(now, key, values) for now, own in zip(beam, begins, strict=True) for key, values in own.items()]
+    fits = in_parallel(jobs, [(_added, problem, *move) for move in moves])
+    found = []
+    for now in beam:
+        own = {key: f for (parent, key, _), f in zip(moves, fits, strict=True) if parent is now}
+        demanded = _demanded(now, {key: f for key, f in own.items() if _acting(f, (*now.keys, key))})
+        children = in_parallel(jobs, [(_judged, problem, one) for one in demanded])
+        found += [one for one in children if one.fall(now) > CRITERIA.gained and one.fall(best) > 0.0]
+    found.sort(key=lambda one: -log_evidence(one.fit))
+    return _leading(list({frozenset(one.keys): one for one in reversed(found)}.values())[::-1], best)
 
 
 def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]]:
-    """Return what to try: the best of a screen in long windows, and the best of one in short windows that follow the
-    machine.
+    """Return what to try beside a model: the best of a screen in long windows, the best of one in short windows that
+    follow the machine, and what was demanded before.
 
     The long ones show what adds up; in the short ones a chamber that the model takes for stiff still stands where the
     machine's stands, so that an effect that changes all from there on (air) is seen at all.
     """
-    begins = starts(now.fit.crane, now.learned)
+    begins = starts(now.fit.crane, _learned(problem))
     looks = [screen(f, begins, stiffness) for f, stiffness in ((now.fit, JOINED), (_following(problem, now), 1.0))]
     best = [
         list({s.start.key: s for s in reversed(look) if s.gain >= CRITERIA.promise}.values())[::-1] for look in looks
@@ -265,49 +303,85 @@ def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]
     for score in (s for pair in zip_longest(*best) for s in pair if s is not None):
         if len(chosen) < CRITERIA.tried:
             chosen.setdefault(score.start.key, scaled(score.start, score.amplitude))
-    return chosen
+    return chosen | dict(now.tried)
 
 
 def _following(problem: Problem, now: Standing) -> Fit:
     """Return the current model in short, loosely joined windows, with the error levels that it has there."""
-    data, knots = now.learned, first_knots(now.fit.crane, now.learned, SHORT)
+    learned = data = _learned(problem)
+    knots = first_knots(now.fit.crane, data, SHORT)
     for _ in range(2):
         windows = cut(data, SHORT)
         found = fit(problem.crane, data, windows, knots, now.fit.variables, now.fit.u, stiffness=1.0, iterations=2)
-        data = levels_of(found, now.learned).raised(now.learned)
+        data = levels_of(found, learned).raised(learned)
     return replace(found, data=data, windows=tuple(cut(data, SHORT)))
 
 
-def _tried(problem: Problem, now: Standing, new: Sequence[EffectVariable]) -> Fit:
+def _added(problem: Problem, now: Standing, key: str, values: Mapping[str, float]) -> Fit:
+    """Return the likelier of the fits with a new effect that begin at the model, and at the crane as given."""
+    return max(_beside(problem, now, key, values), _anew(problem, now.fit.data, (*now.keys, key)), key=log_evidence)
+
+
+def _beside(problem: Problem, now: Standing, key: str, values: Mapping[str, float]) -> Fit:
     """Return the fit with a new effect: first everything else finds its place beside it, then it is free as well.
 
     Where an effect starts with its full size, a step in all variables at once is far from linear and stalls.
     """
     data, old = now.fit.data, _variables(now.fit.crane, now.keys)
-    values = {v.parameter.name: v.start for v in new if isinstance(v, EffectParameter)}
-    beside = problem.crane.with_effect(new[0].key, values)
+    beside = problem.crane.with_effect(key, values)
     first = _carried(beside, data, problem.shared, old, now.fit, joined(3), now.keys)
+    new = effect_variables(key, values, problem.crane.layout)
     return _carried(problem.crane, data, problem.shared, [*old, *new], first, joined(6), now.keys)
 
 
-def _best(problem: Problem, offered: Sequence[tuple[str, float, Fit]], last: Judged) -> tuple[str, Fit, Judged] | None:
-    """Return the effect with which whole runs have the least error, over what was learned from and what was not: key,
-    fit, errors.
+def _anew(problem: Problem, data: Data, keys: Sequence[str]) -> Fit:
+    """Return effects fitted from the crane as given, each of the size that is met in practice.
 
-    Of those that the data demand, at least half as much as the first, and that make the errors fall; None if there is
-    none. Windows tell what is at work, but not whether it adds up over a whole run; and what merely imitates the cause
-    predicts worse. Where whole runs differ by less than counts as a fall, the evidence decides.
+    Where earlier effects have gone far to do the work of one that was missing, no step leads from there to what they
+    are beside it.
     """
-    found = []
-    for key, gain, fit_with in offered:
-        if gain < max(CRITERIA.demanded, CRITERIA.serious * offered[0][1]):
-            break
-        errors = judged(problem, fit_with)
-        fall, ahead = (falls(a, b) for a, b in zip(last, errors, strict=True))
-        if fall + ahead > CRITERIA.gained and ahead > -CRITERIA.tolerated:
-            found.append((fall + ahead, key, fit_with, errors))
-    most = max((f[0] for f in found), default=0.0)
-    return next((f[1:] for f in found if f[0] > most - CRITERIA.gained), None)  # they stand best evidence first
+    crane = _typical(problem.crane, keys)
+    variables = [*problem.shared, *_variables(crane, keys)]
+    u = np.array([v.begin if isinstance(v, EffectVariable) else 0.0 for v in variables])
+    return staged(problem.crane, data, variables, u, first_knots(crane, data, WINDOW), joined(12))
+
+
+def _demanded(now: Standing, fits: Mapping[str, Fit]) -> list[Standing]:
+    """Return a model with each effect that the data demand beside it, at least half as much as the first."""
+    bare = log_evidence(now.fit)
+    gains = {k: log_evidence(f) - bare for k, f in fits.items()}
+    gains = {k: gains[k] for k in sorted(gains, key=lambda k: -gains[k]) if math.isfinite(gains[k])}
+    serious = max(CRITERIA.demanded, CRITERIA.serious * max(gains.values(), default=0.0))
+    demanded = {k: parameters_of(fits[k].crane, k) for k, gain in gains.items() if gain > CRITERIA.demanded}
+    return [
+        replace(
+            now,
+            fit=fits[key],
+            taken=(*now.taken, Taken(key, gain, {k: g for k, g in gains.items() if k != key})),
+            tried={k: values for k, values in demanded.items() if k != key},
+        )
+        for key, gain in gains.items()
+        if gain >= serious
+    ]
+
+
+def _judged(problem: Problem, one: Standing) -> Standing:
+    return replace(one, errors=judged(problem, one.fit))
+
+
+def _acting(found: Fit, keys: Sequence[str]) -> bool:
+    """Whether all effects act, the last one within its bounds: else it is a model with fewer, or none."""
+    return not at_bound(found, keys[-1]) and not any(_neutral(found, key) for key in keys)
+
+
+def _leading(found: Sequence[Standing], before: Standing) -> list[Standing]:
+    """Return the models whose whole runs are best, as many as a beam holds; found stand best evidence first."""
+    left, leading = list(found), list[Standing]()
+    while left and len(leading) < CRITERIA.beam:
+        most = max(one.fall(before) for one in left)
+        first = next(i for i, one in enumerate(left) if one.fall(before) >= most - CRITERIA.gained)
+        leading.append(left.pop(first))
+    return leading
 
 
 def judged(problem: Problem, found: Fit) -> Judged:
@@ -372,9 +446,7 @@ def _open_loop(problem: Problem, keys: Sequence[str], data: Data, before: Fit, c
     return staged(problem.crane, data, variables, windows.u, windows, run(2 * iterations))
 
 
-def _together(
-    problem: Problem, standing: Standing, taken: Sequence[Taken], left_out: tuple[Errors, Errors], progress: Progress
-) -> Many:
+def _together(problem: Problem, standing: Standing, left_out: tuple[Errors, Errors], progress: Progress) -> Many:
     """Fit everything to the whole recordings, leave out what is not needed, and say how well each effect is
     determined.
     """
@@ -401,8 +473,8 @@ def _together(
     shared = zip(final.variables, final.u, strict=True)
     moved = {v.name: float(u) for v, u in shared if isinstance(v, NominalDirection) and v.recording is None}
     return Many(
-        final.crane, tuple(t for t in taken if t.key in keys), before, _errors(problem, [final.of(i) for i in each]),
-        needed, without,
+        final.crane, tuple(t for t in standing.taken if t.key in keys),
+        before, _errors(problem, [final.of(i) for i in each]), needed, without,
         *left_out, _deviations(final, keys), _alike(final, keys), moved, ranges,
     )  # fmt: skip
 
