@@ -367,7 +367,7 @@ def _concluded(
     found = lean.fit.crane
     for part in lean.laws:
         assert part.law is not None
-        found = found.with_effect(part.key, part.law.values(_curve(lean, part)))
+        found = found.with_effect(part.key, part.law.values(part.law.physical(*lean.spread(part))))
     learned = replace(
         given, crane=added(problem.crane, found, recording=problem.data.name, evidence=evidence, learned=keys)
     )
@@ -403,18 +403,13 @@ def _name(part: Part) -> str:
     return f"{part.key} over {part.law.over.name}{kind}"
 
 
-def _curve(e: Explained, part: Part) -> np.ndarray:
-    """Return the values (K,) of a law as physics allows them."""
-    assert part.law is not None
-    return part.law.physical(*e.spread(part))
-
-
 def _told(problem: Problem, e: Explained, part: Part, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
     law = part.law
     assert law is not None
     curve = registry.split_key(law.key)[0].curve
     assert curve is not None
-    y, (_, cov), (_, std) = _curve(e, part), e.curve(part), e.spread(part)
+    (_, cov), (fitted, std) = e.curve(part), e.spread(part)
+    y = law.physical(fitted, std)
     over = replace(law.over, unit=unit_over(law, problem.crane.layout))
     form = resembles(law.x, y, cov, over, curve.unit, law.key, law.against)
     text = form.text + (f", which is {form.library}" if form.library else "")

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import zip_longest
 
 import numpy as np
@@ -50,7 +51,7 @@ from ..fit.variables import (
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import DRIFT, Errors, Levels, falls, levels_of, likelihood
-from .model import Fitted, Model, at_bound, begin, parameters_of, values_of, with_effects
+from .model import Fitted, Model, at_bound, begin, best_of_each, parameters_of, values_of, with_effects
 from .moves import scaled, starts
 from .screen import screen
 from .search import Problem, Progress, silent
@@ -148,6 +149,11 @@ class Standing:
         """The effects that it took in."""
         return tuple(t.key for t in self.taken)
 
+    @cached_property
+    def evidence(self) -> float:
+        """Its log evidence, with the error levels of its round."""
+        return log_evidence(self.fit)
+
     def fall(self, before: Standing) -> float:
         """Return the log by which open-loop errors fall against those of another model, on both stretches together."""
         return sum(falls(a, b) for a, b in zip(before.errors, self.errors, strict=True))
@@ -160,12 +166,14 @@ class Standing:
 def search_many(problem: Problem, most: int, progress: Progress = silent) -> Many | None:
     """Return the crane with at most so many effects taken in one by one, or None where none is worth it."""
     problem, nominal = _begun(problem)
-    best, beam, size = nominal, [nominal], 0
-    while beam and size < most:
+    best, beam = nominal, [nominal]
+    for size in range(most):
         progress(f"looking for effect {size + 1}", 0.05 + 0.6 * size / most)
-        found, size = _round(problem, beam, best), size + 1
+        found = _round(problem, beam, best)
+        if not found:
+            break
         beam = _relevelled(problem, found)
-        if found and found[0].serves(best):
+        if found[0].serves(best):
             best = beam[0]
     if not best.keys:
         return None
@@ -245,8 +253,6 @@ def _relevelled(problem: Problem, found: Sequence[Standing]) -> list[Standing]:
     """Return models with the channels' levels as the first of them leaves them, never higher than before, all fitted
     again and judged.
     """
-    if not found:
-        return []
     levels = levels_of(found[0].fit, _learned(problem), found[0].levels.of)
     return in_parallel(problem.jobs, [(_at, problem, now, levels) for now in found])
 
@@ -277,14 +283,15 @@ def _round(problem: Problem, beam: Sequence[Standing], best: Standing) -> list[S
     begins = in_parallel(jobs, [(_promising, problem, now) for now in beam])
     moves = [(now, key, values) for now, own in zip(beam, begins, strict=True) for key, values in own.items()]
     fits = in_parallel(jobs, [(_added, problem, *move) for move in moves])
-    found = []
+    children = []
     for now in beam:
         own = {key: f for (parent, key, _), f in zip(moves, fits, strict=True) if parent is now}
-        demanded = _demanded(now, {key: f for key, f in own.items() if _acting(f, (*now.keys, key))})
-        children = in_parallel(jobs, [(_judged, problem, one) for one in demanded])
-        found += [one for one in children if one.fall(now) > CRITERIA.gained and one.fall(best) > 0.0]
-    found.sort(key=lambda one: -log_evidence(one.fit))
-    return _leading(list({frozenset(one.keys): one for one in reversed(found)}.values())[::-1], best)
+        acting = {key: f for key, f in own.items() if _acting(f, (*now.keys, key))}
+        children += [(now, one) for one in _demanded(now, acting)]
+    errors = in_parallel(jobs, [(judged, problem, one.fit) for _, one in children])
+    ran = [(now, replace(one, errors=e)) for (now, one), e in zip(children, errors, strict=True)]
+    found = [one for now, one in ran if one.fall(now) > CRITERIA.gained and one.fall(best) > 0.0]
+    return _leading(best_of_each(found), best)
 
 
 def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]]:
@@ -319,7 +326,7 @@ def _following(problem: Problem, now: Standing) -> Fit:
 
 def _added(problem: Problem, now: Standing, key: str, values: Mapping[str, float]) -> Fit:
     """Return the likelier of the fits with a new effect that begin at the model, and at the crane as given."""
-    return max(_beside(problem, now, key, values), _anew(problem, now.fit.data, (*now.keys, key)), key=log_evidence)
+    return max(_beside(problem, now, key, values), _anew(problem, now, key), key=log_evidence)
 
 
 def _beside(problem: Problem, now: Standing, key: str, values: Mapping[str, float]) -> Fit:
@@ -334,22 +341,23 @@ def _beside(problem: Problem, now: Standing, key: str, values: Mapping[str, floa
     return _carried(problem.crane, data, problem.shared, [*old, *new], first, joined(6), now.keys)
 
 
-def _anew(problem: Problem, data: Data, keys: Sequence[str]) -> Fit:
-    """Return effects fitted from the crane as given, each of the size that is met in practice.
+def _anew(problem: Problem, now: Standing, key: str) -> Fit:
+    """Return the model's effects and a new one fitted from the crane as given, each of the size that is met in
+    practice.
 
     Where earlier effects have gone far to do the work of one that was missing, no step leads from there to what they
     are beside it.
     """
+    data, keys = now.fit.data, (*now.keys, key)
     crane = _typical(problem.crane, keys)
     variables = [*problem.shared, *_variables(crane, keys)]
-    u = np.array([v.begin if isinstance(v, EffectVariable) else 0.0 for v in variables])
+    u = np.array([begin(v, now.fit, {}) for v in variables])
     return staged(problem.crane, data, variables, u, first_knots(crane, data, WINDOW), joined(12))
 
 
 def _demanded(now: Standing, fits: Mapping[str, Fit]) -> list[Standing]:
     """Return a model with each effect that the data demand beside it, at least half as much as the first."""
-    bare = log_evidence(now.fit)
-    gains = {k: log_evidence(f) - bare for k, f in fits.items()}
+    gains = {k: log_evidence(f) - now.evidence for k, f in fits.items()}
     gains = {k: gains[k] for k in sorted(gains, key=lambda k: -gains[k]) if math.isfinite(gains[k])}
     serious = max(CRITERIA.demanded, CRITERIA.serious * max(gains.values(), default=0.0))
     demanded = {k: parameters_of(fits[k].crane, k) for k, gain in gains.items() if gain > CRITERIA.demanded}
@@ -363,10 +371,6 @@ def _demanded(now: Standing, fits: Mapping[str, Fit]) -> list[Standing]:
         for key, gain in gains.items()
         if gain >= serious
     ]
-
-
-def _judged(problem: Problem, one: Standing) -> Standing:
-    return replace(one, errors=judged(problem, one.fit))
 
 
 def _acting(found: Fit, keys: Sequence[str]) -> bool:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol, TypeVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -250,9 +251,21 @@ def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
     return sum(weight / scale[name] * known[name] for name, weight in variable.weights.items())
 
 
-def best_of_each(found: Sequence[Fitted]) -> list[Fitted]:
+class Weighed(Protocol):
+    """A model that was fitted: its effects and its log evidence."""
+
+    @property
+    def keys(self) -> tuple[str, ...]: ...
+    @property
+    def evidence(self) -> float: ...
+
+
+W = TypeVar("W", bound=Weighed)
+
+
+def best_of_each(found: Sequence[W]) -> list[W]:
     """Return the fits, best first, only the best of those with the same effects."""
-    seen: dict[frozenset[str], Fitted] = {}
+    seen: dict[frozenset[str], W] = {}
     for w in sorted(found, key=lambda w: -w.evidence):
         seen.setdefault(frozenset(w.keys), w)
     return list(seen.values())
