@@ -73,11 +73,20 @@ class Measurement:
         other._set(P, E)
         return other
 
-    def differs(self, P: np.ndarray, E: np.ndarray) -> bool:
-        """Whether the sensors may show something else of equal states on a crane with other parameters and effects."""
-        if (E != self.E)[sensing_slots()].any() or vapour_pressure(P) != vapour_pressure(self.P):
-            return True
-        return bool((self._cylinder >= 0).any() and (P != self.P).any())
+    def differs(self, X: np.ndarray, P: np.ndarray, E: np.ndarray) -> np.ndarray:
+        """Return whether (k,) the sensors may show something else along states X (n, nx) on cranes with other
+        parameters P (k, …) and effects E (k, …).
+        """
+        moved = (P != self.P).any(axis=1)
+        lengths = self._cylinder >= 0
+        differ = np.array([vapour_pressure(p) != vapour_pressure(self.P) for p in P[moved]], bool)
+        if lengths.any():  # a parameter that changes a length does so almost everywhere
+            ends = X[[0, -1]]
+            other, _ = self._read_on(ends, P[moved], np.tile(self.E, (len(differ), 1)))
+            differ |= (other != self.read(ends)[:, :, None])[:, lengths].any(axis=(0, 1))
+        moved[moved] = differ
+        slots = sensing_slots()
+        return np.asarray(moved | (E[:, slots] != self.E[slots]).any(axis=1))
 
     def read(self, X: np.ndarray) -> np.ndarray:
         """Return what the sensors would show (n, m) of states X (n, nx) without lag."""
@@ -99,6 +108,21 @@ class Measurement:
         for j, tau in self.lags:
             Y[:, j] = lagged(Y[:, j], time, tau, settled=settled)
         return Y
+
+    def shown_on(self, X: np.ndarray, time: np.ndarray, P: np.ndarray, E: np.ndarray) -> np.ndarray:
+        """Return what the sensors show (n, m, k) along states X (n, nx) on cranes with parameters P (k, …) and effects
+        E (k, …).
+        """
+        Y, taus = self._read_on(X, P, E)
+        for k, j in np.argwhere(taus > 0.0):
+            Y[:, j, k] = lagged(Y[:, j, k], time, taus[k, j])
+        return Y
+
+    def _read_on(self, X: np.ndarray, P: np.ndarray, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        Y, taus = np.empty((len(X), len(self.names), len(P))), np.empty((len(P), len(self.names)))
+        reads = self._summed, self._is_pressure, self._cylinder, self._place
+        _read_on(self._machine.topology, X, *reads, P, E, Y, taus)
+        return Y, taus
 
     def shown_rows(self, X: np.ndarray, S: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what the sensors show (n, m), and its derivative (n, m, k), along states X (n, nx) with derivative S
@@ -183,6 +207,18 @@ def _read(topology, X, cylinder, place, P, E, Y):  # type: ignore[no-untyped-def
         for k in range(X.shape[0]):
             y = cylinder_length(topology, P, X[k], cylinder[j], row) if cylinder[j] >= 0 else Y[k, j]
             Y[k, j] = hooks.measurement(E, place[j], y)
+
+
+@njit
+def _read_on(topology, X, summed, is_pressure, cylinder, place, P, E, Y, taus):  # type: ignore[no-untyped-def]
+    """Write what sensors read on cranes with P and E (k, …) into Y (n, m, k), and their lags into taus (k, m)."""
+    for k in range(P.shape[0]):
+        floor = np.where(is_pressure, vapour_pressure(P[k]), -np.inf)
+        own = _sums(X, summed, floor)
+        _read(topology, X, cylinder, place, P[k], E[k], own)
+        Y[:, :, k] = own
+        for j in range(place.size):
+            taus[k, j] = hooks.lag(E[k], place[j])
 
 
 @njit

@@ -13,7 +13,6 @@ from validation import hidden
 from validation.diagnosis import Diagnosis, _held_to_check, diagnose, sentence
 from validation.fit.data import FitData
 from validation.fitness import check_check
-from validation.selection import search
 from validation.selection.moves import Start, around, starts
 from validation.selection.verdict import verdict_of, within_clocks
 
@@ -119,7 +118,7 @@ def path(
 
 ALL = np.ones(100, dtype=bool)
 WRONG = {"good": False, "level": 9.0, "bad": ALL}
-LEAK, BIAS, DROOP = "internal_leakage@lift", "sensor_bias@z1", "pump_droop"
+LEAK, BIAS = "internal_leakage@lift", "sensor_bias@z1"
 
 
 @pytest.mark.parametrize(
@@ -158,18 +157,6 @@ LEAK, BIAS, DROOP = "internal_leakage@lift", "sensor_bias@z1", "pump_droop"
 def test_the_verdict_is_a_function_of_the_path(given, parameters, weighed, kind, effects):
     found = verdict_of(path(given, parameters, *weighed))
     assert (found.kind, found.chosen.keys) == (kind, effects)
-
-
-def test_a_search_goes_on_from_what_has_the_most_evidence():
-    """Of three effects that are missing two may leave more than half of what one leaves."""
-    one, two = model(LEAK, 100.0, False, level=1.24), model(f"{LEAK} {BIAS}", 500.0, False, level=1.17)
-    idle = model(f"{LEAK} {BIAS} {DROOP}", 600.0, False, level=1.16, idle={DROOP})
-    bare = model(**WRONG)
-    found = search.Path(None, bare, bare, bare, (search.Round((), (idle, two, one)),))
-    assert found.best is one
-    assert (found.ahead(4), found.ahead(2)) == (two, one)
-    hopeless = search.Path(None, bare, bare, bare, (search.Round((), (model(LEAK, 100.0, False, level=2.1),)),))
-    assert hopeless.best is not None and hopeless.ahead(4) is None
 
 
 def test_what_predicts_the_blocks_that_were_left_out_explains_although_it_leaves_something():

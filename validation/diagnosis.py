@@ -27,9 +27,6 @@ from .selection.search import Path, Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .workers import in_parallel
 
-#: effects that a diagnosis names at most
-MOST = 2
-
 
 @dataclass(frozen=True)
 class Candidate:
@@ -189,7 +186,7 @@ def diagnose(
         CraneError: the recording cannot support a diagnosis.
     """
     began = time.perf_counter()
-    path, notes = searched(crane, recording, check, per_recording, MOST, jobs, progress)
+    path, notes = searched(crane, recording, check, per_recording, jobs, progress)
     progress("predicting", 0.9)
     return replace(diagnosis_of(path, check, notes), seconds=time.perf_counter() - began)
 
@@ -199,20 +196,17 @@ def searched(
     recording: Recording | Sequence[Recording],
     check: Recording | None,
     per_recording: Sequence[str],
-    most: int,
     jobs: int,
     progress: Progress,
 ) -> tuple[Path, list[str]]:
-    """Return the path of the search to at most so many effects, and notes on the recordings, after they were looked
-    at.
-    """
+    """Return the path of the search, and notes on the recordings, after they were looked at."""
     from .fitness import check_all
 
     recordings = several(recording)
     notes = check_all(recordings, check, crane)
     progress("fitting the nominal parameters", 0.05)
     problem = Problem.of(crane, recordings, per_recording, jobs)
-    return search(problem, most, progress), notes
+    return search(problem, progress), notes
 
 
 def several(recording: Recording | Sequence[Recording]) -> tuple[Recording, ...]:

@@ -337,10 +337,10 @@ def _add_own(
     """Add to derivatives dZ (n, channels, m) by the variables what the sensors show otherwise of equal states X: by
     pins, bias, lag, …
     """
-    for k, size in enumerate(columns.size):
-        if measurement.differs(columns.P[k], columns.E[k]):
-            moved = measurement.beside(columns.P[k], columns.E[k]).shown(X, time)
-            dZ[:, :, k] += (moved - Z) / size
+    own = measurement.differs(X, columns.P, columns.E)
+    if own.any():
+        moved = measurement.shown_on(X, time, columns.P[own], columns.E[own])
+        dZ[:, :, own] += (moved - Z[:, :, None]) / columns.size[own]
 
 
 def normal_equations(

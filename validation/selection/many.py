@@ -130,12 +130,13 @@ class Standing:
     """A model that the search goes on from.
 
     Attributes:
-        fit: to the first part of each recording.
+        fit: to the first part of each recording, or to all of it.
         levels: the error levels of its round.
         taken: how its effects were taken in, one a round.
         errors: of open-loop runs, over what was learned from and over the rest.
         tried: effects that were demanded but not taken: a linear look from a model without them may not show them a
             second time.
+        whole: whether it learned from all of each recording.
     """
 
     fit: Fit
@@ -143,6 +144,7 @@ class Standing:
     taken: tuple[Taken, ...] = ()
     errors: Judged = ({}, {})
     tried: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    whole: bool = False
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -153,6 +155,12 @@ class Standing:
     def evidence(self) -> float:
         """Its log evidence, with the error levels of its round."""
         return log_evidence(self.fit)
+
+    @property
+    def left(self) -> tuple[float, float]:
+        """The log by which its errors could still fall, over what was learned from and over the rest."""
+        first, rest = (falls(e, dict.fromkeys(e, 1.0)) for e in self.errors)
+        return first, rest
 
     def fall(self, before: Standing) -> float:
         """Return the log by which open-loop errors fall against those of another model, on both stretches together."""
@@ -166,19 +174,24 @@ class Standing:
 def search_many(problem: Problem, most: int, progress: Progress = silent) -> Many | None:
     """Return the crane with at most so many effects taken in one by one, or None where none is worth it."""
     problem, nominal = _begun(problem)
-    best, beam = nominal, [nominal]
+    best, predicted = nominal, nominal.errors[1]
+    beam: Sequence[Standing] = [nominal]
     for size in range(most):
         progress(f"looking for effect {size + 1}", 0.05 + 0.6 * size / most)
+        beam = _widened(problem, beam)
         found = _round(problem, beam, best)
         if not found:
             break
         beam = _relevelled(problem, found)
         if found[0].serves(best):
             best = beam[0]
+            predicted = predicted if best.whole else best.errors[1]
+        if sum(best.left) <= CRITERIA.gained:
+            break
     if not best.keys:
         return None
     progress("fitting everything together", 0.7)
-    return _together(problem, best, (nominal.errors[1], best.errors[1]), progress)
+    return _together(problem, best, (nominal.errors[1], predicted), progress)
 
 
 def _begun(problem: Problem) -> tuple[Problem, Standing]:
@@ -187,7 +200,7 @@ def _begun(problem: Problem) -> tuple[Problem, Standing]:
     """
     crane = problem.crane
     problem = replace(problem, data=problem.data.stepped(STEP))
-    learned = _learned(problem)
+    learned = _first_part(problem)
     base = all_parameters(crane, learned, (Stage(SHORT, 1.0, 5, STEP),))
     problem = replace(problem, shared=(*informed_directions(base), *stated_effects(crane)))
     raised = Levels({c: max(1.0, e) for c, e in base.errors.items()}).raised(learned)
@@ -201,8 +214,12 @@ def _begins(variables: Sequence[Variable], before: Fit) -> np.ndarray:
     return np.array([known.get(v.name, begin(v, before, known)) for v in variables])
 
 
-def _learned(problem: Problem) -> Data:
-    """Return what is learned from, with the sensors' noise."""
+def _learned(problem: Problem, now: Standing) -> Data:
+    """Return what a model learned from, with the sensors' noise."""
+    return problem.data if now.whole else _first_part(problem)
+
+
+def _first_part(problem: Problem) -> Data:
     whole = problem.data
     return replace(whole, parts=tuple(map(_part, whole.parts))) if isinstance(whole, Joint) else _part(whole)
 
@@ -253,7 +270,7 @@ def _relevelled(problem: Problem, found: Sequence[Standing]) -> list[Standing]:
     """Return models with the channels' levels as the first of them leaves them, never higher than before, all fitted
     again and judged.
     """
-    levels = levels_of(found[0].fit, _learned(problem), found[0].levels.of)
+    levels = levels_of(found[0].fit, _learned(problem, found[0]), found[0].levels.of)
     return in_parallel(problem.jobs, [(_at, problem, now, levels) for now in found])
 
 
@@ -261,11 +278,27 @@ def _at(problem: Problem, now: Standing, levels: Levels) -> Standing:
     """Return a model fitted with other levels, by way of one open-loop run: slow drifts do not show in windows of two
     seconds.
     """
-    data, crane, shared, keys = levels.raised(_learned(problem)), problem.crane, problem.shared, now.keys
+    data, crane, shared, keys = levels.raised(_learned(problem, now)), problem.crane, problem.shared, now.keys
     long = _carried(crane, data, shared, _variables(now.fit.crane, keys), now.fit, run(6), keys)
     near = replace(long, knots=now.fit.knots, windows=now.fit.windows)  # its parameters, where the windows stand
     again = _carried(crane, data, shared, _variables(long.crane, keys), near, joined(6), keys)
     return replace(now, fit=again, levels=levels, errors=judged(problem, again))
+
+
+def _widened(problem: Problem, beam: Sequence[Standing]) -> Sequence[Standing]:
+    """Return models that learn from all of each recording, where the first of them leaves only noise in what it learned
+    from: what is still missing shows in the rest alone.
+    """
+    if beam[0].whole or beam[0].left[0] > CRITERIA.gained:
+        return beam
+    return _relevelled(problem, in_parallel(problem.jobs, [(_on_all, problem, now) for now in beam]))
+
+
+def _on_all(problem: Problem, now: Standing) -> Standing:
+    data = now.levels.raised(problem.data)
+    near = _extended(problem, now, data)
+    found = replace(now.fit, data=data, windows=near.windows, knots=near.knots)
+    return replace(now, fit=found, levels=Levels(dict.fromkeys(now.levels.of, math.inf)), whole=True)
 
 
 # -- one round -------------------------------------------------------------------------------------------------------
@@ -301,7 +334,7 @@ def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]
     The long ones show what adds up; in the short ones a chamber that the model takes for stiff still stands where the
     machine's stands, so that an effect that changes all from there on (air) is seen at all.
     """
-    begins = starts(now.fit.crane, _learned(problem))
+    begins = starts(now.fit.crane, _learned(problem, now))
     looks = [screen(f, begins, stiffness) for f, stiffness in ((now.fit, JOINED), (_following(problem, now), 1.0))]
     best = [
         list({s.start.key: s for s in reversed(look) if s.gain >= CRITERIA.promise}.values())[::-1] for look in looks
@@ -315,7 +348,7 @@ def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]
 
 def _following(problem: Problem, now: Standing) -> Fit:
     """Return the current model in short, loosely joined windows, with the error levels that it has there."""
-    learned = data = _learned(problem)
+    learned = data = _learned(problem, now)
     knots = first_knots(now.fit.crane, data, SHORT)
     for _ in range(2):
         windows = cut(data, SHORT)

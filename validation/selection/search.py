@@ -47,6 +47,8 @@ from .moves import scaled, starts
 from .screen import likely, screened
 
 Progress = Callable[[str, float], None]
+#: effects that are looked for at once; of more, `many` takes one after the other
+MOST = 2
 
 
 def silent(text: str, share: float) -> None:
@@ -136,15 +138,6 @@ class Path:
         """The best model with effects."""
         return self.weighed[0] if self.weighed else None
 
-    def ahead(self, most: int) -> Fitted | None:
-        """Return the model with fewer than so many effects that has the most evidence, each of its effects acting; None
-        where it leaves too much for more of them to mend.
-
-        Of three effects that are missing two may leave more than half of what one leaves: no verdict, but the way on.
-        """
-        found = next((w for w in self.done if len(w.keys) < most and not w.idle), None)
-        return found if found is not None and found.level < CRITERIA.misled else None
-
 
 @dataclass(frozen=True)
 class Problem:
@@ -207,16 +200,16 @@ class Problem:
         return best_manoeuvre(first, second, noise, self.data.channels)
 
 
-def search(problem: Problem, most: int, progress: Progress = silent) -> Path:
-    """Return the path to the best model with at most so many effects."""
+def search(problem: Problem, progress: Progress = silent) -> Path:
+    """Return the path to the best model with one effect, or two."""
     path = _begun(problem)
     while True:
-        progress("looking for effects", 0.2 + 0.6 * min(len(path.rounds) / most, 1.0))
-        found = _round(path, most)
+        progress("looking for effects", 0.2 + 0.6 * min(len(path.rounds) / MOST, 1.0))
+        found = _round(path)
         if found is None:
             return _judged(path)
         before, path = path, replace(path, rounds=(*path.rounds, found))
-        if not (_gained(before.best, path.best) or _gained(before.ahead(most), path.ahead(most))):
+        if not _gained(before.best, path.best):
             return _judged(path)
 
 
@@ -235,9 +228,9 @@ def _begun(problem: Problem) -> Path:
     return Path(problem, replace(given, loose=problem.nominal), parameters, fewest)
 
 
-def _round(path: Path, most: int) -> Round | None:
+def _round(path: Path) -> Round | None:
     """Return what a round fitted; None where no move promises anything."""
-    problem, parents = path.problem, _beam(path, most)
+    problem, parents = path.problem, _beam(path)
     moves = [m for parent in parents for m in _additions(path, parent)]
     if not moves:
         return None
@@ -274,7 +267,7 @@ def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]
     }
 
 
-def _beam(path: Path, most: int) -> Sequence[Fitted]:
+def _beam(path: Path) -> Sequence[Fitted]:
     """Return the models that a round goes on from, the leading one first: the best alone if it leaves hardly more than
     noise.
     """
@@ -283,10 +276,9 @@ def _beam(path: Path, most: int) -> Sequence[Fitted]:
         return [path.parameters]
     if best is None or (path.parameters.good and best.evidence < path.bare + CRITERIA.proof):
         return []
-    if len(path.rounds) == 1 and most > 1 and not (best.good or path.parameters.good):
+    if len(path.rounds) == 1 and not (best.good or path.parameters.good):
         return path.rounds[0].tried[: CRITERIA.beam]
-    ahead = path.ahead(most)
-    return [ahead] if ahead is not None and len(best.keys) < most else []
+    return [best] if len(best.keys) < MOST and best.level < CRITERIA.misled else []
 
 
 def _additions(path: Path, parent: Fitted) -> list[Move]:
