@@ -105,6 +105,14 @@ def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monke
     assert any(t.startswith("Left, in %") for t in texts)
 
 
+def test_what_shows_in_the_last_part_alone_is_learned_from_all_of_the_recording(crane):
+    """Only noise is left in the first five eighths, from which a search begins to learn."""
+    truth = crane.with_effect("payload_change", {"dm": 60.0, "T": 3.6})
+    found = many(crane, recorded(truth), most=1)
+    assert found is not None and list(found.needed) == ["payload_change"]
+    assert {e.key: e.parameters["dm"] for e in found.crane.effects} == {"payload_change": pytest.approx(60.0, rel=0.05)}
+
+
 def grown(crane: Crane, predicted: float) -> Many:
     """Return a search that took in one effect and leaves that error where the model before leaves 20 times the noise;
     the range is 100.

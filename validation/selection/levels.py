@@ -107,11 +107,13 @@ def falls(before: Errors, after: Errors) -> float:
 
 
 def likelihood(found: Fit, data: Data) -> float:
-    """Return the log-likelihood of a fit, each channel's level at its most likely value, with the log prior, up to a
-    constant.
+    """Return the log-likelihood of a fit, each channel's level at its most likely value that is not below its sensor's
+    noise, with the log prior, up to a constant.
 
     A channel that is given up costs the log of its level.
     """
-    levels = levels_of(found, data, apart=DRIFT)
-    counts = {c: sum(len(r) for r in parts) for c, parts in window_errors(found, data).items()}
-    return -sum(n / levels.factor**2 * math.log(levels.of[c]) for c, n in counts.items()) - found.prior_cost
+    levels, total = levels_of(found, data, apart=DRIFT), 0.0
+    for c, parts in window_errors(found, data).items():
+        r, level = np.concatenate(parts), levels.of[c]
+        total += len(r) * math.log(level) + 0.5 * float(r @ r) / level**2
+    return -total / levels.factor**2 - found.prior_cost

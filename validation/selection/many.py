@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,7 @@ from .criteria import CRITERIA
 from .levels import DRIFT, Errors, Levels, falls, levels_of, likelihood
 from .model import Fitted, Model, at_bound, begin, best_of_each, parameters_of, values_of, with_effects
 from .moves import scaled, starts
-from .screen import screen
+from .screen import best_starts, screen
 from .search import Problem, Progress, silent
 
 #: windows in s, how many times smaller than usual their jumps are, and the longest simulation step
@@ -136,7 +137,7 @@ class Standing:
         errors: of open-loop runs, over what was learned from and over the rest.
         tried: effects that were demanded but not taken: a linear look from a model without them may not show them a
             second time.
-        whole: whether it learned from all of each recording.
+        unseen: where it learned from all of each recording, the errors over the rest of the model that it grew from.
     """
 
     fit: Fit
@@ -144,7 +145,12 @@ class Standing:
     taken: tuple[Taken, ...] = ()
     errors: Judged = ({}, {})
     tried: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    whole: bool = False
+    unseen: Errors | None = None
+
+    @property
+    def predicted(self) -> Errors:
+        """Errors over what it had not learned from."""
+        return self.errors[1] if self.unseen is None else self.unseen
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -174,8 +180,7 @@ class Standing:
 def search_many(problem: Problem, most: int, progress: Progress = silent) -> Many | None:
     """Return the crane with at most so many effects taken in one by one, or None where none is worth it."""
     problem, nominal = _begun(problem)
-    best, predicted = nominal, nominal.errors[1]
-    beam: Sequence[Standing] = [nominal]
+    best, last, beam = nominal, list[Standing](), [nominal]
     for size in range(most):
         progress(f"looking for effect {size + 1}", 0.05 + 0.6 * size / most)
         beam = _widened(problem, beam)
@@ -184,14 +189,13 @@ def search_many(problem: Problem, most: int, progress: Progress = silent) -> Man
             break
         beam = _relevelled(problem, found)
         if found[0].serves(best):
-            best = beam[0]
-            predicted = predicted if best.whole else best.errors[1]
+            best, last = beam[0], beam
         if sum(best.left) <= CRITERIA.gained:
             break
-    if not best.keys:
+    if not last:
         return None
     progress("fitting everything together", 0.7)
-    return _together(problem, best, (nominal.errors[1], predicted), progress)
+    return _together(problem, last, nominal.errors[1], progress)
 
 
 def _begun(problem: Problem) -> tuple[Problem, Standing]:
@@ -216,7 +220,7 @@ def _begins(variables: Sequence[Variable], before: Fit) -> np.ndarray:
 
 def _learned(problem: Problem, now: Standing) -> Data:
     """Return what a model learned from, with the sensors' noise."""
-    return problem.data if now.whole else _first_part(problem)
+    return _first_part(problem) if now.unseen is None else problem.data
 
 
 def _first_part(problem: Problem) -> Data:
@@ -285,11 +289,11 @@ def _at(problem: Problem, now: Standing, levels: Levels) -> Standing:
     return replace(now, fit=again, levels=levels, errors=judged(problem, again))
 
 
-def _widened(problem: Problem, beam: Sequence[Standing]) -> Sequence[Standing]:
+def _widened(problem: Problem, beam: list[Standing]) -> list[Standing]:
     """Return models that learn from all of each recording, where the first of them leaves only noise in what it learned
     from: what is still missing shows in the rest alone.
     """
-    if beam[0].whole or beam[0].left[0] > CRITERIA.gained:
+    if beam[0].unseen is not None or beam[0].left[0] > CRITERIA.gained:
         return beam
     return _relevelled(problem, in_parallel(problem.jobs, [(_on_all, problem, now) for now in beam]))
 
@@ -298,7 +302,7 @@ def _on_all(problem: Problem, now: Standing) -> Standing:
     data = now.levels.raised(problem.data)
     near = _extended(problem, now, data)
     found = replace(now.fit, data=data, windows=near.windows, knots=near.knots)
-    return replace(now, fit=found, levels=Levels(dict.fromkeys(now.levels.of, math.inf)), whole=True)
+    return replace(now, fit=found, levels=Levels(dict.fromkeys(now.levels.of, math.inf)), unseen=now.errors[1])
 
 
 # -- one round -------------------------------------------------------------------------------------------------------
@@ -315,7 +319,7 @@ def _round(problem: Problem, beam: Sequence[Standing], best: Standing) -> list[S
     jobs = problem.jobs
     begins = in_parallel(jobs, [(_promising, problem, now) for now in beam])
     moves = [(now, key, values) for now, own in zip(beam, begins, strict=True) for key, values in own.items()]
-    fits = in_parallel(jobs, [(_added, problem, *move) for move in moves])
+    fits = _added(problem, moves)
     children = []
     for now in beam:
         own = {key: f for (parent, key, _), f in zip(moves, fits, strict=True) if parent is now}
@@ -335,10 +339,8 @@ def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]
     machine's stands, so that an effect that changes all from there on (air) is seen at all.
     """
     begins = starts(now.fit.crane, _learned(problem, now))
-    looks = [screen(f, begins, stiffness) for f, stiffness in ((now.fit, JOINED), (_following(problem, now), 1.0))]
-    best = [
-        list({s.start.key: s for s in reversed(look) if s.gain >= CRITERIA.promise}.values())[::-1] for look in looks
-    ]
+    looks = (now.fit, JOINED), (_following(problem, now), 1.0)
+    best = [best_starts(screen(f, begins, stiffness)) for f, stiffness in looks]
     chosen: dict[str, Mapping[str, float]] = {}
     for score in (s for pair in zip_longest(*best) for s in pair if s is not None):
         if len(chosen) < CRITERIA.tried:
@@ -357,9 +359,16 @@ def _following(problem: Problem, now: Standing) -> Fit:
     return replace(found, data=data, windows=tuple(cut(data, SHORT)))
 
 
-def _added(problem: Problem, now: Standing, key: str, values: Mapping[str, float]) -> Fit:
-    """Return the likelier of the fits with a new effect that begin at the model, and at the crane as given."""
-    return max(_beside(problem, now, key, values), _anew(problem, now, key), key=log_evidence)
+def _added(problem: Problem, moves: Sequence[tuple[Standing, str, Mapping[str, float]]]) -> list[Fit]:
+    """Return for each model, new effect and its values the likelier of the fits that begin at the model, and at the
+    crane as given; the latter are the same for all models that it leads to the same effects.
+    """
+    sets = [frozenset((*now.keys, key)) for now, key, _ in moves]
+    distinct = {keys: (now, key) for keys, (now, key, _) in zip(sets, moves, strict=True)}
+    beside = [(_beside, problem, *move) for move in moves]
+    fits = in_parallel(problem.jobs, beside + [(_anew, problem, *move) for move in distinct.values()])
+    anew = dict(zip(distinct, fits[len(moves) :], strict=True))
+    return [max(f, anew[keys], key=log_evidence) for f, keys in zip(fits, sets, strict=False)]
 
 
 def _beside(problem: Problem, now: Standing, key: str, values: Mapping[str, float]) -> Fit:
@@ -483,11 +492,12 @@ def _open_loop(problem: Problem, keys: Sequence[str], data: Data, before: Fit, c
     return staged(problem.crane, data, variables, windows.u, windows, run(2 * iterations))
 
 
-def _together(problem: Problem, standing: Standing, left_out: tuple[Errors, Errors], progress: Progress) -> Many:
+def _together(problem: Problem, last: Sequence[Standing], nominal: Errors, progress: Progress) -> Many:
     """Fit everything to the whole recordings, leave out what is not needed, and say how well each effect is
     determined.
     """
-    final, keys = _whole_run(problem, standing), list(standing.keys)
+    final, standing = _whole_run(problem, last)
+    keys = list(standing.keys)
     each = range(len(problem.data.parts))
     full = _errors(problem, [final.of(i) for i in each])
     while True:
@@ -512,7 +522,7 @@ def _together(problem: Problem, standing: Standing, left_out: tuple[Errors, Erro
     return Many(
         final.crane, tuple(t for t in standing.taken if t.key in keys),
         before, _errors(problem, [final.of(i) for i in each]), needed, without,
-        *left_out, _deviations(final, keys), _alike(final, keys), moved, ranges,
+        nominal, standing.predicted, _deviations(final, keys), _alike(final, keys), moved, ranges,
     )  # fmt: skip
 
 
@@ -523,20 +533,24 @@ def mends(without: Errors, full: Errors) -> bool:
     return any(without[c] > CRITERIA.mended * max(full[c], 1.0) for c in full)
 
 
-def _whole_run(problem: Problem, standing: Standing) -> Fit:
-    """Return the open-loop fit to the whole recordings: the most likely of those that begin at the current fit, at the
-    machine, and anew.
+def _whole_run(problem: Problem, last: Sequence[Standing]) -> tuple[Fit, Standing]:
+    """Return the most likely of the open-loop fits to the whole recordings of the last round's models, and its model.
 
-    Anew is the crane as given, with effects of the size that is met in practice: where much has moved step by step,
-    that valley may be the deeper one.
+    Each begins at its fit, at the machine, and anew: at the crane as given, with effects of the size that is met in
+    practice. Where much has moved step by step, that valley may be the deeper one.
     """
-    data = standing.levels.raised(problem.data)
-    found, keys = _extended(problem, standing, data), standing.keys
-    fresh, windows = _typical(problem.crane, keys), tuple(cut(data, WINDOW))
-    machine = [replace(found, windows=windows, knots=first_knots(c, data, WINDOW)) for c in (found.crane, fresh)]
-    begins = [(found, found.crane), (machine[0], found.crane), (machine[1], fresh)]
-    fits: list[Fit] = in_parallel(problem.jobs, [(_settled, problem, keys, data, f, crane) for f, crane in begins])
-    return max(fits, key=lambda f: likelihood(f, problem.data))
+    tasks, models = list[tuple[Any, ...]](), list[Standing]()
+    for standing in last:
+        data = standing.levels.raised(problem.data)
+        found, keys = _extended(problem, standing, data), standing.keys
+        fresh, windows = _typical(problem.crane, keys), tuple(cut(data, WINDOW))
+        machine = [replace(found, windows=windows, knots=first_knots(c, data, WINDOW)) for c in (found.crane, fresh)]
+        begins = [(found, found.crane), (machine[0], found.crane), (machine[1], fresh)]
+        tasks += [(_settled, problem, keys, data, f, crane) for f, crane in begins]
+        models += [standing] * len(begins)
+    fits: list[Fit] = in_parallel(problem.jobs, tasks)
+    best = max(range(len(fits)), key=lambda k: likelihood(fits[k], problem.data))
+    return fits[best], models[best]
 
 
 def _typical(crane: Crane, keys: Sequence[str]) -> Crane:

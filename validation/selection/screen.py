@@ -74,12 +74,17 @@ def screened(fit: Fit, stiffness: float) -> list[Score]:
     A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins.
     """
     found = screen(fit, starts(fit.crane, fit.data), stiffness)
+    closer = [start for score in best_starts(found) for start in around(score.start)]
+    return sorted([*found, *screen(fit, closer, stiffness)], key=lambda s: -s.gain) if closer else found
+
+
+def best_starts(scores: Sequence[Score]) -> list[Score]:
+    """Return the best score of each effect that promises something; both best first."""
     best: dict[str, Score] = {}
-    for score in found:
+    for score in scores:
         if score.gain >= CRITERIA.promise:
             best.setdefault(score.start.key, score)
-    closer = [start for score in best.values() for start in around(score.start)]
-    return sorted([*found, *screen(fit, closer, stiffness)], key=lambda s: -s.gain) if closer else found
+    return list(best.values())
 
 
 def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
