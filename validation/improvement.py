@@ -200,7 +200,8 @@ def _named(
         many = many if many is not None and many.predicts_better else None
     if many is not None:
         name, improved, evidence = " + ".join(many.needed), many.crane, sum(many.needed.values())
-        text = "no effect alone explains the recording, these together do what can be done"
+        text = "no effect alone explains the recording, nor do two; these together do"
+        text += "" if many.explains else " what can be done"
     elif chosen is not None:
         name, improved, evidence, text = chosen.name, chosen.crane, chosen.evidence, sentence(d)
     else:

@@ -66,6 +66,11 @@ ALIKE = 0.9
 Judged = tuple[Errors, Errors]
 
 
+def loose(iterations: int) -> tuple[Stage, ...]:
+    """Return the stage of short windows that follow the machine."""
+    return (Stage(SHORT, 1.0, iterations, STEP),)
+
+
 def joined(iterations: int) -> tuple[Stage, ...]:
     """Return the stage of windows that are all but joined."""
     return (Stage(WINDOW, JOINED, iterations, STEP),)
@@ -116,6 +121,11 @@ class Many:
     alike: Mapping[tuple[str, str], float]
     moved: Mapping[str, float]
     ranges: Mapping[str, float]
+
+    @property
+    def explains(self) -> bool:
+        """Whether it leaves hardly more than noise, on the average of the channels."""
+        return math.sqrt(sum(e**2 for e in self.after.values()) / len(self.after)) < CRITERIA.level
 
     @property
     def predicts_better(self) -> bool:
@@ -205,7 +215,7 @@ def _begun(problem: Problem) -> tuple[Problem, Standing]:
     crane = problem.crane
     problem = replace(problem, data=problem.data.stepped(STEP))
     learned = _first_part(problem)
-    base = all_parameters(crane, learned, (Stage(SHORT, 1.0, 5, STEP),))
+    base = all_parameters(crane, learned, loose(5))
     problem = replace(problem, shared=(*informed_directions(base), *stated_effects(crane)))
     raised = Levels({c: max(1.0, e) for c, e in base.errors.items()}).raised(learned)
     current = staged(crane, raised, problem.shared, _begins(problem.shared, base), base, joined(8))
@@ -388,13 +398,13 @@ def _anew(problem: Problem, now: Standing, key: str) -> Fit:
     practice.
 
     Where earlier effects have gone far to do the work of one that was missing, no step leads from there to what they
-    are beside it.
+    are beside it. In windows of two seconds a ring has a false minimum a period; so the fit begins in short ones.
     """
     data, keys = now.fit.data, (*now.keys, key)
     crane = _typical(problem.crane, keys)
     variables = [*problem.shared, *_variables(crane, keys)]
     u = np.array([begin(v, now.fit, {}) for v in variables])
-    return staged(problem.crane, data, variables, u, first_knots(crane, data, WINDOW), joined(12))
+    return staged(problem.crane, data, variables, u, first_knots(crane, data, SHORT), (*loose(3), *joined(12)))
 
 
 def _demanded(now: Standing, fits: Mapping[str, Fit]) -> list[Standing]:
