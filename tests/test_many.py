@@ -13,7 +13,7 @@ from crane_exudyn.inputs import SpoolPath
 from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_parameters
 from validation.improvement import explained
 from validation.selection.criteria import CRITERIA
-from validation.selection.levels import Levels, falls, independent, likelihood
+from validation.selection.levels import Levels, falls, independent, likelihoods
 from validation.selection.many import Many, Taken, _believable, search_many
 from validation.selection.search import Problem
 from validation.semi_recursive.engine import SemiRecursiveEngine
@@ -167,6 +167,6 @@ def test_a_channel_that_is_given_up_costs_more_than_it_saves_elsewhere(monkeypat
     )
     even, uneven = fitted({"p1": 3.0, "p2": 3.0}), fitted({"p1": 2.5, "p2": 12.0})
     strained = fitted({"p1": 3.0, "p2": 3.0}, prior_cost=1e3)
-    found = [likelihood(f, None) for f in (even, uneven, strained)]
+    found = likelihoods((even, uneven, strained), None)
     assert found[0] > found[1] > found[2]
     assert found[0] - found[1] == pytest.approx(100.0 * math.log(2.5 * 12.0 / 9.0))

@@ -23,7 +23,7 @@ from .fit.solve import Fit
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.model import Fitted, misled, run_error, together
-from .selection.search import Path, Problem, Progress, search, silent
+from .selection.search import MOST, Path, Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .workers import in_parallel
 
@@ -186,7 +186,7 @@ def diagnose(
         CraneError: the recording cannot support a diagnosis.
     """
     began = time.perf_counter()
-    path, notes = searched(crane, recording, check, per_recording, jobs, progress)
+    path, notes = searched(crane, recording, check, per_recording, MOST, jobs, progress)
     progress("predicting", 0.9)
     return replace(diagnosis_of(path, check, notes), seconds=time.perf_counter() - began)
 
@@ -196,6 +196,7 @@ def searched(
     recording: Recording | Sequence[Recording],
     check: Recording | None,
     per_recording: Sequence[str],
+    most: int,
     jobs: int,
     progress: Progress,
 ) -> tuple[Path, list[str]]:
@@ -206,7 +207,7 @@ def searched(
     notes = check_all(recordings, check, crane)
     progress("fitting the nominal parameters", 0.05)
     problem = Problem.of(crane, recordings, per_recording, jobs)
-    return search(problem, progress), notes
+    return search(problem, most, progress), notes
 
 
 def several(recording: Recording | Sequence[Recording]) -> tuple[Recording, ...]:

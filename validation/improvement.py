@@ -148,7 +148,7 @@ def improve(
     """
 
     def search(given: Crane) -> tuple[SearchPath, list[str]]:
-        return searched(given, recording, check, per_recording, jobs, progress)
+        return searched(given, recording, check, per_recording, most, jobs, progress)
 
     path, notes = search(crane)
     replaced = learned(crane)

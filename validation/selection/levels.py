@@ -9,7 +9,7 @@ anything. When only noise is left, the levels are one, and so is the factor.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,14 +106,19 @@ def falls(before: Errors, after: Errors) -> float:
     return float(np.mean([math.log(max(before[c], 1.0) / max(after[c], 1.0)) for c in before]))
 
 
-def likelihood(found: Fit, data: Data) -> float:
-    """Return the log-likelihood of a fit, each channel's level at its most likely value that is not below its sensor's
-    noise, with the log prior, up to a constant.
+def likelihoods(fits: Sequence[Fit], data: Data) -> list[float]:
+    """Return the log-likelihoods of fits to the same data, each channel's level at its most likely value that is not
+    below its sensor's noise, with the log prior, up to a constant that all share.
 
-    A channel that is given up costs the log of its level.
+    A channel that is given up costs the log of its level. Samples count for all fits as they are independent in the
+    one that leaves least: a fit must not look better because its errors drift.
     """
-    levels, total = levels_of(found, data, apart=DRIFT), 0.0
-    for c, parts in window_errors(found, data).items():
-        r, level = np.concatenate(parts), levels.of[c]
-        total += len(r) * math.log(level) + 0.5 * float(r @ r) / level**2
-    return -total / levels.factor**2 - found.prior_cost
+    costs = []
+    for found in fits:
+        levels, cost = levels_of(found, data, apart=DRIFT), 0.0
+        for c, parts in window_errors(found, data).items():
+            r, level = np.concatenate(parts), levels.of[c]
+            cost += len(r) * math.log(level) + 0.5 * float(r @ r) / level**2
+        costs.append((cost, levels.factor))
+    _, factor = min(costs)
+    return [-cost / factor**2 - found.prior_cost for (cost, _), found in zip(costs, fits, strict=True)]

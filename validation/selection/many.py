@@ -51,7 +51,7 @@ from ..fit.variables import (
 )
 from ..workers import in_parallel
 from .criteria import CRITERIA
-from .levels import DRIFT, Errors, Levels, falls, levels_of, likelihood
+from .levels import DRIFT, Errors, Levels, falls, levels_of, likelihoods
 from .model import Fitted, Model, at_bound, begin, best_of_each, parameters_of, values_of, with_effects
 from .moves import scaled, starts
 from .screen import best_starts, screen
@@ -199,7 +199,8 @@ def search_many(problem: Problem, most: int, progress: Progress = silent) -> Man
             break
         beam = _relevelled(problem, found)
         if found[0].serves(best):
-            best, last = beam[0], beam
+            best = beam[0]
+            last = [one for one in beam if one.evidence > best.evidence - CRITERIA.proof]
         if sum(best.left) <= CRITERIA.gained:
             break
     if not last:
@@ -332,9 +333,8 @@ def _round(problem: Problem, beam: Sequence[Standing], best: Standing) -> list[S
     fits = _added(problem, moves)
     children = []
     for now in beam:
-        own = {key: f for (parent, key, _), f in zip(moves, fits, strict=True) if parent is now}
-        acting = {key: f for key, f in own.items() if _acting(f, (*now.keys, key))}
-        children += [(now, one) for one in _demanded(now, acting)]
+        own = {m[1]: f for m, f in zip(moves, fits, strict=True) if m[0] is now and f is not None}
+        children += [(now, one) for one in _demanded(now, own)]
     errors = in_parallel(jobs, [(judged, problem, one.fit) for _, one in children])
     ran = [(now, replace(one, errors=e)) for (now, one), e in zip(children, errors, strict=True)]
     found = [one for now, one in ran if one.fall(now) > CRITERIA.gained and one.fall(best) > 0.0]
@@ -369,42 +369,37 @@ def _following(problem: Problem, now: Standing) -> Fit:
     return replace(found, data=data, windows=tuple(cut(data, SHORT)))
 
 
-def _added(problem: Problem, moves: Sequence[tuple[Standing, str, Mapping[str, float]]]) -> list[Fit]:
-    """Return for each model, new effect and its values the likelier of the fits that begin at the model, and at the
-    crane as given; the latter are the same for all models that it leads to the same effects.
+def _added(problem: Problem, moves: Sequence[tuple[Standing, str, Mapping[str, float]]]) -> list[Fit | None]:
+    """Return for each model, new effect and its values the likeliest fit in which all effects act, if there is one; the
+    same for all models that it leads to the same effects.
+
+    One fit begins in long windows and one in short ones: in long windows a ring has a false minimum a period, in short
+    ones what adds up slowly is not seen, and may be lost.
     """
     sets = [frozenset((*now.keys, key)) for now, key, _ in moves]
-    distinct = {keys: (now, key) for keys, (now, key, _) in zip(sets, moves, strict=True)}
-    beside = [(_beside, problem, *move) for move in moves]
-    fits = in_parallel(problem.jobs, beside + [(_anew, problem, *move) for move in distinct.values()])
-    anew = dict(zip(distinct, fits[len(moves) :], strict=True))
-    return [max(f, anew[keys], key=log_evidence) for f, keys in zip(fits, sets, strict=False)]
+    distinct = dict(zip(reversed(sets), reversed(moves), strict=True))
+    ways = ((WINDOW, joined(12)), (SHORT, (*loose(3), *joined(12))))
+    fits = in_parallel(problem.jobs, [(_anew, problem, *m, *way) for m in distinct.values() for way in ways])
+    best = dict[frozenset[str], Fit | None]()
+    for k, (keys, (now, key, _)) in enumerate(distinct.items()):
+        acting = [f for f in fits[len(ways) * k : len(ways) * (k + 1)] if _acting(f, (*now.keys, key))]
+        best[keys] = max(acting, key=log_evidence, default=None)
+    return [best[keys] for keys in sets]
 
 
-def _beside(problem: Problem, now: Standing, key: str, values: Mapping[str, float]) -> Fit:
-    """Return the fit with a new effect: first everything else finds its place beside it, then it is free as well.
-
-    Where an effect starts with its full size, a step in all variables at once is far from linear and stalls.
-    """
-    data, old = now.fit.data, _variables(now.fit.crane, now.keys)
-    beside = problem.crane.with_effect(key, values)
-    first = _carried(beside, data, problem.shared, old, now.fit, joined(3), now.keys)
-    new = effect_variables(key, values, problem.crane.layout)
-    return _carried(problem.crane, data, problem.shared, [*old, *new], first, joined(6), now.keys)
-
-
-def _anew(problem: Problem, now: Standing, key: str) -> Fit:
-    """Return the model's effects and a new one fitted from the crane as given, each of the size that is met in
-    practice.
+def _anew(
+    problem: Problem, now: Standing, key: str, values: Mapping[str, float], seconds: float, stages: Sequence[Stage]
+) -> Fit:
+    """Return a model's effects and a new one fitted from the crane as given, each of the size that is met in practice.
 
     Where earlier effects have gone far to do the work of one that was missing, no step leads from there to what they
-    are beside it. In windows of two seconds a ring has a false minimum a period; so the fit begins in short ones.
+    are beside it.
     """
-    data, keys = now.fit.data, (*now.keys, key)
-    crane = _typical(problem.crane, keys)
-    variables = [*problem.shared, *_variables(crane, keys)]
+    data, effects = now.fit.data, {k: parameters_of(now.fit.crane, k) for k in now.keys} | {key: values}
+    crane = _typical(problem.crane, effects)
+    variables = [*problem.shared, *_variables(crane, list(effects))]
     u = np.array([begin(v, now.fit, {}) for v in variables])
-    return staged(problem.crane, data, variables, u, first_knots(crane, data, SHORT), (*loose(3), *joined(12)))
+    return staged(problem.crane, data, variables, u, first_knots(crane, data, seconds), stages)
 
 
 def _demanded(now: Standing, fits: Mapping[str, Fit]) -> list[Standing]:
@@ -553,21 +548,25 @@ def _whole_run(problem: Problem, last: Sequence[Standing]) -> tuple[Fit, Standin
     for standing in last:
         data = standing.levels.raised(problem.data)
         found, keys = _extended(problem, standing, data), standing.keys
-        fresh, windows = _typical(problem.crane, keys), tuple(cut(data, WINDOW))
+        effects = {k: parameters_of(found.crane, k) for k in keys}
+        fresh, windows = _typical(problem.crane, effects), tuple(cut(data, WINDOW))
         machine = [replace(found, windows=windows, knots=first_knots(c, data, WINDOW)) for c in (found.crane, fresh)]
         begins = [(found, found.crane), (machine[0], found.crane), (machine[1], fresh)]
         tasks += [(_settled, problem, keys, data, f, crane) for f, crane in begins]
         models += [standing] * len(begins)
     fits: list[Fit] = in_parallel(problem.jobs, tasks)
-    best = max(range(len(fits)), key=lambda k: likelihood(fits[k], problem.data))
+    likely = likelihoods(fits, problem.data)
+    best = likely.index(max(likely))
     return fits[best], models[best]
 
 
-def _typical(crane: Crane, keys: Sequence[str]) -> Crane:
-    """Return the crane with effects of the size that is met in practice."""
-    effects = {k: split_key(k)[0].parameters for k in keys}
+def _typical(crane: Crane, effects: Mapping[str, Mapping[str, float]]) -> Crane:
+    """Return the crane with effects of the size that is met in practice; what gives one its shape (a moment, a place of
+    the stroke) as it is.
+    """
+    of = {k: split_key(k)[0].parameters for k in effects}
     return with_effects(
-        crane, {k: {p.name: p.neutral if p.shape else p.typical for p in own} for k, own in effects.items()}
+        crane, {k: {p.name: effects[k][p.name] if p.shape else p.typical for p in own} for k, own in of.items()}
     )
 
 

@@ -47,7 +47,7 @@ from .moves import scaled, starts
 from .screen import likely, screened
 
 Progress = Callable[[str, float], None]
-#: effects that are looked for at once; of more, `many` takes one after the other
+#: effects that are looked for where much is left; `many` looks for more
 MOST = 2
 
 
@@ -200,12 +200,14 @@ class Problem:
         return best_manoeuvre(first, second, noise, self.data.channels)
 
 
-def search(problem: Problem, progress: Progress = silent) -> Path:
-    """Return the path to the best model with one effect, or two."""
+def search(problem: Problem, most: int = MOST, progress: Progress = silent) -> Path:
+    """Return the path to the best model with one effect, or two; with at most so many where hardly more than noise is
+    left.
+    """
     path = _begun(problem)
     while True:
         progress("looking for effects", 0.2 + 0.6 * min(len(path.rounds) / MOST, 1.0))
-        found = _round(path)
+        found = _round(path, most)
         if found is None:
             return _judged(path)
         before, path = path, replace(path, rounds=(*path.rounds, found))
@@ -228,9 +230,9 @@ def _begun(problem: Problem) -> Path:
     return Path(problem, replace(given, loose=problem.nominal), parameters, fewest)
 
 
-def _round(path: Path) -> Round | None:
+def _round(path: Path, most: int) -> Round | None:
     """Return what a round fitted; None where no move promises anything."""
-    problem, parents = path.problem, _beam(path)
+    problem, parents = path.problem, _beam(path, most)
     moves = [m for parent in parents for m in _additions(path, parent)]
     if not moves:
         return None
@@ -267,7 +269,7 @@ def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]
     }
 
 
-def _beam(path: Path) -> Sequence[Fitted]:
+def _beam(path: Path, most: int) -> Sequence[Fitted]:
     """Return the models that a round goes on from, the leading one first: the best alone if it leaves hardly more than
     noise.
     """
@@ -278,7 +280,7 @@ def _beam(path: Path) -> Sequence[Fitted]:
         return []
     if len(path.rounds) == 1 and not (best.good or path.parameters.good):
         return path.rounds[0].tried[: CRITERIA.beam]
-    return [best] if len(best.keys) < MOST and best.level < CRITERIA.misled else []
+    return [best] if len(best.keys) < (most if best.good else MOST) and best.level < CRITERIA.misled else []
 
 
 def _additions(path: Path, parent: Fitted) -> list[Move]:
