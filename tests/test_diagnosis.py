@@ -14,6 +14,8 @@ from validation.diagnosis import Diagnosis, _held_to_check, diagnose, sentence
 from validation.fit.data import FitData
 from validation.fitness import check_check
 from validation.selection.moves import Start, around, starts
+from validation.selection.search import Path as SearchPath
+from validation.selection.search import Round
 from validation.selection.verdict import verdict_of, within_clocks
 
 DATA = Path(__file__).parent / "data"
@@ -175,6 +177,21 @@ def test_parameters_moved_far_are_tied_with_one_effect_that_explains_at_once():
         found = verdict_of(path(model(**WRONG), far, bias))
         assert found.kind == kind
         assert [t.keys for t in found.ties] == ([()] if kind == "tied" else [])
+
+
+def test_several_weak_effects_are_justified_together_where_none_of_them_is_alone():
+    """A recording with 12 000 samples; each of three further effects takes away a third of what the first one
+    leaves.
+    """
+    effects, rounds = (LEAK, BIAS, "entrained_air", "pump_droop"), list[Round]()
+    nothing = model(evidence=-9000.0, **WRONG, near=False)
+    for n in range(1, 5):
+        level = 1.03 - 0.01 * (n - 1)
+        w = model(" ".join(effects[:n]), -6000.0 * level**2, level=level, near=True)
+        rounds.append(Round((w,), (w,), {frozenset(effects[:n]): level}))
+        grown = SearchPath(SimpleNamespace(), nothing, nothing, nothing, tuple(rounds))
+        assert grown.ahead is w
+        assert [len(v.keys) for v in grown.weighed] == {1: [1], 2: [1], 3: [3, 1], 4: [4, 3, 1]}[n]
 
 
 def test_what_a_shift_of_the_clock_does_is_no_effect():

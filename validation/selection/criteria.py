@@ -27,7 +27,7 @@ class Criteria:
     helped: float = (
         5.0  # log prior of moved parameters from which on they do an effect's work; right effects rarely cost that
     )
-    told_apart: float = 3.0  # standard deviations from neutral of an effect that acts
+    told_apart: float = 3.0  # standard deviations from neutral; below, the model is fitted without the effect as well
 
     # what a move must bring
     proof: float = 12.0  # log evidence over the best model with fewer effects: 1 in 150 000 by chance

@@ -105,9 +105,14 @@ class Fitted:
         return plausible(self.fit)
 
     @property
+    def near(self) -> bool:
+        """Whether it leaves hardly more than noise, wherever its parameters may have moved."""
+        return self.level < CRITERIA.level and float(self.bad.mean()) <= CRITERIA.share
+
+    @property
     def good(self) -> bool:
         """Whether it leaves hardly more than noise, its parameters within their uncertainty."""
-        return self.level < CRITERIA.level and float(self.bad.mean()) <= CRITERIA.share and self.plausible
+        return self.near and self.plausible
 
     @property
     def far(self) -> tuple[str, ...]:

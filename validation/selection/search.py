@@ -23,7 +23,7 @@ from crane_exudyn.recording import Recording
 from ..fit.data import Data, data_of
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, Stage, all_parameters, informed_directions, timings
+from ..fit.staged import FINE, LONG, LOOSE, STIFF, TIGHT, WHOLE, Stage, all_parameters, informed_directions, timings
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
 from .criteria import CRITERIA
@@ -44,11 +44,14 @@ from .model import (
     with_effects,
 )
 from .moves import scaled, starts
-from .screen import likely, screened
+from .screen import best_starts, likely, screened
 
 Progress = Callable[[str, float], None]
 #: effects that are looked for where much is left; `many` looks for more
 MOST = 2
+#: one run over the whole recording, from which windows begin anew: the first state of one may be caught in a false
+#: minimum, where its errors count by their logarithm only
+_RUN = Stage(LONG, 1.0, 2, FINE)
 
 
 def silent(text: str, share: float) -> None:
@@ -115,16 +118,18 @@ class Path:
     @cached_property
     def weighed(self) -> tuple[Fitted, ...]:
         """Models with effects that were fitted to the end and justify each of their effects, best first."""
-        alone = {frozenset(w.keys): w.evidence for w in self.done}
-        return tuple(w for w in self.done if len(w.keys) == 1 or self._justified(w, alone))
+        weighed = list[Fitted]()
+        for w in sorted(self.done, key=lambda w: len(w.keys)):
+            if len(w.keys) == 1 or self._justified(w, [v for v in weighed if len(v.keys) < len(w.keys)]):
+                weighed.append(w)
+        return tuple(sorted(weighed, key=lambda w: -w.evidence))
 
-    def _justified(self, w: Fitted, alone: Mapping[frozenset[str], float]) -> bool:
-        """Whether each effect of several acts, brings evidence, and together they take away most of what fewer
-        leave.
+    def _justified(self, w: Fitted, fewer: Sequence[Fitted]) -> bool:
+        """Whether each effect of several brings evidence, and together they take away most of what the best justified
+        model with fewer leaves.
         """
-        fewer = [v for v in self.done if len(v.keys) < len(w.keys)]
-        least = max([self.bare, *(e for keys, e in alone.items() if keys < frozenset(w.keys))])
-        if w.idle or w.evidence < least + CRITERIA.proof:
+        least = max([self.bare, *(v.evidence for v in self.done if set(v.keys) < set(w.keys))])
+        if w.evidence < least + CRITERIA.proof:
             return False
         best = max(fewer, key=lambda v: v.evidence, default=self.parameters)
         if best.good:
@@ -137,6 +142,13 @@ class Path:
     def best(self) -> Fitted | None:
         """The best model with effects."""
         return self.weighed[0] if self.weighed else None
+
+    @cached_property
+    def ahead(self) -> Fitted | None:
+        """The model that the search goes on from: the best one, or the one with the most evidence if it leaves hardly
+        more than noise: of several that are still missing perhaps none takes away most of what is left.
+        """
+        return self.done[0] if self.done and self.done[0].near else self.best
 
 
 @dataclass(frozen=True)
@@ -211,7 +223,7 @@ def search(problem: Problem, most: int = MOST, progress: Progress = silent) -> P
         if found is None:
             return _judged(path)
         before, path = path, replace(path, rounds=(*path.rounds, found))
-        if not _gained(before.best, path.best):
+        if not _gained(before.ahead, path.ahead):
             return _judged(path)
 
 
@@ -225,6 +237,8 @@ def _begun(problem: Problem) -> Path:
     crane, data = problem.crane, problem.data
     given = fitted(crane, data, Model(tuple(timings(data))), problem.nominal, (TIGHT, STIFF))
     parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
+    if not parameters.good and parameters.level < CRITERIA.left_level:
+        parameters = max(parameters, _on_its_run(problem, parameters), key=lambda w: w.evidence)
     parameters = replace(parameters, loose=problem.base)
     fewest = leaner(crane, data, parameters) if parameters.good and not given.good else parameters
     return Path(problem, replace(given, loose=problem.nominal), parameters, fewest)
@@ -233,10 +247,10 @@ def _begun(problem: Problem) -> Path:
 def _round(path: Path, most: int) -> Round | None:
     """Return what a round fitted; None where no move promises anything."""
     problem, parents = path.problem, _beam(path, most)
-    moves = [m for parent in parents for m in _additions(path, parent)]
+    moves = [m for parent in parents for m in _additions(path, parent, _is_near(parents))]
     if not moves:
         return None
-    near = bool(parents[0].good and parents[0].keys)  # the cost is quadratic at once: no walk from loose to stiff
+    near = _is_near(parents)  # the cost is quadratic at once: no walk from loose to stiff
     tried = best_of_each(problem.run(moves, (STIFF,) if near else (LOOSE,)))
     done = tried if near else problem.run([Move(w.model, w.fit) for w in _leading(parents, tried)], (TIGHT, STIFF))
     done = _relocated(path, done) if not path.rounds else done
@@ -259,7 +273,7 @@ def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]
         return {}
     more = [
         w for w in done
-        if len(w.keys) > len(first.keys) and w.evidence > first.evidence + CRITERIA.proof and not w.idle
+        if len(w.keys) > len(first.keys) and w.evidence > first.evidence + CRITERIA.proof
     ]  # fmt: skip
     if not more:
         return {}
@@ -280,20 +294,26 @@ def _beam(path: Path, most: int) -> Sequence[Fitted]:
         return []
     if len(path.rounds) == 1 and not (best.good or path.parameters.good):
         return path.rounds[0].tried[: CRITERIA.beam]
-    return [best] if len(best.keys) < (most if best.good else MOST) and best.level < CRITERIA.misled else []
+    ahead = path.ahead or best
+    return [ahead] if len(ahead.keys) < (most if ahead.near else MOST) and ahead.level < CRITERIA.misled else []
 
 
-def _additions(path: Path, parent: Fitted) -> list[Move]:
+def _is_near(parents: Sequence[Fitted]) -> bool:
+    """Whether a round goes on from one model with effects that leaves hardly more than noise."""
+    return len(parents) == 1 and bool(parents[0].keys) and parents[0].near
+
+
+def _additions(path: Path, parent: Fitted, near: bool) -> list[Move]:
     """Return the likeliest effects beside a model, as the screen sees them from where it stands, and from the machine
-    as given.
+    as given; beside one that is `near` those that must show.
     """
-    problem, near = path.problem, bool(parent.good and parent.keys)
+    problem = path.problem
     fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
     most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
-    found = [
-        (s, fit) for s in likely(screened(fit, stiffness), most, CRITERIA.proof if parent.good else CRITERIA.promise)
-    ]
-    if not parent.plausible if parent.keys else path.strained:
+    least = CRITERIA.proof if near or parent.good else CRITERIA.promise
+    scores = screened(fit, stiffness)
+    found = [(s, fit) for s in likely(best_starts(scores) if near else scores, most, least)]
+    if not (near or parent.plausible) if parent.keys else path.strained:
         effects = {k: parameters_of(fit.crane, k) for k in parent.keys}
         held = problem.with_effects(effects) if effects else problem.nominal
         held = problem.unmoved(held, Model(problem.shared, effects))
@@ -346,8 +366,8 @@ def _further(path: Path, done: Sequence[Fitted]) -> list[Fitted]:
     """Return the fits, the leading ones taken further where they are not at their end.
 
     Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given
-    with the effects as they were found, and as one long run: what is slow does not show in short windows. Where it had
-    not converged, it goes on.
+    with the effects as they were found, and as one long run: what is slow does not show in short windows. Where little
+    is left, windows begin anew on the fit's own run. Else what had not converged goes on.
     """
     problem, tasks = path.problem, list[tuple[Any, ...]]()
     for w in sorted(done, key=lambda w: w.strain - w.evidence)[: CRITERIA.further]:  # rather what parameters help less
@@ -356,9 +376,16 @@ def _further(path: Path, done: Sequence[Fitted]) -> list[Fitted]:
             continue
         if not w.plausible:
             tasks.append((_anew, problem, Model(w.model.variables, {k: w.values(k) for k in w.keys})))
+        elif w.level < CRITERIA.left_level:
+            tasks.append((_on_its_run, problem, w))
         elif not w.fit.converged:
             tasks.append((fitted, problem.crane, problem.data, w.model, w.fit, (STIFF, STIFF)))
     return best_of_each([*done, *(w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))])
+
+
+def _on_its_run(problem: Problem, w: Fitted) -> Fitted:
+    """Return a model fitted again, windows beginning on its own run."""
+    return replace(fitted(problem.crane, problem.data, w.model, w.fit, (_RUN, STIFF)), loose=w.loose)
 
 
 def _anew(problem: Problem, model: Model) -> Fitted:
