@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from crane_exudyn.layout import Layout
 
 __all__ = [
-    "LOOKS", "OTHERS", "WIDTH", "Look", "Shown", "bars", "draw_lines", "empty_figure", "figure", "legend_above", "look",
+    "LOOKS", "OTHERS", "WIDTH", "Look", "Shown", "draw_lines", "empty_figure", "figure", "legend_above", "look",
     "mark_intervals", "name_axes", "png", "save",
     "shown", "style", "thin", "trajectories",
 ]  # fmt: skip
@@ -85,32 +85,3 @@ def mark_intervals(axes: Axes, marks: Sequence[tuple[float, float, str]], *, tex
                     "zorder": 9,
                 }
                 axes.annotate(words, ((start + end) / 2, 0.96), fontsize=8, bbox=box, **where)
-
-
-def bars(labels: Sequence[str], groups: Mapping[str, Sequence[float]], *, axis: str, log: bool = False) -> Figure:
-    """Return a horizontal bar chart with one group of bars a label; bars differ in hatching too."""
-    hatches = ("", "///", "...", "xxx")
-    made = figure(height=0.9 + len(labels) * (0.16 + 0.17 * len(groups)))
-    axes = made.axes[0]
-    size = 0.8 / max(len(groups), 1)
-    with style():
-        for i, (name, values) in enumerate(groups.items()):
-            at = np.arange(len(labels)) + (i - (len(groups) - 1) / 2) * size
-            fill: dict[str, Any] = {
-                "color": OTHERS[i % len(OTHERS)].color,
-                "hatch": hatches[i % 4],
-                "edgecolor": "white",
-                "lw": 0.5,
-            }
-            axes.barh(at, np.asarray(values, dtype=float), size * 0.92, label=name, **fill)
-        axes.set_yticks(np.arange(len(labels)), list(labels))
-        axes.invert_yaxis()
-        axes.set_xlabel(axis)
-        axes.grid(axis="y", visible=False)
-        if log:
-            axes.set_xscale("log")
-            axes.xaxis.set_major_formatter("{x:g}")
-            axes.xaxis.set_minor_formatter("")
-    if len(groups) > 1:
-        legend_above(made)
-    return made
