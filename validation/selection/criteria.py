@@ -65,6 +65,7 @@ class Criteria:
     serious: float = 0.5  # share of the best one's from which on others are run over whole recordings
     # log by which open-loop errors must fall, learned and left out together: less is a makeshift's, and two falls that
     gained: float = 0.1  # differ by less are alike
+    part: float = 0.25  # or by this share of the log that is left: of four effects that are missing the best takes that
     tolerated: float = 0.1  # log by which those left out may rise
     mended: float = (
         1.5  # an effect stays, for all its evidence, if some channel's error is so many times as large without it

@@ -182,9 +182,16 @@ class Standing:
         """Return the log by which open-loop errors fall against those of another model, on both stretches together."""
         return sum(falls(a, b) for a, b in zip(before.errors, self.errors, strict=True))
 
+    @property
+    def worth(self) -> float:
+        """The log by which errors must fall against its own: a tenth, or the share of what is left that the best of
+        several effects takes away at least.
+        """
+        return min(CRITERIA.gained, CRITERIA.part * sum(self.left))
+
     def serves(self, before: Standing) -> bool:
         """Whether errors of open-loop runs fall, and not at the cost of what was not learned from."""
-        return self.fall(before) > CRITERIA.gained and falls(before.errors[1], self.errors[1]) > -CRITERIA.tolerated
+        return self.fall(before) > before.worth and falls(before.errors[1], self.errors[1]) > -CRITERIA.tolerated
 
 
 def search_many(problem: Problem, most: int, progress: Progress = silent) -> Many | None:
@@ -337,7 +344,7 @@ def _round(problem: Problem, beam: Sequence[Standing], best: Standing) -> list[S
         children += [(now, one) for one in _demanded(now, own)]
     errors = in_parallel(jobs, [(judged, problem, one.fit) for _, one in children])
     ran = [(now, replace(one, errors=e)) for (now, one), e in zip(children, errors, strict=True)]
-    found = [one for now, one in ran if one.fall(now) > CRITERIA.gained and one.fall(best) > 0.0]
+    found = [one for now, one in ran if one.fall(now) > now.worth and one.fall(best) > 0.0]
     return _leading(best_of_each(found), best)
 
 
@@ -430,7 +437,7 @@ def _leading(found: Sequence[Standing], before: Standing) -> list[Standing]:
     left, leading = list(found), list[Standing]()
     while left and len(leading) < CRITERIA.beam:
         most = max(one.fall(before) for one in left)
-        first = next(i for i, one in enumerate(left) if one.fall(before) >= most - CRITERIA.gained)
+        first = next(i for i, one in enumerate(left) if one.fall(before) >= most - before.worth)
         leading.append(left.pop(first))
     return leading
 
