@@ -18,9 +18,9 @@ constant |
 
 How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the
 innovations are most likely (`replay`), held back from leaving what is expected by a prior of half a power of ten. Then
-each size is opened by half a power of ten: the innovations tell of an unknown what it does to the sensors, and what is
-not measured may suffer more. With a model that is right all sizes fall, and the intervals are those of the filter
-without them.
+each size is opened by half a power of ten, or as much less as leaves the innovations nearly as likely: they tell of an
+unknown what it does to the sensors, and what is not measured may suffer more. With a model that is right all sizes
+fall, and the intervals are those of the filter without them.
 """
 
 from __future__ import annotations
@@ -47,6 +47,8 @@ from .tuning import busiest, descend, limits_of, logs_of, noise_of
 #: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are
 #: opened afterwards
 _PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.5
+#: shares of that that are tried, the widest first
+_SHARES = (1.0, 0.75, 0.5, 0.25)
 #: how far below what is expected a size is searched, powers of ten
 _BELOW = -4.0
 #: unknowns whose size is so many powers of ten below what is expected are left out
@@ -201,8 +203,9 @@ def find(
             progress(k / _RUNS)
         now = search.model_error(logs)
         estimator = now.behind(Estimator(crane, engine, std, augment=augment, max_step=_STEP))
-        logs = search.climb(Replay(estimator, piece, estimator.extras[len(augment) :]), logs)
-    return search.opened(logs)
+        replay = Replay(estimator, piece, estimator.extras[len(augment) :])
+        logs = search.climb(replay, logs)
+    return search.opened(logs, search.opening(replay, logs))
 
 
 class _Search:
@@ -225,17 +228,32 @@ class _Search:
         """Return the most likely logarithms."""
 
         def cost(trial: np.ndarray) -> float:
-            now = self.model_error(trial)
-            sizes = [size for u, size in zip(now.unknowns, now.sizes, strict=True) for _ in u.names]
             prior = 0.5 * float(np.sum(((trial - self.first) / self._width) ** 2))
-            return prior - replay.log_likelihood(now.noise, sizes)
+            return prior - self._log_likelihood(replay, trial)
 
         return descend(cost, logs, cost(logs), self._limits, finest=_FINEST, gain=_GAIN)[0]
 
-    def opened(self, logs: np.ndarray) -> ModelError:
-        """Return the model error with sizes that are opened, without unknowns of no account."""
+    def _log_likelihood(self, replay: Replay, logs: np.ndarray) -> float:
+        now = self.model_error(logs)
+        sizes = [size for u, size in zip(now.unknowns, now.sizes, strict=True) for _ in u.names]
+        return replay.log_likelihood(now.noise, sizes)
+
+    def opening(self, replay: Replay, logs: np.ndarray) -> float:
+        """Return by how many powers of ten sizes may be opened before the innovations become less likely than that is
+        worth.
+        """
+        least = self._log_likelihood(replay, logs) - _PRICE * replay.used
+        shares = (s for s in _SHARES if self._log_likelihood(replay, self._widened(logs, s * _OPENED)) >= least)
+        return _OPENED * next(shares, 0.0)
+
+    def _widened(self, logs: np.ndarray, by: float) -> np.ndarray:
         wide = logs.copy()
-        wide[: self.count] = np.minimum(wide[: self.count] + _OPENED, self._most)
+        wide[: self.count] = np.minimum(wide[: self.count] + by, self._most)
+        return wide
+
+    def opened(self, logs: np.ndarray, by: float = _OPENED) -> ModelError:
+        """Return the model error with sizes that are opened, without unknowns of no account."""
+        wide = self._widened(logs, by)
         found = self.model_error(wide)
         kept = [k for k in range(self.count) if wide[k] > _NOTHING]
         return ModelError(
