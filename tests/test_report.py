@@ -44,10 +44,8 @@ def example_sections():
     table = report.Table(
         ("channel", "RMSE", "consistent"), [("z1 / °", 0.123456, True), ("p1 / bar", None, False)], title="Errors"
     )
-    return [
-        ("Angles & pressures", [example_figure(), "The boom follows.\n\nTwice."]),
-        ("Numbers", [table, example_figure()]),
-    ]
+    curves = example_figure()
+    return [("Angles & pressures", [curves, "The boom follows.\n\nTwice."]), ("Numbers", [table, curves])]
 
 
 class Page(HTMLParser):

@@ -23,7 +23,7 @@ from crane_exudyn.recording import Recording
 from ..fit.data import Data, data_of
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import FINE, LONG, LOOSE, STIFF, TIGHT, WHOLE, Stage, all_parameters, informed_directions, timings
+from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, Stage, all_parameters, informed_directions, timings
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
 from .criteria import CRITERIA
@@ -51,7 +51,7 @@ Progress = Callable[[str, float], None]
 MOST = 2
 #: one run over the whole recording, from which windows begin anew: the first state of one may be caught in a false
 #: minimum, where its errors count by their logarithm only
-_RUN = Stage(LONG, 1.0, 2, FINE)
+_RUN = replace(WHOLE, iterations=2)
 
 
 def silent(text: str, share: float) -> None:
@@ -247,10 +247,11 @@ def _begun(problem: Problem) -> Path:
 def _round(path: Path, most: int) -> Round | None:
     """Return what a round fitted; None where no move promises anything."""
     problem, parents = path.problem, _beam(path, most)
-    moves = [m for parent in parents for m in _additions(path, parent, _is_near(parents))]
+    near = _is_near(parents)
+    moves = [m for parent in parents for m in _additions(path, parent, near)]
     if not moves:
         return None
-    near = _is_near(parents)  # the cost is quadratic at once: no walk from loose to stiff
+    # near the end the cost is quadratic at once: no walk from loose to stiff
     tried = best_of_each(problem.run(moves, (STIFF,) if near else (LOOSE,)))
     done = tried if near else problem.run([Move(w.model, w.fit) for w in _leading(parents, tried)], (TIGHT, STIFF))
     done = _relocated(path, done) if not path.rounds else done
@@ -287,14 +288,13 @@ def _beam(path: Path, most: int) -> Sequence[Fitted]:
     """Return the models that a round goes on from, the leading one first: the best alone if it leaves hardly more than
     noise.
     """
-    best = path.best
+    best, ahead = path.best, path.ahead
     if not path.rounds:
         return [path.parameters]
-    if best is None or (path.parameters.good and best.evidence < path.bare + CRITERIA.proof):
+    if best is None or ahead is None or (path.parameters.good and best.evidence < path.bare + CRITERIA.proof):
         return []
     if len(path.rounds) == 1 and not (best.good or path.parameters.good):
         return path.rounds[0].tried[: CRITERIA.beam]
-    ahead = path.ahead or best
     return [ahead] if len(ahead.keys) < (most if ahead.near else MOST) and ahead.level < CRITERIA.misled else []
 
 
