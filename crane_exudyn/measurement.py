@@ -109,13 +109,15 @@ class Measurement:
             Y[:, j] = lagged(Y[:, j], time, tau, settled=settled)
         return Y
 
-    def shown_on(self, X: np.ndarray, time: np.ndarray, P: np.ndarray, E: np.ndarray) -> np.ndarray:
+    def shown_on(
+        self, X: np.ndarray, time: np.ndarray, P: np.ndarray, E: np.ndarray, first: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return what the sensors show (n, m, k) along states X (n, nx) on cranes with parameters P (k, …) and effects
-        E (k, …).
+        E (k, …); lags begin at `first` (m, k), as in `lagged`.
         """
         Y, taus = self._read_on(X, P, E)
         for k, j in np.argwhere(taus > 0.0):
-            Y[:, j, k] = lagged(Y[:, j, k], time, taus[k, j])
+            Y[:, j, k] = lagged(Y[:, j, k], time, taus[k, j], first=None if first is None else first[j, k])
         return Y
 
     def _read_on(self, X: np.ndarray, P: np.ndarray, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,14 +126,17 @@ class Measurement:
         _read_on(self._machine.topology, X, *reads, P, E, Y, taus)
         return Y, taus
 
-    def shown_rows(self, X: np.ndarray, S: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def shown_rows(
+        self, X: np.ndarray, S: np.ndarray, time: np.ndarray, first: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return what the sensors show (n, m), and its derivative (n, m, k), along states X (n, nx) with derivative S
-        (n, nx, k).
+        (n, nx, k); lags begin at `first` ((m,), (m, k)), as in `lagged`.
         """
         Y, C = self.rows(X)
         G = C @ S
         for j, tau in self.lags:
-            Y[:, j], G[:, j] = lagged(Y[:, j], time, tau), lagged(G[:, j], time, tau)
+            y, g = (None, None) if first is None else (first[0][j], first[1][j])
+            Y[:, j], G[:, j] = lagged(Y[:, j], time, tau, first=y), lagged(G[:, j], time, tau, first=g)
         return Y, G
 
     def check(self, crane: Crane, Y: np.ndarray, X: np.ndarray) -> None:

@@ -10,7 +10,7 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.measurement import Measurement
 from validation.fit.data import ACCURACY, FitData, Samples
-from validation.fit.linear import RATE, columns_of, cut, forgotten, model_at, normal_equations, robust
+from validation.fit.linear import RATE, columns_of, cut, forgotten, model_at, normal_equations, robust, sweep_window
 from validation.fit.solve import bounded_step, covariance, fit, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
@@ -170,6 +170,30 @@ def test_a_lagging_sensors_unknown_first_value_is_integrated_out():
     C = np.eye(len(index)) + np.outer(shape, shape)
     assert found.T @ found == pytest.approx(r.T @ np.linalg.solve(C, r), rel=1e-9)
     assert cost == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-9)
+
+
+def test_a_window_swept_in_pieces_is_the_window_swept_at_once():
+    crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.4})
+    crane = crane.with_effect("payload_swing", {"length": 0.8, "damping": 3.0})
+    data = FitData.of(recorded(crane), crane)
+    nominal = uncertain_parameters(crane)
+    own = [
+        *effect_variables("sensor_lag@p1", {"tau": 0.3}, crane.layout),
+        *effect_variables("sensor_bias@z1", {"b": 0.01}, crane.layout),
+        *effect_variables("internal_leakage@lift", {"k": 1e-12}, crane.layout),
+    ]
+    variables, u = [*nominal, *own], np.array([0.0] * len(nominal) + [v.to_u(v.start) for v in own])
+    base = model_at(crane, variables, u, data)
+    (window,), columns = cut(data, 10.0), columns_of(crane, variables, u, base, data)
+    x0 = first_knots(crane, data, 10.0)[0]
+    x0 = np.pad(x0, (0, base.nx - len(x0)))
+    whole, pieces = (sweep_window(window, x0, base, columns, data.channels, n) for n in (10**6, 333))
+    assert pieces.counts == whole.counts
+    assert pieces.squares == pytest.approx(whole.squares, rel=1e-6)
+    assert pieces.end == pytest.approx(whole.end, rel=1e-6, abs=1e-7)
+    for name in ("JJ", "Jr", "end_jacobian"):
+        ours, theirs = getattr(pieces, name), getattr(whole, name)
+        assert ours == pytest.approx(theirs, rel=1e-4, abs=1e-6 * np.abs(theirs).max()), name
 
 
 def test_what_the_data_do_not_determine_has_a_huge_variance():

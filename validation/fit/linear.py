@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -35,8 +36,8 @@ _JUMP_OF_PENDULUM = 3e-2
 _GUESS: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.1, "m/s": 0.1, "Pa": 50e5}
 _GUESS_OF_PENDULUM = 0.3
 THREADS = 2
-#: grid points of a window beyond which only one is swept at a time: it takes 200 MB
-_LARGE = 40_000
+#: most grid points that are swept at once: the sensitivities of a piece of a window take some 50 MB
+_LARGE = 30_000
 #: by the unit of a sensor: what it shows at the start of a window where it lags is known to its lag times this rate
 RATE: Mapping[str, float] = {"rad": 0.3, "m": 0.3, "rad/s": 0.3, "m/s": 0.3, "Pa": 5e7}
 
@@ -277,30 +278,60 @@ class Swept:
     failed: bool
 
 
-def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...]) -> Swept:
-    """Return residuals of one window and their derivative by its first state and by all variables."""
-    data = window.data
-    rows = slice(window.start, window.start + len(data.time))
-    moving = np.flatnonzero(columns.dynamic)
-    swept = sensitivity.sweep(
-        x0[None], np.zeros(1), columns.W[:, rows], data.step, float(data.time[0]), base.P, base.E,
-        columns.P[moving], columns.E[moving], columns.size[moving], columns.W_index[moving], topology=base.topology,
-        own=columns.own[moving], allowed=ACCURACY,
-    )  # fmt: skip
-    X, S, status = swept.X, swept.S, swept.status
-    nx, m = len(x0), len(columns.size)
-    full = S
-    if len(moving) < m:
-        full = np.zeros((len(X), nx, nx + m))
-        full[:, :, :nx] = S[:, :, :nx]
-        full[:, :, nx + moving] = S[:, :, nx:]
+def sweep_window(
+    window: Window, x0: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...], longest: int = _LARGE
+) -> Swept:
+    """Return residuals of one window and their derivative by its first state and by all variables; pieces of at most
+    `longest` grid points are swept one after the other.
+    """
+    pieces = _pieces(window, longest)
+    swept, end = _sweep_piece(pieces[0], _Begun(x0), base, columns, channels)
+    for piece in pieces[1:]:
+        if swept.failed:
+            break
+        later, end = _sweep_piece(piece, end, base, columns, channels)
+        swept = _followed_by(swept, later)
+    return swept
+
+
+def _pieces(window: Window, longest: int) -> list[Window]:
+    """Return a window as pieces of equal length, each from the last grid point of the one before."""
+    last = len(window.data.time) - 1
+    edges = np.linspace(0, last, 1 + math.ceil(last / longest)).round().astype(int).tolist()
+    return [Window(window.start + a, window.data.part(a, b), window.recording) for a, b in pairwise(edges)]
+
+
+class _Begun(NamedTuple):
+    """How a piece of a window begins: its state (nx,), and what an earlier piece left.
+
+    Attributes:
+        by_all: (nx, nx + m) the state's derivative by the window's first state and all variables.
+        shown, shown_by_all: (channels,), (channels, nx + m) what the sensors show, and its derivative.
+        shown_on: (channels, m) what they show of the same state on the perturbed cranes.
+    """
+
+    x: np.ndarray
+    by_all: np.ndarray | None = None
+    shown: np.ndarray | None = None
+    shown_by_all: np.ndarray | None = None
+    shown_on: np.ndarray | None = None
+
+
+def _sweep_piece(
+    window: Window, begun: _Begun, base: Model, columns: Columns, channels: tuple[str, ...]
+) -> tuple[Swept, _Begun]:
+    """Return residuals of one piece of a window, their derivative, and how the next piece begins."""
+    data, nx = window.data, len(begun.x)
+    X, S, status = _states(window, begun, base, columns)
     measurement = base.measurement(channels)
-    Z, dZ = measurement.shown_rows(X, full, data.time)
-    _add_own(dZ[:, :, nx:], Z, measurement, X, data.time, columns)
+    first = None if begun.shown is None or begun.shown_by_all is None else (begun.shown, begun.shown_by_all)
+    Z, dZ = measurement.shown_rows(X, S, data.time, first)
+    end = _Begun(X[-1].copy(), S[-1].copy(), Z[-1].copy(), dZ[-1].copy())
+    end = end._replace(shown_on=_add_own(dZ[:, :, nx:], Z, measurement, X, data.time, columns, begun.shown_on))
     lags, residuals, jacobians, volume = dict(measurement.lags), [], [], 0.0
     for j, sample in enumerate(data.samples):
         r, dr = (sample.values - sample.taken(Z[:, j])) / sample.noise, sample.taken(dZ[:, j]) / sample.noise
-        if window.start > 0 and j in lags:
+        if window.start > 0 and first is None and j in lags:
             rate = RATE[base.crane.layout.sensors[sample.channel].unit]
             both, own = forgotten(np.column_stack([r, dr]), sample, data.step, lags[j], rate)
             r, dr, volume = both[:, 0], both[:, 1:], volume + own
@@ -312,7 +343,34 @@ def sweep_window(window: Window, x0: np.ndarray, base: Model, columns: Columns, 
     failed = status != 0 or not (np.isfinite(X[-1]).all() and np.isfinite(Jr).all())
     return Swept(
         [float(part @ part) for part in residuals], [len(part) for part in residuals], J.T @ J, Jr,
-        X[-1].copy(), full[-1].copy(), volume, failed,
+        end.x, S[-1].copy(), volume, failed,
+    ), end  # fmt: skip
+
+
+def _states(window: Window, begun: _Begun, base: Model, columns: Columns) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return states (n, nx), their derivative (n, nx, nx + m) by the window's first state and all variables, and a
+    status.
+    """
+    data, moving, nx = window.data, np.flatnonzero(columns.dynamic), len(begun.x)
+    swept = sensitivity.sweep(
+        begun.x[None], np.zeros(1), columns.W[:, window.start : window.start + len(data.time)], data.step,
+        float(data.time[0]), base.P, base.E, columns.P[moving], columns.E[moving], columns.size[moving],
+        columns.W_index[moving], topology=base.topology, own=columns.own[moving], allowed=ACCURACY,
+    )  # fmt: skip
+    if begun.by_all is None and len(moving) == len(columns.size):
+        return swept.X, swept.S, swept.status
+    by_first = np.eye(nx, nx + len(columns.size)) if begun.by_all is None else begun.by_all
+    S = swept.S[:, :, :nx] @ by_first
+    S[:, :, nx + moving] += swept.S[:, :, nx:]
+    return swept.X, S, swept.status
+
+
+def _followed_by(a: Swept, b: Swept) -> Swept:
+    """Return two pieces of a window as one."""
+    return Swept(
+        [x + y for x, y in zip(a.squares, b.squares, strict=True)],
+        [x + y for x, y in zip(a.counts, b.counts, strict=True)],
+        a.JJ + b.JJ, a.Jr + b.Jr, b.end, b.end_jacobian, a.volume + b.volume, a.failed or b.failed,
     )  # fmt: skip
 
 
@@ -332,15 +390,25 @@ def forgotten(columns: np.ndarray, sample: Samples, step: float, tau: float, rat
 
 
 def _add_own(
-    dZ: np.ndarray, Z: np.ndarray, measurement: Measurement, X: np.ndarray, time: np.ndarray, columns: Columns
-) -> None:
+    dZ: np.ndarray,
+    Z: np.ndarray,
+    measurement: Measurement,
+    X: np.ndarray,
+    time: np.ndarray,
+    columns: Columns,
+    first: np.ndarray | None,
+) -> np.ndarray:
     """Add to derivatives dZ (n, channels, m) by the variables what the sensors show otherwise of equal states X: by
-    pins, bias, lag, …
+    pins, bias, lag, … Return what they show at the end (channels, m); lags begin at such, `first`.
     """
+    last = np.repeat(Z[-1][:, None], len(columns.size), axis=1)
     own = measurement.differs(X, columns.P, columns.E)
     if own.any():
-        moved = measurement.shown_on(X, time, columns.P[own], columns.E[own])
+        began = None if first is None else first[:, own]
+        moved = measurement.shown_on(X, time, columns.P[own], columns.E[own], began)
         dZ[:, :, own] += (moved - Z[:, :, None]) / columns.size[own]
+        last[:, own] = moved[-1]
+    return last
 
 
 def normal_equations(
@@ -380,9 +448,8 @@ def _swept(
     if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
         yield from (sweep_window(w, x0, base, columns, channels) for w, x0 in zip(windows, knots, strict=True))
         return
-    threads = 1 if max(len(w.data.time) for w in windows) > _LARGE else THREADS
     # products of small matrices: threads of the linear algebra's own would only be in the way
-    with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
+    with threadpool_limits(1), ThreadPoolExecutor(THREADS) as pool:
         yield from pool.map(lambda k: sweep_window(windows[k], knots[k], base, columns, channels), range(len(windows)))
 
 
