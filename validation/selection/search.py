@@ -72,12 +72,13 @@ class Move:
 @dataclass(frozen=True)
 class Round:
     """What was fitted in a round: with the first stages, best first, and to the end, best first; open-loop errors by
-    effects where they decide.
+    effects where they decide; bare: without effects, where one that does nothing had led to another minimum.
     """
 
     tried: tuple[Fitted, ...]
     done: tuple[Fitted, ...]
     errors: Mapping[frozenset[str], float] = field(default_factory=dict)
+    bare: Fitted | None = None
 
 
 @dataclass(frozen=True)
@@ -222,6 +223,8 @@ def search(problem: Problem, most: int = MOST, progress: Progress = silent) -> P
         found = _round(path, most)
         if found is None:
             return _judged(path)
+        if found.bare is not None and found.bare.evidence > path.parameters.evidence:
+            path = _with_parameters(path, found.bare)
         before, path = path, replace(path, rounds=(*path.rounds, found))
         if not _gained(before.ahead, path.ahead):
             return _judged(path)
@@ -236,12 +239,19 @@ def _begun(problem: Problem) -> Path:
     """Return the path before its first round: the crane as it is, and with its parameters moved."""
     crane, data = problem.crane, problem.data
     given = fitted(crane, data, Model(tuple(timings(data))), problem.nominal, (TIGHT, STIFF))
+    given = replace(given, loose=problem.nominal)
     parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
-    if not parameters.good and parameters.level < CRITERIA.left_level:
-        parameters = max(parameters, _on_its_run(problem, parameters), key=lambda w: w.evidence)
-    parameters = replace(parameters, loose=problem.base)
-    fewest = leaner(crane, data, parameters) if parameters.good and not given.good else parameters
-    return Path(problem, replace(given, loose=problem.nominal), parameters, fewest)
+    if parameters.level < CRITERIA.left_level and (stages := _still_to_do(parameters)):
+        parameters = max(parameters, _on(problem, parameters, stages), key=lambda w: w.evidence)
+    return _with_parameters(Path(problem, given, parameters, parameters), parameters)
+
+
+def _with_parameters(path: Path, parameters: Fitted) -> Path:
+    """Return the path with another fit of the machine without effects."""
+    parameters = replace(parameters, loose=path.problem.base)
+    enough = parameters.good and not path.given.good
+    fewest = leaner(path.problem.crane, path.problem.data, parameters) if enough else parameters
+    return replace(path, parameters=parameters, fewest=fewest)
 
 
 def _round(path: Path, most: int) -> Round | None:
@@ -257,7 +267,8 @@ def _round(path: Path, most: int) -> Round | None:
     done = _relocated(path, done) if not path.rounds else done
     done = _further(path, done)
     done = best_of_each([*done, *_dropped(path, done, near)])
-    return Round(tuple(tried), tuple(done), _deciding(path, done))
+    acting = [w for w in done if w.keys]
+    return Round(tuple(tried), tuple(acting), _deciding(path, acting), next((w for w in done if not w.keys), None))
 
 
 def _deciding(path: Path, done: Sequence[Fitted]) -> dict[frozenset[str], float]:
@@ -366,26 +377,32 @@ def _further(path: Path, done: Sequence[Fitted]) -> list[Fitted]:
     """Return the fits, the leading ones taken further where they are not at their end.
 
     Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given
-    with the effects as they were found, and as one long run: what is slow does not show in short windows. Where little
-    is left, windows begin anew on the fit's own run. Else what had not converged goes on.
+    with the effects as they were found, and as one long run: what is slow does not show in short windows.
     """
     problem, tasks = path.problem, list[tuple[Any, ...]]()
     for w in sorted(done, key=lambda w: w.strain - w.evidence)[: CRITERIA.further]:  # rather what parameters help less
         hopeless = len(w.keys) > 1 and w.level > CRITERIA.left_level
-        if w.good or hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
+        if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
             continue
         if not w.plausible:
             tasks.append((_anew, problem, Model(w.model.variables, {k: w.values(k) for k in w.keys})))
-        elif w.level < CRITERIA.left_level:
-            tasks.append((_on_its_run, problem, w))
-        elif not w.fit.converged:
-            tasks.append((fitted, problem.crane, problem.data, w.model, w.fit, (STIFF, STIFF)))
+        elif stages := _still_to_do(w):
+            tasks.append((_on, problem, w, stages))
     return best_of_each([*done, *(w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))])
 
 
-def _on_its_run(problem: Problem, w: Fitted) -> Fitted:
-    """Return a model fitted again, windows beginning on its own run."""
-    return replace(fitted(problem.crane, problem.data, w.model, w.fit, (_RUN, STIFF)), loose=w.loose)
+def _still_to_do(w: Fitted) -> Stages:
+    """Return the stages that take a fit to its end: windows that begin anew on its own run, where little is left that
+    is more than noise; more iterations, where it had not converged.
+    """
+    if w.level < CRITERIA.left_level and not w.good:
+        return _RUN, STIFF
+    return () if w.fit.converged else (STIFF, STIFF)
+
+
+def _on(problem: Problem, w: Fitted, stages: Stages) -> Fitted:
+    """Return a model fitted further."""
+    return replace(fitted(problem.crane, problem.data, w.model, w.fit, stages), loose=w.loose)
 
 
 def _anew(problem: Problem, model: Model) -> Fitted:
@@ -393,18 +410,18 @@ def _anew(problem: Problem, model: Model) -> Fitted:
 
 
 def _dropped(path: Path, done: Sequence[Fitted], near: bool) -> list[Fitted]:
-    """Return models of several effects fitted without one of them: one that does nothing, or beside which the others
-    have not been seen alone.
+    """Return models fitted without one of their effects: one that does nothing, or beside which the others have not
+    been seen alone.
 
     What came in beside another may be the one that is missing, and the first a makeshift; or have only led the fit to
     the better minimum.
     """
     known = {frozenset(w.keys) for r in path.rounds for w in r.done} | {frozenset(w.keys) for w in done}
     moves: dict[frozenset[str], Move] = {}
-    for w in (w for w in done if len(w.keys) > 1):
+    for w in (w for w in done if w.evidence > path.bare):
         for key in w.keys:
             rest = {k: w.values(k) for k in w.keys if k != key}
-            if key in w.idle or not (near or frozenset(rest) in known):
+            if key in w.idle or not (near or not rest or frozenset(rest) in known):
                 moves.setdefault(frozenset(rest), Move(Model(w.model.variables, rest), w.fit))
     return path.problem.run(list(moves.values()), (TIGHT, STIFF))
 
