@@ -12,7 +12,7 @@ comes with wide uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
@@ -179,7 +179,7 @@ def _joined(parts: list[Balances]) -> Balances:
 
     whole: dict[str, Any] = {
         "log_likelihood": sum(part.log_likelihood for part in parts),
-        "unsettled": tuple(stretch for part in parts for stretch in part.unsettled),
+        "unsettled": _touching([stretch for part in parts for stretch in part.unsettled]),
         "floor": parts[0].floor,
         "layout": parts[0].layout,
     }
@@ -187,6 +187,16 @@ def _joined(parts: list[Balances]) -> Balances:
     pieces = {n: [getattr(part, n)[end] for part, end in zip(parts, ends, strict=True)] for n in names}
     parts.clear()  # of ten minutes they are 150 MB: each column is let go once it is joined
     return Balances(**whole | {n: np.concatenate(pieces.pop(n)) for n in names})
+
+
+def _touching(spans: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """Return spans, those joined to one between which no unknown input could become another."""
+    found: list[tuple[float, float]] = []
+    for begin, end in spans:
+        if found and begin <= found[-1][1] + MEMORY:
+            begin = found.pop()[0]
+        found.append((begin, end))
+    return tuple(found)
 
 
 def _stride(data: FitData) -> int:
