@@ -22,10 +22,9 @@ from crane_exudyn.recording import Recording
 from .fit.solve import Fit
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
-from .selection.model import Fitted, misled, run_error, together
+from .selection.model import Fitted, misled, together
 from .selection.search import MOST, Path, Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
-from .workers import in_parallel
 
 
 @dataclass(frozen=True)
@@ -352,12 +351,11 @@ def _with_errors(d: Diagnosis, path: Path, check: Recording | None) -> Diagnosis
     best = max((c.evidence for c in d.candidates), default=0.0)
     near = [c for c in d.candidates if c.evidence > best - 3 * CRITERIA.tie or c.effects == d.effects]
     fits = [path.given.fit, *(c.fit for c in near if c.fit is not None)]
-    each = problem.errors(fits)
-    learned = [together(recordings, e) for e in each]
-    predicted = [(run_error, fit.crane, check, None, problem.data.own) for fit in fits] if check is not None else []
-    checked = in_parallel(problem.jobs, predicted) or [math.nan] * len(fits)
-    before = {"error_before": learned[0], "check_error_before": checked[0]}
-    after = {
+    each = problem.errors(fits, check)
+    learned = [together(recordings, e[: len(recordings)]) for e in each]
+    checked = [e[-1] if check is not None else math.nan for e in each]
+    before: dict[str, Any] = {"error_before": learned[0], "check_error_before": checked[0]}
+    after: dict[tuple[str, ...], dict[str, Any]] = {
         c.effects: {"error_after": e, "check_error_after": k}
         for c, e, k in zip(near, learned[1:], checked[1:], strict=True)
     }

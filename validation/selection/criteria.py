@@ -56,6 +56,8 @@ class Criteria:
         2  # fits that are carried to the end, one more if it lacks no more than `near` of the best one's gain
     )
     near: float = 0.3
+    apart: float = 100.0  # log evidence within which rivals are always fitted, and carried to the end
+    first: int = 2  # moves that are fitted before the others, if they promise most
     hopeless: float = 0.02  # share of the best promise below which a start is not fitted
     further: int = 2  # leading fits that are taken further where they are not at their end
     learned: float = 0.625  # share of each recording that is learned from where a choice is judged on the rest

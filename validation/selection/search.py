@@ -63,10 +63,13 @@ Stages = Sequence[Stage]
 
 @dataclass(frozen=True)
 class Move:
-    """A model to be fitted, from the knots (and values) of an earlier fit."""
+    """A model to be fitted, from the knots (and values) of an earlier fit; promise: the fall of the cost that the
+    screen expects.
+    """
 
     model: Model
     before: Fit
+    promise: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -184,12 +187,16 @@ class Problem:
         found = in_parallel(self.jobs, [(fitted, self.crane, self.data, m.model, m.before, stages) for m in moves])
         return sorted((w for w in found if math.isfinite(w.evidence)), key=lambda w: -w.evidence)
 
-    def errors(self, fits: Sequence[Fit]) -> list[list[float]]:
-        """Return by fit and recording the open-loop errors of cranes as they were fitted."""
-        n = len(self.recordings)
-        own = [fit.of(i) for fit in fits for i in range(n)]
-        found = in_parallel(self.jobs, [(run_error, f.crane, self.recordings[k % n], f) for k, f in enumerate(own)])
-        return [found[n * k : n * (k + 1)] for k in range(len(fits))]
+    def errors(self, fits: Sequence[Fit], check: Recording | None = None) -> list[list[float]]:
+        """Return by fit the open-loop errors of cranes as they were fitted, by recording and last on the check
+        recording.
+        """
+        n, own = len(self.recordings), [fit.of(i) for fit in fits for i in range(len(self.recordings))]
+        tasks: list[tuple[Any, ...]] = [(run_error, f.crane, self.recordings[k % n], f) for k, f in enumerate(own)]
+        if check is not None:
+            tasks += [(run_error, fit.crane, check, None, self.data.own) for fit in fits]
+        found: list[float] = in_parallel(self.jobs, tasks)
+        return [[*found[n * k : n * (k + 1)], *found[len(own) + k : len(own) + k + 1]] for k in range(len(fits))]
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Fit:
         """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined
@@ -241,7 +248,7 @@ def _begun(problem: Problem) -> Path:
     given = fitted(crane, data, Model(tuple(timings(data))), problem.nominal, (TIGHT, STIFF))
     given = replace(given, loose=problem.nominal)
     parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
-    if parameters.level < CRITERIA.left_level and (stages := _still_to_do(parameters)):
+    if parameters.plausible and parameters.level < CRITERIA.left_level and (stages := _still_to_do(parameters)):
         parameters = max(parameters, _on(problem, parameters, stages), key=lambda w: w.evidence)
     return _with_parameters(Path(problem, given, parameters, parameters), parameters)
 
@@ -262,7 +269,7 @@ def _round(path: Path, most: int) -> Round | None:
     if not moves:
         return None
     # near the end the cost is quadratic at once: no walk from loose to stiff
-    tried = best_of_each(problem.run(moves, (STIFF,) if near else (LOOSE,)))
+    tried = best_of_each(problem.run(moves, (STIFF,)) if near else _raced(path, moves))
     done = tried if near else problem.run([Move(w.model, w.fit) for w in _leading(parents, tried)], (TIGHT, STIFF))
     done = _relocated(path, done) if not path.rounds else done
     done = _further(path, done)
@@ -333,21 +340,36 @@ def _additions(path: Path, parent: Fitted, near: bool) -> list[Move]:
         found += [(s, held) for s in more if s.start.key not in keys][: CRITERIA.as_given]
     own = {k: parameters_of(fit.crane, k) for k in parent.keys}
     return [
-        Move(Model(problem.shared, own | {s.start.key: scaled(s.start, s.amplitude)}), before) for s, before in found
+        Move(Model(problem.shared, own | {s.start.key: scaled(s.start, s.amplitude)}), before, s.gain)
+        for s, before in found
     ]
 
 
+def _raced(path: Path, moves: Sequence[Move]) -> list[Fitted]:
+    """Return the moves fitted loosely, those first that promise most; once one leaves hardly more than noise and has no
+    help from parameters, the others only where they promise about as much.
+    """
+    moves = sorted(moves, key=lambda m: -m.promise)
+    done = path.problem.run(moves[: CRITERIA.first], (LOOSE,))
+    rest = moves[CRITERIA.first :]
+    if done and done[0].good and done[0].strain < CRITERIA.helped:
+        most = moves[0].promise
+        rest = [m for m in rest if m.promise > most - max(CRITERIA.apart, CRITERIA.left * most)]
+    return [*done, *path.problem.run(rest, (LOOSE,))]
+
+
 def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]:
-    """Return the fits to be carried to the end: the best, a third if it is near, and the one that parameters help least
-    if they help the best too much.
+    """Return the fits to be carried to the end: the best two, or one if it leaves hardly more than noise; one more that
+    is near; and the one that parameters help least if they help the best too much.
     """
     if not tried:
         return []
     best = tried[0].evidence
-    near = max(100.0, CRITERIA.near * (best - log_evidence(parents[0].loose)))
-    leading = list(tried[: CRITERIA.finished])
+    near = max(CRITERIA.apart, CRITERIA.near * (best - log_evidence(parents[0].loose)))
+    most = 1 if tried[0].good else CRITERIA.finished
+    leading = list(tried[:most])
     if not parents[0].keys:
-        leading += [w for w in tried[CRITERIA.finished : CRITERIA.finished + 1] if w.evidence > best - near]
+        leading += [w for w in tried[most : CRITERIA.finished + 1] if w.evidence > best - near]
     elif not leading[0].plausible:
         calmest = min(
             (w for w in tried if set(parents[0].keys) <= set(w.keys)), key=lambda w: w.strain, default=leading[0]
@@ -380,8 +402,10 @@ def _further(path: Path, done: Sequence[Fitted]) -> list[Fitted]:
     with the effects as they were found, and as one long run: what is slow does not show in short windows.
     """
     problem, tasks = path.problem, list[tuple[Any, ...]]()
+    best = min(done, key=lambda w: w.level, default=path.parameters)
     for w in sorted(done, key=lambda w: w.strain - w.evidence)[: CRITERIA.further]:  # rather what parameters help less
-        hopeless = len(w.keys) > 1 and w.level > CRITERIA.left_level
+        beaten = len(w.keys) > 1 or best.level < CRITERIA.left_level
+        hopeless = beaten and w.level > CRITERIA.left_level
         if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
             continue
         if not w.plausible:
