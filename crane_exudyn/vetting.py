@@ -461,11 +461,11 @@ def _saturation(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 
 def _steps(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    """Find channels whose steps are coarse beside what they show."""
+    """Find channels whose steps are coarse beside what they show; too few samples show no finer ones."""
     for name in recording.sensors:
         values = recording[name].values
         step, span = quantisation(values), float(np.ptp(values))
-        if span > 0.0 and step > _COARSE * span:
+        if span > 0.0 and step > _COARSE * span and len(values) > 1.0 / _COARSE:
             text = (
                 f"{name} comes in steps of {step:.3g} {recording[name].unit}, {100 * step / span:.2g} % of all that it "
                 "shows"

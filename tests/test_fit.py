@@ -10,7 +10,18 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.measurement import Measurement
 from validation.fit.data import ACCURACY, FitData, Samples
-from validation.fit.linear import RATE, columns_of, cut, forgotten, model_at, normal_equations, robust, sweep_window
+from validation.fit.linear import (
+    RATE,
+    columns_of,
+    cost_at,
+    cut,
+    forgotten,
+    linearised,
+    model_at,
+    normal_equations,
+    robust,
+    sweep_window,
+)
 from validation.fit.solve import bounded_step, covariance, fit, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
@@ -170,6 +181,18 @@ def test_a_lagging_sensors_unknown_first_value_is_integrated_out():
     C = np.eye(len(index)) + np.outer(shape, shape)
     assert found.T @ found == pytest.approx(r.T @ np.linalg.solve(C, r), rel=1e-9)
     assert cost == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("seconds", [0.25, 10.0])
+def test_the_cost_without_derivatives_is_that_with_them(seconds):
+    crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.05})
+    data = FitData.of(recorded(crane.with_effect("internal_leakage@lift", {"k": 3e-12})), crane)
+    variables = effect_variables("sensor_lag@p1", {"tau": 0.03}, crane.layout)
+    u, windows = np.array([v.to_u(v.start) for v in variables]), cut(data, seconds)
+    knots = first_knots(crane, data, seconds)
+    linear, _ = linearised(crane, data, windows, knots, variables, u, 10.0)
+    assert linear.cost > 2.0 * sum(linear.counts.values()), "a point that is far from the best"
+    assert cost_at(crane, data, windows, knots, variables, u, 10.0) == pytest.approx(linear.cost, rel=1e-6)
 
 
 def test_a_window_swept_in_pieces_is_the_window_swept_at_once():

@@ -13,9 +13,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -24,7 +24,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import Measurement, sensing_slots
 
-from ..semi_recursive import sensitivity
+from ..semi_recursive import kernel, sensitivity
 from .data import ACCURACY, Data, FitData, Samples
 from .model import Model, model_of
 from .variables import Variable, acts, lateness, with_variables
@@ -36,6 +36,7 @@ _JUMP_OF_PENDULUM = 3e-2
 _GUESS: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.1, "m/s": 0.1, "Pa": 50e5}
 _GUESS_OF_PENDULUM = 0.3
 THREADS = 2
+T = TypeVar("T")
 #: most grid points that are swept at once: the sensitivities of a piece of a window take some 50 MB
 _LARGE = 30_000
 #: by the unit of a sensor: what it shows at the start of a window where it lags is known to its lag times this rate
@@ -204,6 +205,52 @@ def linearised(
     return joined(found), knots
 
 
+def cost_at(
+    crane: Crane,
+    data: Data,
+    windows: Sequence[Window],
+    knots: np.ndarray,
+    variables: Sequence[Variable],
+    u: np.ndarray,
+    stiffness: float,
+) -> float:
+    """Return the `Linear.cost` of a point by runs without derivatives, in a fraction of the time; infinite where the
+    model fails.
+    """
+    total = 0.0
+    for i, part in enumerate(data.parts):
+        mine = [k for k, w in enumerate(windows) if w.recording == i]
+        base = model_at(crane, variables, u, part, recording=i)
+        x0, own = with_states(knots, base.nx)[mine], [windows[k] for k in mine]
+        scale = jump_of(base.crane.layout)[: base.nx]
+        for k, ran in enumerate(_each(partial(_run_window, base=base), own, x0)):
+            if ran is None:
+                return math.inf
+            squares, number, end = ran
+            total += robust(squares, number)[0]
+            if k + 1 < len(own) and follows(own[k], own[k + 1]):
+                jump = (end - x0[k + 1]) * stiffness / scale
+                total += robust(float(jump @ jump), len(jump))[0]
+    return total
+
+
+def _run_window(window: Window, x0: np.ndarray, base: Model) -> tuple[float, int, np.ndarray] | None:
+    """Return sum of squared residuals, number of samples and last state of a window; None where the model fails."""
+    data = window.data
+    W = base.W[window.start : window.start + len(data.time)]
+    X, status, _, _ = kernel.simulate(x0, W, data.time, data.step, base.P, base.E, base.topology, ACCURACY)
+    if status != 0 or not np.isfinite(X[-1]).all():
+        return None
+    measurement = base.measurement(data.channels)
+    Z, lags, squares, number = measurement.shown(X, data.time), dict(measurement.lags), 0.0, 0
+    for j, sample in enumerate(data.samples):
+        r = (sample.values - sample.taken(Z[:, j])) / sample.noise
+        if window.start > 0 and j in lags:
+            r = _without_memory(r[:, None], sample, data.step, lags[j], base)[0][:, 0]
+        squares, number = squares + float(r @ r), number + len(r)
+    return (squares, number, X[-1]) if math.isfinite(squares) else None
+
+
 def with_states(knots: np.ndarray, nx: int) -> np.ndarray:
     """Return knots with as many states as a model has: a pendulum begins at rest, hanging."""
     n = min(nx, knots.shape[1])
@@ -332,8 +379,7 @@ def _sweep_piece(
     for j, sample in enumerate(data.samples):
         r, dr = (sample.values - sample.taken(Z[:, j])) / sample.noise, sample.taken(dZ[:, j]) / sample.noise
         if window.start > 0 and first is None and j in lags:
-            rate = RATE[base.crane.layout.sensors[sample.channel].unit]
-            both, own = forgotten(np.column_stack([r, dr]), sample, data.step, lags[j], rate)
+            both, own = _without_memory(np.column_stack([r, dr]), sample, data.step, lags[j], base)
             r, dr, volume = both[:, 0], both[:, 1:], volume + own
         residuals.append(r)
         jacobians.append(dr)
@@ -372,6 +418,12 @@ def _followed_by(a: Swept, b: Swept) -> Swept:
         [x + y for x, y in zip(a.counts, b.counts, strict=True)],
         a.JJ + b.JJ, a.Jr + b.Jr, b.end, b.end_jacobian, a.volume + b.volume, a.failed or b.failed,
     )  # fmt: skip
+
+
+def _without_memory(
+    columns: np.ndarray, sample: Samples, step: float, tau: float, base: Model
+) -> tuple[np.ndarray, float]:
+    return forgotten(columns, sample, step, tau, RATE[base.crane.layout.sensors[sample.channel].unit])
 
 
 def forgotten(columns: np.ndarray, sample: Samples, step: float, tau: float, rate: float) -> tuple[np.ndarray, float]:
@@ -430,7 +482,9 @@ def normal_equations(
         np.zeros((K, nx)), np.zeros(m), {}, {}, np.zeros(K), np.zeros(K), np.zeros(max(K - 1, 0)), scale, weak,
     )  # fmt: skip
     channels = windows[0].data.channels
-    for k, part in enumerate(_swept(windows, knots, base, columns, channels)):
+    for k, part in enumerate(
+        _each(partial(sweep_window, base=base, columns=columns, channels=channels), windows, knots)
+    ):
         linear.failed |= part.failed
         if linear.failed:
             return linear
@@ -441,16 +495,14 @@ def normal_equations(
     return linear
 
 
-def _swept(
-    windows: Sequence[Window], knots: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...]
-) -> Iterator[Swept]:
-    """Yield the windows swept, in order; the compiled sweep lets two threads work side by side."""
+def _each(task: Callable[[Window, np.ndarray], T], windows: Sequence[Window], knots: np.ndarray) -> Iterator[T]:
+    """Yield a task done with each window and its knot, in order; compiled code lets two threads work side by side."""
     if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
-        yield from (sweep_window(w, x0, base, columns, channels) for w, x0 in zip(windows, knots, strict=True))
+        yield from map(task, windows, knots)
         return
     # products of small matrices: threads of the linear algebra's own would only be in the way
     with threadpool_limits(1), ThreadPoolExecutor(THREADS) as pool:
-        yield from pool.map(lambda k: sweep_window(windows[k], knots[k], base, columns, channels), range(len(windows)))
+        yield from pool.map(task, windows, knots)
 
 
 def _add_data(linear: Linear, k: int, part: Swept, channels: tuple[str, ...], scale: np.ndarray) -> None:

@@ -17,7 +17,7 @@ from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
 from .data import ACCURACY, Data, FitData, Joint
-from .linear import Linear, Window, follows, linearised, model_at
+from .linear import Linear, Window, cost_at, follows, linearised, model_at
 from .model import Model
 from .variables import Variable, acts, alone, lateness, with_variables
 
@@ -155,11 +155,12 @@ def bounded_step(
 
 @dataclass
 class _Point:
-    """Where an iteration stands."""
+    """Where an iteration stands; tries: how many steps were tried to come here."""
 
     u: np.ndarray
     knots: np.ndarray
     linear: Linear
+    tries: int = 1
 
 
 def fit(
@@ -243,27 +244,40 @@ def _widened(guess: np.ndarray, knots: np.ndarray) -> np.ndarray:
 def _cost(point: _Point, variables: Sequence[Variable], guess: np.ndarray) -> float:
     if point.linear.failed:
         return math.inf
-    prior = sum((x / v.prior) ** 2 for x, v in zip(point.u, variables, strict=True) if math.isfinite(v.prior))
-    guess = _widened(guess, point.knots)
-    away = (point.knots - guess) / point.linear.jump
-    weak = float((point.linear.weak * away**2).sum())
-    return 0.5 * (point.linear.cost + weak + prior)
+    return 0.5 * point.linear.cost + _priors(point.u, point.knots, point.linear, variables, guess)
+
+
+def _priors(
+    u: np.ndarray, knots: np.ndarray, linear: Linear, variables: Sequence[Variable], guess: np.ndarray
+) -> float:
+    """Return what the priors of variables and first states add to the cost."""
+    prior = sum((x / v.prior) ** 2 for x, v in zip(u, variables, strict=True) if math.isfinite(v.prior))
+    n = knots.shape[1]
+    away = (knots - _widened(guess, knots)) / linear.jump[:n]
+    return 0.5 * (float((linear.weak[:n] * away**2).sum()) + prior)
 
 
 def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffness, guess):  # type: ignore[no-untyped-def]
-    """Return the next point with a lower cost, or None if there is none."""
+    """Return the next point with a lower cost, or None if there is none.
+
+    Derivatives are worked out where the step is likely to be taken: at once where the last one was, else once a run
+    without them has shown the lower cost.
+    """
     before = _cost(point, variables, guess)
-    damping = 0.0
-    for _ in range(6):
+    damping, at_once = 0.0, point.tries == 1
+    for tries in range(1, 7):
         du = bounded_step(H, g, point.u, *bounds, damping) if len(point.u) else np.zeros(0)
         dx = reduced.knots_step + reduced.knots_by_u @ du
         share = 1.0 / (1.0 + damping)
         knots = point.knots + share * dx * point.linear.jump
         p = crane.layout.pressures
         knots[:, p] = np.maximum(knots[:, p], EMPTIEST)
-        trial = _evaluate(crane, data, windows, knots, variables, point.u + share * du, stiffness)
-        if _cost(trial, variables, guess) < before:
-            return trial
+        here = crane, data, windows, knots, variables, point.u + share * du, stiffness
+        if at_once or 0.5 * cost_at(*here) + _priors(here[5], knots, point.linear, variables, guess) < before:
+            trial = replace(_evaluate(*here), tries=tries)
+            if _cost(trial, variables, guess) < before:
+                return trial
+        at_once = False
         damping = 4.0 * damping if damping else 0.3
     return None
 

@@ -1,0 +1,164 @@
+"""Every command on every built-in machine: two recordings with a hidden effect are made, and a user finds it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from crane_exudyn import Crane, Recording, simulate
+from crane_exudyn.engine import ExudynEngine
+
+#: noise of what the crane file does not state: of an angle or a stroke, and of a pressure, SI
+NOISE = (5e-4, 3e4)
+RATE = 100.0
+
+
+class Hidden(NamedTuple):
+    """A machine's secret: the effect with its parameters (SI), the longest recording in s, the largest command."""
+
+    effect: str
+    parameters: Mapping[str, float]
+    seconds: float
+    size: float
+
+
+SECRETS = {
+    "loader": Hidden("external_leakage@p1", {"k": 4e-12}, 6.0, 0.35),
+    "patu655-lab": Hidden("internal_leakage@tilt", {"k": 4e-12}, 6.0, 0.2),
+    "patu655-telescope": Hidden("internal_leakage@extension", {"k": 4e-12}, 6.0, 0.35),
+    "excavator": Hidden("dead_band@bucket", {"lower": 0.04, "upper": 0.07}, 6.0, 0.35),
+}
+
+
+class Case(NamedTuple):
+    """A machine's name, its secret, its true crane file, and recordings to learn from and to check with."""
+
+    machine: str
+    secret: Hidden
+    true: str
+    learn: str
+    check: str
+
+
+def noise_of(machine: str, sensor: str) -> float:
+    """Return the standard deviation of a sensor's noise, SI."""
+    crane = Crane.load(machine)
+    return crane.sensors.get(sensor) or NOISE[crane.layout.sensors[sensor].unit == "Pa"]
+
+
+def commands_of(valves: int, secret: Hidden, rng: np.random.Generator) -> np.ndarray:
+    """Return spool commands (n, valves) every ms: each cylinder goes to and fro at its own times, with corners on the
+    clock of the recording.
+    """
+    time = np.arange(0.0, secret.seconds, 1e-3)
+    u = np.zeros((len(time), valves))
+    for column in u.T:
+        at, sign = 0.4 + round(rng.uniform(0.0, 0.6), 2), rng.choice([-1.0, 1.0])
+        while at < secret.seconds - 1.5:
+            lasts, height = round(rng.uniform(0.6, 1.0), 2), sign * rng.uniform(0.5, 1.0) * secret.size
+            column += np.interp(time, at + np.array([0.0, 0.15, lasts, lasts + 0.15]), [0.0, height, height, 0.0])
+            at, sign = at + lasts + 0.15 + round(rng.uniform(0.2, 0.8), 2), -sign
+    return u
+
+
+def recorded(crane: Crane, secret: Hidden, seed: int) -> Recording:
+    """Return what the sensors of a machine show of coordinates and chambers at 100 Hz, by the Exudyn engine."""
+    lay, rng = crane.layout, np.random.default_rng(seed)
+    u = commands_of(len(lay.cylinders), secret, rng)
+    time, every = np.arange(len(u)) * 1e-3, round(1e3 / RATE)
+    given = {f"u{i + 1}": column for i, column in enumerate(u.T)}
+    run = simulate(crane, Recording.from_arrays("commands", time, given, layout=lay), engine=ExudynEngine(crane))
+    shown = {n: run[n][::every] for n in (*lay.coordinates, *lay.chambers)}
+    for name, values in shown.items():
+        shown[name] = values + noise_of(crane.name, name) * rng.standard_normal(len(values))
+    told = {n: column[::every] for n, column in given.items()}
+    return Recording.from_arrays(f"seed {seed}", time[::every], {**told, **shown}, layout=lay)
+
+
+@pytest.fixture(scope="module", params=SECRETS)
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """Two recordings of a machine with an effect that its crane file lacks."""
+    machine: str = request.param
+    secret, folder = SECRETS[machine], tmp_path_factory.mktemp(machine)
+    crane = Crane.load(machine).with_effect(secret.effect, secret.parameters)
+    true, *files = (str(folder / name) for name in ("true.toml", "learn.csv", "check.csv"))
+    crane.save(true)
+    for seed, file in enumerate(files):
+        recorded(crane, secret, 20261123 + seed).save(file)
+    return Case(machine, secret, true, *files)
+
+
+@pytest.fixture
+def answered(patu: Callable[..., SimpleNamespace], tmp_path: Path) -> Callable[..., dict]:
+    """Run one command line and return its JSON."""
+
+    def call(*words: str) -> dict:
+        file = tmp_path / "answer.json"
+        done = patu(*words, "--json", str(file))
+        assert done.status == 0, done.err
+        return json.loads(file.read_text())
+
+    return call
+
+
+def test_a_recording_of_a_machine_passes_the_check(case: Case, answered: Callable[..., dict]) -> None:
+    found = answered("check", case.learn, "--crane", case.machine)["findings"]
+    assert not [f for f in found if f["severity"] == "error"]
+
+
+def test_the_true_machine_shows_what_was_recorded(case: Case, answered: Callable[..., dict], tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    answered("simulate", "--inputs", case.learn, "--crane", case.true, "--engine", "semi-recursive", "-o", str(file))
+    layout = Crane.load(case.machine).layout
+    run, measured = (Recording.load(f, layout=layout) for f in (file, case.learn))
+    for name in (*layout.coordinates, *layout.chambers):
+        left = run[name].values - measured[name].values
+        assert np.sqrt(np.mean(left**2)) < 1.2 * noise_of(case.machine, name), name
+
+
+def test_the_filter_of_a_machine_finds_pressures_that_it_is_not_shown(
+    case: Case, answered: Callable[..., dict], tmp_path: Path
+) -> None:
+    layout, file = Crane.load(case.machine).layout, tmp_path / "states.csv"
+    words = [w for n in (*layout.coordinates, *layout.chambers[::2]) for w in ("--sensor", n)]
+    answered("estimate", case.learn, "--crane", case.true, "--engine", "semi-recursive", *words, "-o", str(file))
+    header = file.read_text().partition("\n")[0].split(",")
+    states = dict(zip(header, np.genfromtxt(file, delimiter=",", skip_header=1).T, strict=True))
+    measured = Recording.load(case.learn, layout=layout)
+    for name in layout.chambers[1::2]:
+        found = np.interp(measured[name].time, states["time[s]"], states[f"{name}[Pa]"])
+        left = found - measured[name].values
+        assert np.sqrt(np.mean(left[measured[name].time > 1.0] ** 2)) < 1.2 * noise_of(case.machine, name), name
+
+
+def test_a_comparison_sees_that_the_model_fails(case: Case, answered: Callable[..., dict]) -> None:
+    found = answered("compare", case.learn, "--crane", case.machine)
+    errors = [c["error_over_noise"] for c in found["channels"].values()]
+    assert np.sqrt(np.mean(np.square(errors))) > 2.0
+    assert found["where"]
+
+
+def test_what_is_missing_is_found_and_added_and_the_error_falls(
+    case: Case, answered: Callable[..., dict], tmp_path: Path
+) -> None:
+    file = tmp_path / "new.toml"
+    answer = answered("improve", case.learn, "--check", case.check, "--crane", case.machine, "-j", "1", "-o", str(file))
+    given, better = answer["steps"]
+    assert (given["added"], better["added"]) == (None, case.secret.effect)
+    assert better["error"] < 1.1 < 2.0 < given["error"]
+    assert better["check_error"] < 1.3 < given["check_error"]
+    found = Crane.load(file).effect(case.secret.effect)
+    assert found is not None
+    for name, value in case.secret.parameters.items():
+        assert found.parameters[name] == pytest.approx(value, rel=0.1)
+
+
+def test_a_diagnosis_names_what_is_missing(case: Case, answered: Callable[..., dict]) -> None:
+    answer = answered("diagnose", case.learn, "--check", case.check, "--crane", case.machine, "-j", "1")
+    assert (answer["verdict"], answer["effects"]) == ("effect", [case.secret.effect])
