@@ -18,6 +18,8 @@ class Parameter:
         text: what it is, in words.
         shape: True for a parameter that only shapes the law (a time, a Stribeck speed): it has a value, but no neutral
             one.
+        along_stroke: True for a length of the piston-side chamber that is a place of the stroke: searches start it
+            around where the recording begins.
     """
 
     name: str
@@ -28,3 +30,4 @@ class Parameter:
     typical: float
     text: str
     shape: bool = False
+    along_stroke: bool = False

@@ -24,7 +24,15 @@ class StuckSeal(Effect):
     parameters = (
         Parameter("Fc", "N", 0.0, 0.0, 20e3, 3000.0, "largest force that the seal holds"),
         Parameter(
-            "l0", "m", 0.5, 0.0, 2.0, 0.5, "length of the piston-side chamber at which it holds none", shape=True
+            "l0",
+            "m",
+            0.5,
+            0.0,
+            2.0,
+            0.5,
+            "length of the piston-side chamber at which it holds none",
+            shape=True,
+            along_stroke=True,
         ),
         Parameter("delta", "m", 5e-4, 2e-5, 1e-2, 5e-4, "deformation of the seal", shape=True),
     )

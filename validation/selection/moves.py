@@ -11,15 +11,21 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import SENSORS, Effect, Parameter
+from crane_exudyn.geometry import pose
 from crane_exudyn.layout import Layout
 
 from ..fit.data import Data
+from ..fit.linear import Window
+from ..fit.start import knots_of
 from ..fit.variables import at_place, is_moment
 
 #: seconds between the moments at which an effect with a time of its own is tried
 _MOMENTS = 0.5
 #: and around the best of them: a quarter of the period of a ring of 7 Hz
 _CLOSER = 0.035
+#: m from where a cylinder stands at first at which a place of its stroke is tried: within what a seal deforms, and far
+#: beyond
+_PLACES = (-0.05, -1e-3, -3e-4, 0.0, 3e-4, 1e-3, 0.05)
 
 
 @dataclass(frozen=True)
@@ -35,15 +41,24 @@ def starts(crane: Crane, data: Data, *, moments: float = _MOMENTS) -> list[Start
     """Return the starts of every effect at every place that the recording could show and the crane does not have
     yet.
     """
-    found, lay = [], crane.layout
+    found, lay, lengths = [], crane.layout, _first_lengths(crane, data)
     for effect in registry.known():
         if _is_measured(effect, data):
             continue
         for key, place in zip(effect.keys(lay), effect.on(lay), strict=True):
             if effect.curve is None and crane.effect(key) is None and _can_show(effect, place, data, lay):
                 first = at_place(effect.parameters[0], place, lay)
-                found += [Start(key, values, _two_sided(effect)) for values in _values(effect, first, data, moments)]
+                values = _values(effect, first, data, moments, lengths.get(place, 0.0))
+                found += [Start(key, each, _two_sided(effect)) for each in values]
     return found
+
+
+def _first_lengths(crane: Crane, data: Data) -> dict[str, float]:
+    """Return the length of each cylinder's piston-side chamber in m where the first recording begins."""
+    part, lay = data.parts[0], crane.layout
+    state = knots_of(crane, part, [Window(0, part)])[0]
+    lengths = pose(crane, *state[lay.positions]).lengths[0]
+    return {n: float(x) - crane[f"cylinders.{n}.empty_length"] for n, x in zip(lay.cylinders, lengths, strict=True)}
 
 
 def _is_measured(effect: type[Effect], data: Data) -> bool:
@@ -70,11 +85,18 @@ def _two_sided(effect: type[Effect]) -> bool:
     return math.isfinite(first.neutral) and first.lower < first.neutral
 
 
-def _values(effect: type[Effect], first: Parameter, data: Data, moments: float) -> list[dict[str, float]]:
-    """Return the values to begin from; `first` is the effect's first parameter at its place."""
+def _values(
+    effect: type[Effect], first: Parameter, data: Data, moments: float, length: float
+) -> list[dict[str, float]]:
+    """Return the values to begin from; `first` is the effect's first parameter at its place, `length` (m) the chamber's
+    there.
+    """
     if effect.probes:
         return [dict(p) for p in effect.probes]
     size = first.typical * (0.5 if effect.parameters[0].unit == "channel" else 1.0)
+    along = next((p for p in effect.parameters if p.along_stroke), None)
+    if along is not None:
+        return [{first.name: size, along.name: length + away} for away in _PLACES]
     timed = _moment_of(effect)
     if timed is None:
         return [{first.name: size}]
