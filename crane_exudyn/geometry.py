@@ -416,6 +416,12 @@ def cylinder_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:
     return out
 
 
+def chamber_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:
+    """Return lengths of the piston-side chambers in m (m, cylinders), as `cylinder_lengths`."""
+    empty = np.array([crane[f"cylinders.{c}.empty_length"] for c in crane.layout.cylinders])
+    return cylinder_lengths(crane, z) - empty
+
+
 @dataclass(frozen=True)
 class Pose:
     """Everything that follows from the independent coordinates of m states; lengths in m, angles in rad.

@@ -14,7 +14,7 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import registry
-from crane_exudyn.geometry import pose
+from crane_exudyn.geometry import chamber_lengths
 from crane_exudyn.measurement import Measurement
 from validation import improvement
 from validation.diagnosis import Candidate, Diagnosis
@@ -193,8 +193,7 @@ def test_a_soft_mount_is_seen_where_it_is():
 def test_a_seal_that_stands_is_looked_for_where_the_recording_begins():
     """It was tried at half a metre only, where it is a constant force, and a sensor's bias seemed likelier."""
     sound = _recorded("sound", CRANE, 1)
-    lengths = pose(CRANE, *(sound[n].values[:20].mean() for n in CRANE.layout.coordinates)).lengths[0]
-    begins = lengths[0] - CRANE["cylinders.lift.empty_length"]
+    begins = chamber_lengths(CRANE, np.array([[sound[n].values[:20].mean() for n in CRANE.layout.coordinates]]))[0, 0]
     true = {"Fc": 2000.0, "l0": begins - 4e-4, "delta": 6e-4}
     data = FitData.of(_recorded("stuck", CRANE.with_effect("stuck_seal@lift", true), 1), CRANE)
     fit = staged(CRANE, data, (), np.zeros(0), first_knots(CRANE, data), (LOOSE,))

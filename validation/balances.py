@@ -324,7 +324,7 @@ def _observed(
     for j, s in enumerate(data.samples):
         at = np.minimum(np.round((s.index + s.fraction) / stride).astype(int), count - 1)
         number = np.bincount(at, minlength=count)
-        total = np.bincount(at, (s.values - s.taken(Z[:, j])) / s.noise, minlength=count)
+        total = np.bincount(at, s.residuals(Z[:, j]), minlength=count)
         there = number > 0
         residual[there, j], spread[there, j] = total[there] / number[there], 1.0 / np.sqrt(number[there])
         C[:, j] /= s.noise

@@ -166,12 +166,10 @@ def _reverses(time: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 def _at_end(crane: Crane, states: np.ndarray) -> np.ndarray:
     """Return whether a piston is near an end of its stroke (N,)."""
-    from crane_exudyn.geometry import cylinder_lengths
+    from crane_exudyn.geometry import chamber_lengths
 
-    lengths = cylinder_lengths(crane, states[:, crane.layout.positions])
-    empty = np.array([crane[f"cylinders.{c}.empty_length"] for c in crane.layout.cylinders])
     span = np.array([crane[f"cylinders.{c}.chamber_range"] for c in crane.layout.cylinders])
-    piston = lengths - empty
+    piston = chamber_lengths(crane, states[:, crane.layout.positions])
     return np.asarray(((piston < NEAR_END) | (piston > span - NEAR_END)).any(axis=1))
 
 

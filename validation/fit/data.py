@@ -41,6 +41,10 @@ class Samples:
         share = self.fraction.reshape(-1, *[1] * (grid.ndim - 1))
         return np.asarray(before + share * (grid[self.index + 1] - before))
 
+    def residuals(self, grid: np.ndarray) -> np.ndarray:
+        """Return measured minus shown (n,), in noise units, where `grid` (N,) is shown on the grid."""
+        return np.asarray((self.values - self.taken(grid)) / self.noise)
+
 
 @dataclass(frozen=True)
 class FitData:

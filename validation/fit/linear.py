@@ -244,7 +244,7 @@ def _run_window(window: Window, x0: np.ndarray, base: Model) -> tuple[float, int
     measurement = base.measurement(data.channels)
     Z, lags, squares, number = measurement.shown(X, data.time), dict(measurement.lags), 0.0, 0
     for j, sample in enumerate(data.samples):
-        r = (sample.values - sample.taken(Z[:, j])) / sample.noise
+        r = sample.residuals(Z[:, j])
         if window.start > 0 and j in lags:
             r = _without_memory(r[:, None], sample, data.step, lags[j], base)[0][:, 0]
         squares, number = squares + float(r @ r), number + len(r)
@@ -353,14 +353,13 @@ class _Begun(NamedTuple):
 
     Attributes:
         by_all: (nx, nx + m) the state's derivative by the window's first state and all variables.
-        shown, shown_by_all: (channels,), (channels, nx + m) what the sensors show, and its derivative.
+        shown: (channels,) what the sensors show, and (channels, nx + m) its derivative.
         shown_on: (channels, m) what they show of the same state on the perturbed cranes.
     """
 
     x: np.ndarray
     by_all: np.ndarray | None = None
-    shown: np.ndarray | None = None
-    shown_by_all: np.ndarray | None = None
+    shown: tuple[np.ndarray, np.ndarray] | None = None
     shown_on: np.ndarray | None = None
 
 
@@ -371,14 +370,14 @@ def _sweep_piece(
     data, nx = window.data, len(begun.x)
     X, S, status = _states(window, begun, base, columns)
     measurement = base.measurement(channels)
-    first = None if begun.shown is None or begun.shown_by_all is None else (begun.shown, begun.shown_by_all)
-    Z, dZ = measurement.shown_rows(X, S, data.time, first)
-    end = _Begun(X[-1].copy(), S[-1].copy(), Z[-1].copy(), dZ[-1].copy())
-    end = end._replace(shown_on=_add_own(dZ[:, :, nx:], Z, measurement, X, data.time, columns, begun.shown_on))
+    Z, dZ = measurement.shown_rows(X, S, data.time, begun.shown)
+    shown = Z[-1].copy(), dZ[-1].copy()
+    shown_on = _add_own(dZ[:, :, nx:], Z, measurement, X, data.time, columns, begun.shown_on)
+    end = _Begun(X[-1].copy(), S[-1].copy(), shown, shown_on)
     lags, residuals, jacobians, volume = dict(measurement.lags), [], [], 0.0
     for j, sample in enumerate(data.samples):
-        r, dr = (sample.values - sample.taken(Z[:, j])) / sample.noise, sample.taken(dZ[:, j]) / sample.noise
-        if window.start > 0 and first is None and j in lags:
+        r, dr = sample.residuals(Z[:, j]), sample.taken(dZ[:, j]) / sample.noise
+        if window.start > 0 and begun.shown is None and j in lags:
             both, own = _without_memory(np.column_stack([r, dr]), sample, data.step, lags[j], base)
             r, dr, volume = both[:, 0], both[:, 1:], volume + own
         residuals.append(r)

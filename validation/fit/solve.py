@@ -272,8 +272,9 @@ def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffne
         knots = point.knots + share * dx * point.linear.jump
         p = crane.layout.pressures
         knots[:, p] = np.maximum(knots[:, p], EMPTIEST)
-        here = crane, data, windows, knots, variables, point.u + share * du, stiffness
-        if at_once or 0.5 * cost_at(*here) + _priors(here[5], knots, point.linear, variables, guess) < before:
+        u = point.u + share * du
+        here = crane, data, windows, knots, variables, u, stiffness
+        if at_once or 0.5 * cost_at(*here) + _priors(u, knots, point.linear, variables, guess) < before:
             trial = replace(_evaluate(*here), tries=tries)
             if _cost(trial, variables, guess) < before:
                 return trial

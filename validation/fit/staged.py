@@ -121,7 +121,7 @@ def residuals(
     times = {id(s.index): data.time[s.index] + s.fraction * data.step for s in data.samples}
     for s in data.samples:  # one by one: all of ten minutes would be another hundred megabytes
         z = model.measurement((s.channel,)).shown(X, data.time)[:, 0]
-        found[s.channel] = (times[id(s.index)], (s.values - s.taken(z)) / s.noise)
+        found[s.channel] = (times[id(s.index)], s.residuals(z))
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import SENSORS, Effect, Parameter
-from crane_exudyn.geometry import pose
+from crane_exudyn.geometry import chamber_lengths
 from crane_exudyn.layout import Layout
 
 from ..fit.data import Data
@@ -57,8 +57,8 @@ def _first_lengths(crane: Crane, data: Data) -> dict[str, float]:
     """Return the length of each cylinder's piston-side chamber in m where the first recording begins."""
     part, lay = data.parts[0], crane.layout
     state = knots_of(crane, part, [Window(0, part)])[0]
-    lengths = pose(crane, *state[lay.positions]).lengths[0]
-    return {n: float(x) - crane[f"cylinders.{n}.empty_length"] for n, x in zip(lay.cylinders, lengths, strict=True)}
+    lengths = chamber_lengths(crane, state[None, lay.positions])[0]
+    return {n: float(x) for n, x in zip(lay.cylinders, lengths, strict=True)}
 
 
 def _is_measured(effect: type[Effect], data: Data) -> bool:
