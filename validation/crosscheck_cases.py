@@ -194,7 +194,7 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
             continue
         if effect.name == "end_stop":  # bring both ends into the range of random states
             base = _short_strokes(crane)
-        begins = {p.name: BEGIN for p in effect.parameters if p.name == "T" and p.shape}
+        begins = {p.name: BEGIN for p in effect.parameters if p.moment}
         probes[key] = base.with_effect(key, {p.name: p.typical for p in effect.parameters} | begins)
     return probes
 
@@ -209,7 +209,9 @@ def exciting(crane: Crane, to_its_end: str = "") -> tuple[np.ndarray, np.ndarray
     ]
     commands = np.column_stack([(0.4 - 0.05 * c) * way for c, way in enumerate(ways)])
     if to_its_end:
-        commands = np.column_stack([(time > 0.2) * float(c == to_its_end) for c in cylinders])
+        # fast, and slower before it strikes, as a driver would: at full speed it bounces for a second in steps of 1 µs
+        way = np.where(time < 1.7, 1.0, 0.6) * (time > 0.2)
+        commands = np.column_stack([way * float(c == to_its_end) for c in cylinders])
     return time, spool_inputs(crane, time, commands)
 
 

@@ -20,6 +20,8 @@ class Parameter:
             one.
         along_stroke: True for a length of the piston-side chamber that is a place of the stroke: searches start it
             around where the recording begins.
+        moment: True for the time of an event, counted from the start of the recording: searches try it all along the
+            recording.
     """
 
     name: str
@@ -31,3 +33,4 @@ class Parameter:
     text: str
     shape: bool = False
     along_stroke: bool = False
+    moment: bool = False

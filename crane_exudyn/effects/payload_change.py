@@ -13,7 +13,9 @@ class PayloadChange(Effect):
     name = "payload_change"
     parameters = (
         Parameter("dm", "kg", 0.0, -400.0, 1000.0, 50.0, "change of the payload mass"),
-        Parameter("T", "s", 0.0, 0.0, 1e4, 5.0, "time of the change, from the start of the recording", shape=True),
+        Parameter(
+            "T", "s", 0.0, 0.0, 1e4, 5.0, "time of the change, from the start of the recording", shape=True, moment=True
+        ),
     )
 
     @staticmethod

@@ -13,7 +13,9 @@ class TipContactForce(Effect):
     name = "tip_contact_force"
     parameters = (
         Parameter("F", "N", 0.0, -20e3, 20e3, 500.0, "vertical force on the tip, up positive"),
-        Parameter("T", "s", 0.0, 0.0, 1e4, 5.0, "time from which it acts, from the start of the recording", shape=True),
+        Parameter(
+            "T", "s", 0.0, 0.0, 1e4, 5.0, "when it begins, from the start of the recording", shape=True, moment=True
+        ),
     )
 
     @staticmethod

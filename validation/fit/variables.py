@@ -231,7 +231,7 @@ def effect_variables(key: str, start: Mapping[str, float], layout: Layout) -> li
         return list(curve_variables(key, start, prior_root(effect.curve.table(start))))
     parameters = [at_place(p, place, layout) for p in effect.parameters]
     return [
-        EffectParameter(key, p, float(start.get(p.name, p.neutral)), _MOMENT / abs(p.typical) if is_moment(p) else 1e-4)
+        EffectParameter(key, p, float(start.get(p.name, p.neutral)), _MOMENT / abs(p.typical) if p.moment else 1e-4)
         for p in parameters
     ]
 
@@ -265,11 +265,6 @@ def prior_root(table: Table, size: float | None = None, length: float = 0.2) -> 
     values, vectors = np.linalg.eigh(K)
     kept = values > 1e-9 * values[-1]
     return size * vectors[:, kept] * np.sqrt(values[kept])
-
-
-def is_moment(parameter: Parameter) -> bool:
-    """Whether a parameter is the time of an event, counted from the start of the recording."""
-    return parameter.shape and parameter.unit == "s"
 
 
 def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray, recording: int | None = None) -> Crane:

@@ -17,7 +17,7 @@ from crane_exudyn.layout import Layout
 from ..fit.data import Data
 from ..fit.linear import Window
 from ..fit.start import knots_of
-from ..fit.variables import at_place, is_moment
+from ..fit.variables import at_place
 
 #: seconds between the moments at which an effect with a time of its own is tried
 _MOMENTS = 0.5
@@ -106,7 +106,7 @@ def _values(
 
 
 def _moment_of(effect: type[Effect]) -> Parameter | None:
-    return next((p for p in effect.parameters if is_moment(p)), None)
+    return next((p for p in effect.parameters if p.moment), None)
 
 
 def around(start: Start) -> list[Start]:
