@@ -210,13 +210,14 @@ def test_benchmark_json_has_ratios_of_one_run(printed: Callable[..., str]) -> No
     assert document["memory.process"]["value"] > 10.0
 
 
-def test_the_split_of_a_step_adds_up_and_leaves_no_clock_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("machine", ["patu655", "excavator"])
+def test_the_split_of_a_step_adds_up_and_leaves_no_clock_behind(machine: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from crane_exudyn import engine as module
 
     monkeypatch.setattr(benchmark, "STRETCH", 0.05)
     monkeypatch.setattr(benchmark, "NAIVE_STRETCH", 0.003)
     before = (module.trapezoidal.predict, module._System._residual)
-    results = benchmark.run(["filters"])
+    results = benchmark.run(["filters"], Crane.load(machine))
     assert (module.trapezoidal.predict, module._System._residual) == before
     exudyn, quick = ("restore", "exudyn_residual", "newton", "filter_algebra"), ("engine", "filter_algebra")
     for step, names in (("filter.exudyn.step", exudyn), ("filter.semi_recursive.step", quick)):

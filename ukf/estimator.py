@@ -107,7 +107,7 @@ class Estimator:
         self.crane = crane
         self.engine = engine_of(engine, crane)
         lay = crane.layout
-        self.std_of = sensor_std(crane, (*lay.coordinates, *lay.loaded) if sensors is None else sensors)
+        self.std_of = default_sensors(crane) if sensors is None else sensor_std(crane, sensors)
         self.noise = noise if noise is not None else ProcessNoise.of(lay)
         self.max_step = float(max_step)
         if not 0.0 < self.max_step < np.inf:
@@ -718,6 +718,13 @@ def inner_times(start: float, end: float, max_step: float) -> np.ndarray:
     """Return instants from `start` to `end` inclusive, evenly apart, at most `max_step`."""
     pieces = max(1, int(np.ceil((end - start) / max_step - 1e-6)))
     return start + (end - start) * np.arange(pieces + 1) / pieces
+
+
+def default_sensors(crane: Crane) -> dict[str, float]:
+    """Return {channel: noise in SI} of the sensors that a filter uses where none are named: all coordinates and the
+    chambers that carry loads.
+    """
+    return sensor_std(crane, (*crane.layout.coordinates, *crane.layout.loaded))
 
 
 def sensor_std(crane: Crane, sensors: Mapping[str, float] | Sequence[str]) -> dict[str, float]:

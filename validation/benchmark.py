@@ -9,7 +9,7 @@ import math
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -128,17 +128,57 @@ def _cycle(crane: Crane, engine: Any) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return initial_state(crane, engine), grid, np.column_stack([spool, np.full((len(grid), 2), np.nan)])
 
 
-def filters(results: Results, crane: Crane) -> None:
-    """The paper's UKF at 1 kHz as real-time factors: Exudyn, semi-recursive, and the naive way; and where the time
-    goes.
+@dataclass(frozen=True)
+class _Stretch:
+    """Part of the cycle as a filter sees it: times (n,), states (n, nx), inputs (n, nw), and readings (n, k) of the
+    sensors that an `Estimator` uses by default, with their noise.
     """
-    from . import paper
 
-    experiment = paper.real_system(crane, 1, "semi-recursive", seed=0, duration=_BEGIN + STRETCH)
-    signals = _part(experiment, _BEGIN, _BEGIN + STRETCH)
+    time: np.ndarray
+    states: np.ndarray
+    inputs: np.ndarray
+    sensors: Mapping[str, float]
+    readings: np.ndarray
+
+    @classmethod
+    def of(cls, crane: Crane) -> _Stretch:
+        from ukf.estimator import default_sensors
+        from ukf.process import engine_of
+
+        from .paper import noisy_sensors
+
+        engine = engine_of("semi-recursive", crane)
+        x0, grid, inputs = _cycle(crane, engine)
+        begin, end = round(_BEGIN / _STEP), round((_BEGIN + STRETCH) / _STEP) + 1
+        states = engine.simulate(x0, grid[:end], inputs[:end])[begin:]
+        time, sensors = grid[begin:end], default_sensors(crane)
+        readings = noisy_sensors(crane, time, states, np.random.default_rng(0), sensors)
+        return cls(time, states, inputs[begin:end], sensors, np.column_stack([y for _, y in readings.values()]))
+
+    def signals(self, crane: Crane, seconds: float) -> Any:
+        """Return the first seconds of it as an estimator takes them."""
+        from crane_exudyn.inputs import paper_cycle
+        from ukf.signals import Signals
+
+        n = round(seconds / _STEP) + 1
+        time = self.time[:n]
+        sensors = {name: (time, y[:n]) for name, y in zip(self.sensors, self.readings.T, strict=True)}
+        return Signals(time, paper_cycle(time, len(crane.layout.cylinders)), sensors)
+
+
+def filters(results: Results, crane: Crane) -> None:
+    """The UKF at 1 kHz as real-time factors: Exudyn, semi-recursive, and the naive way; and where the time goes."""
+    from ukf.estimator import Estimator
+    from ukf.filter import Belief
+    from ukf.noise import ProcessNoise
+
+    stretch, noise = _Stretch.of(crane), ProcessNoise.of(crane.layout)
+    # the model is perfect; the filter starts at the truth, as unsure as of what a second without sensors brings
+    start = Belief(stretch.states[0], noise.covariance(1.0))
+    signals = stretch.signals(crane, STRETCH)
     for name in ("exudyn", "semi-recursive"):
-        estimator = _estimator(crane, experiment, name)
-        estimator.run(_part(experiment, _BEGIN, _BEGIN + 0.05))
+        estimator = Estimator(crane, name, noise=noise, start=start, gate=None, max_step=_STEP)
+        estimator.run(stretch.signals(crane, NAIVE_STRETCH))
         clocks: dict[str, float] = {}
         busy = time.process_time()
         with _split(estimator.engine, clocks, name):
@@ -149,31 +189,7 @@ def filters(results: Results, crane: Crane) -> None:
         # on a core that others use as well, only processor time says what the program needs
         results.add(f"filter.{key}.realtime_factor_alone", STRETCH / busy, "1")
         _add_split(results, f"filter.{key}", seconds, clocks)
-    results.add("filter.naive.realtime_factor", NAIVE_STRETCH / _naive(crane, experiment), "1")
-
-
-def _part(experiment: Any, begin: float, end: float) -> Any:
-    """Return the signals of an experiment between two times."""
-    from dataclasses import replace
-
-    signals = experiment.signals
-    inside = (signals.command_time >= begin - 1e-9) & (signals.command_time <= end + 1e-9)
-    sensors = {name: (t[inside], y[inside]) for name, (t, y) in signals.sensors.items()}
-    return replace(
-        signals, command_time=signals.command_time[inside], commands=signals.commands[inside], sensors=sensors
-    )
-
-
-def _estimator(crane: Crane, experiment: Any, engine: str) -> Any:
-    """Return the paper's filter, started at the truth where the stretch begins; the model is perfect here."""
-    from ukf.estimator import Estimator
-    from ukf.filter import Belief
-    from ukf.noise import PaperNoise, paper_start_covariance
-
-    from .paper import SENSOR_STD
-
-    start = Belief(experiment.truth[round(_BEGIN / _STEP)], paper_start_covariance())
-    return Estimator(crane, engine, SENSOR_STD, PaperNoise(), start=start, gate=None, max_step=_STEP)
+    results.add("filter.naive.realtime_factor", NAIVE_STRETCH / _naive(crane, stretch, start, noise), "1")
 
 
 @contextmanager
@@ -211,7 +227,7 @@ def _timed(function: Callable[..., Any], clocks: dict[str, float], label: str) -
 
 
 def _add_split(results: Results, key: str, seconds: float, clocks: dict[str, float]) -> None:
-    """Keep the time of one filter step of 17 sigma points, whole and in parts, in ms."""
+    """Keep the time of one filter step, whole and in parts, in ms."""
     per_step = 1e3 / round(STRETCH / _STEP)
     whole = f"{key}.step"
     parts = {"engine": clocks["engine"]}
@@ -223,34 +239,35 @@ def _add_split(results: Results, key: str, seconds: float, clocks: dict[str, flo
         results.add(f"{whole}.{name}", spent * per_step, "ms", whole)
 
 
-def _naive(crane: Crane, experiment: Any) -> float:
+def _naive(crane: Crane, stretch: _Stretch, start: Any, noise: Any) -> float:
     """Return the time that filterpy's UKF takes for the short stretch with one SolveDynamic per sigma point."""
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+    from crane_exudyn.measurement import Measurement
     from crane_exudyn.naive import SolveDynamicEngine
-    from ukf.noise import PaperNoise, paper_start_covariance
-
-    from .paper import SENSOR_STD
+    from ukf.noise import measurement_noise
 
     engine = SolveDynamicEngine(crane)
-    columns = [0, 1, 4, 7]
-    points = MerweScaledSigmaPoints(8, alpha=0.99, beta=0.0, kappa=0.0)
-    inputs: list[np.ndarray] = [np.empty((2, 4))]
+    sensors = Measurement.of(crane, tuple(stretch.sensors))
+    nx, inputs = start.mean.size, stretch.inputs
+    points = MerweScaledSigmaPoints(nx, alpha=0.99, beta=0.0, kappa=0.0)
     ukf = UnscentedKalmanFilter(
-        8, 4, _STEP, lambda x: x[columns], lambda x, dt: engine.propagate(x[None], inputs[0], dt)[0], points
+        nx,
+        len(stretch.sensors),
+        _STEP,
+        lambda x: sensors.read(x[None])[0],
+        lambda x, dt, w: engine.propagate(x[None], w, dt)[0],
+        points,
     )
-    first = round(_BEGIN / _STEP)
-    ukf.x, ukf.P = experiment.truth[first].copy(), paper_start_covariance()
-    ukf.Q, ukf.R = PaperNoise().covariance(_STEP), np.diag([s**2 for s in SENSOR_STD.values()])
-    measured = np.column_stack([experiment.signals.sensors[n][1] for n in SENSOR_STD])
+    ukf.x, ukf.P = start.mean.copy(), start.covariance.copy()
+    ukf.Q, ukf.R = noise.covariance(_STEP), measurement_noise(np.array(list(stretch.sensors.values())))
 
     def walk() -> None:
-        for k in range(first + 1, first + 1 + round(NAIVE_STRETCH / _STEP)):
-            inputs[0] = experiment.inputs[k - 1 : k + 1]
-            ukf.predict()
-            ukf.update(measured[k])
+        for k in range(1, 1 + round(NAIVE_STRETCH / _STEP)):
+            ukf.predict(w=inputs[k - 1 : k + 1])
+            ukf.update(stretch.readings[k])
 
-    engine.propagate(ukf.x[None], experiment.inputs[first : first + 2], _STEP)  # compiles
+    engine.propagate(ukf.x[None], inputs[:2], _STEP)  # compiles
     return seconds_of(walk)
 
 
