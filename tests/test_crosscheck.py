@@ -16,6 +16,7 @@ import validation.semi_recursive.equations as equations_module
 import validation.semi_recursive.terms as terms_module
 from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
+from crane_exudyn.errors import CraneError
 from patu import main
 from validation import crosscheck as cc
 from validation import crosscheck_cases as cases
@@ -261,6 +262,11 @@ def test_an_effect_without_influence_is_not_called_a_success(crane: Crane) -> No
     assert not quantity.ok and "changed no quantity" in quantity.reason
 
 
+def test_an_effect_that_cannot_be_run_is_refused(crane: Crane) -> None:
+    with pytest.raises(CraneError, match="internal_leakage@lift"):
+        cc.crosscheck(crane, effects=["internal_leakage@lit"])
+
+
 # -- the whole, and what it leaves behind ------------------------------------------------------------------------------
 
 
@@ -274,7 +280,14 @@ def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -
         return SemiRecursiveEngine(c)
 
     result = cc.crosscheck(
-        crane, states=20, seconds=2.4, step=1e-3, make_first=make, make_second=make, progress=seen.append
+        crane,
+        states=20,
+        seconds=2.4,
+        step=1e-3,
+        make_first=make,
+        make_second=make,
+        effects=["payload_swing"],
+        progress=seen.append,
     )
     assert {q.name for q in result.failures} == {
         f"{m}: order of {o}" for m in cc.by_name(result.runs) for o in ("positions", "pressures")

@@ -256,7 +256,7 @@ def test_plans_hide_every_effect_and_every_kind() -> None:
 #: looking
 FIXED_SEEDS = (7001, 7004, 7007)
 #: seconds of each that are learned from: the suite has no time for all 25
-LEARNED = 15.0
+LEARNED = 10.0
 
 
 @pytest.mark.parametrize("seed", FIXED_SEEDS)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import told
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import paper_cycle
@@ -367,6 +368,7 @@ def crosscheck(
     seed: int = 1,
     make_first: Make | None = None,
     make_second: Make | None = None,
+    effects: Collection[str] | None = None,
     progress: Progress = lambda fraction: None,
 ) -> CrossCheck:
     """Return the comparison of the Exudyn engine (first) with the semi-recursive one (second) on a crane and its kin.
@@ -378,9 +380,15 @@ def crosscheck(
         step: inner step at which trajectories are judged.
         seed: of everything random.
         make_first, make_second: other engines.
+        effects: those ("name@place") that are put into the crane one at a time and run in both engines, which takes
+            most of the time; by default all that act inside an engine.
         progress: is called with the fraction done.
+
+    Raises:
+        CraneError: an effect that the crane cannot have, or that acts in no engine.
     """
     make_first, make_second = make_first or _exudyn, make_second or _semi_recursive
+    probes = _probes(crane.nominal(), effects)
     rng = np.random.default_rng(seed)
     result = CrossCheck(crane.name, crane.layout)
     first, second = make_first(crane), make_second(crane)
@@ -392,9 +400,7 @@ def crosscheck(
     fewer = max(40, states // 5)  # enough that every probe acts in some
     for name, other in cases.other_cranes(crane.nominal(), rng).items():
         result.quantities.append(_other(name, make_first(other), make_second(other), fewer, rng))
-    result.quantities += _effects(
-        crane.nominal(), make_first, make_second, fewer, rng, lambda f: progress(0.05 + 0.15 * f)
-    )
+    result.quantities += _effects(probes, make_first, make_second, fewer, rng, lambda f: progress(0.05 + 0.15 * f))
     for k, (name, time, commands) in enumerate(manoeuvres(crane, second, seconds, rng)):
         w = cases.spool_inputs(crane, time, commands)
         part, begin = 0.4, 0.2 + 0.4 * k
@@ -429,12 +435,25 @@ def _other(name: str, first: Engine, second: Engine, count: int, rng: np.random.
     return worst_of(name, [*compare_terms(first, second, drawn), *compare_static_starts(first, second, drawn)])
 
 
+def _probes(crane: Crane, effects: Collection[str] | None) -> dict[str, Crane]:
+    """Return the cranes with the effects that were asked for, all of them for None."""
+    known = cases.effect_probes(crane)
+    for key in effects or ():
+        if key not in known:
+            raise CraneError(f"There is no effect {key!r} to run in the engines.{nearest(key, list(known))}")
+    return known if effects is None else {key: known[key] for key in known if key in effects}
+
+
 def _effects(
-    crane: Crane, make_first: Make, make_second: Make, count: int, rng: np.random.Generator, progress: Progress
+    probes: Mapping[str, Crane],
+    make_first: Make,
+    make_second: Make,
+    count: int,
+    rng: np.random.Generator,
+    progress: Progress,
 ) -> list[Quantity]:
-    """Return the worst quantity of every effect at every place; an effect whose probe changes nothing is a failure."""
+    """Return the worst quantity of every crane with an effect; an effect that changes nothing is a failure."""
     out = []
-    probes = cases.effect_probes(crane)
     for k, (key, probe) in enumerate(probes.items()):
         engines = make_first(probe), make_second(probe)
         out += [check_effect(key, *engines, count, rng), run_effect(key, *engines)]
