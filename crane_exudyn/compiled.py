@@ -31,7 +31,7 @@ from .effects import registry
 _ROOT = Path(__file__).resolve().parent.parent
 _FOUNDATION = "crane_exudyn"
 #: s of compiling after which it is told
-_TOLD_AFTER = 1.0
+_TOLD_AFTER = 3.0
 
 
 @functools.cache

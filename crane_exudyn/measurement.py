@@ -217,8 +217,11 @@ def _read(topology, X, cylinder, place, P, E, Y):  # type: ignore[no-untyped-def
 @njit
 def _read_on(topology, X, summed, is_pressure, cylinder, place, P, E, Y, taus):  # type: ignore[no-untyped-def]
     """Write what sensors read on cranes with P and E (k, …) into Y (n, m, k), and their lags into taus (k, m)."""
+    floor = np.full(is_pressure.size, -np.inf)
     for k in range(P.shape[0]):
-        floor = np.where(is_pressure, vapour_pressure(P[k]), -np.inf)
+        for j in range(floor.size):  # np.where would take seconds to compile
+            if is_pressure[j]:
+                floor[j] = vapour_pressure(P[k])
         own = _sums(X, summed, floor)
         _read(topology, X, cylinder, place, P[k], E[k], own)
         Y[:, :, k] = own

@@ -10,6 +10,7 @@ import typer
 
 from crane_exudyn.errors import CraneError, doing
 
+from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     CraneOption,
@@ -69,6 +70,7 @@ def command(
         return
     from validation.selection.fitted import fitted_effect, helped
 
+    compile_for("semi-recursive", "fit")
     with doing(f"fitting {effect} to {fit}"):
         result, document = fitted_effect(chosen, effect, load_recording(fit, chosen, mapping, map_file), values_given)
     better = helped(document)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from .compiling import compile_for
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
 from .output import Printer, progress
 from .outputs import saving
@@ -30,6 +31,7 @@ def command(
     chosen = load_crane(crane, effects)
     from validation.benchmark import run
 
+    compile_for("exudyn", "semi-recursive", "filter", "fit")
     with progress("Measuring") as done:
         results = run(only, chosen, done)
     document = results.document()

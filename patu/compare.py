@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -62,6 +63,7 @@ def command(
     measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
     from validation.compare import compare_all
 
+    compile_for(engine, "semi-recursive", "filter", "fit")
     with progress("Comparing", json) as step:
         results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)
     from validation.reports import report_comparison

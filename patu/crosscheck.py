@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .compiling import compile_for
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, ReportOption, load_crane
 from .output import Printer, progress
 from .outputs import Writes, saving
@@ -43,6 +44,7 @@ def command(
 
     if quick:
         states, seconds = min(states, 50), min(seconds, 6.0)
+    compile_for("exudyn", "semi-recursive")
     with progress("Comparing the engines", json) as step:
         result = crosscheck(chosen, states=states, seconds=seconds, seed=seed, progress=step)
     printer = Printer(json)

@@ -15,6 +15,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
+from .compiling import compile_for
 from .improve import tell
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
 from .output import Printer, progress
@@ -76,7 +77,7 @@ def command(
     crane: CraneOption = DEFAULT_CRANE,
     engine: EngineOption = "exudyn",
     effects: EffectsOption = None,
-    jobs: JobsOption = 1,
+    jobs: JobsOption = 2,
     seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise in the paper's experiment.")] = 0,
     json: JsonOption = None,
 ) -> None:
@@ -89,6 +90,7 @@ def command(
     printer = Printer(json)
     begin = perf_counter()
     chosen = load_crane(crane, effects)
+    compile_for("exudyn", "semi-recursive", "filter", "fit")
     printer.line(
         f"1 of 3: a crane follows the paper's 25 s working cycle ({engine} engine), a filter follows the crane."
     )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -61,6 +62,7 @@ def command(
     from validation.diagnosis import diagnose
     from validation.workers import scheduled
 
+    compile_for("semi-recursive", "filter", "fit")
     with progress("Diagnose") as done, scheduled(scheduler):
         result = diagnose(
             chosen,

@@ -12,6 +12,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
+from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -107,6 +108,7 @@ def command(
     chosen = next(iter(cranes.values()))
     measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
+    compile_for(engine, "semi-recursive", "filter")
     filters = _filters(cranes, engine, std, method, augment or [], step, bool(models))
     noise, slack = _tuned(cranes.values(), measured, std, augment or [], json, tune), noise_slack(chosen, measured, std)
     filters = {name: f.varied(noise=noise) for name, f in filters.items()}

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -67,6 +68,7 @@ def command(
     from validation.workers import scheduled
 
     printer = Printer(json)
+    compile_for("exudyn", "semi-recursive", "filter", "fit")
     with progress("Improve") as done, scheduled(scheduler):
         result = improve(
             chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most, learn=learn,

@@ -10,6 +10,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
+from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -78,6 +79,7 @@ def command(
     from validation.learning import learn
     from validation.workers import scheduled
 
+    compile_for("semi-recursive", "filter", "fit")
     with progress("Learn") as done, scheduled(scheduler):
         result = learn(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
     from crane_exudyn.files import write_text

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     CraneOption,
@@ -61,6 +62,7 @@ def command(
     from validation.montecarlo import Settings, run_series
 
     settings = Settings(model_error, inputs, duration, step, engine, method, seed=seed)
+    compile_for(engine, "semi-recursive", "filter")
     with progress(f"{runs} runs") as done:
         series = run_series(settings, runs, crane=chosen, jobs=jobs, scheduler=scheduler, file=file, progress=done)
     printer = Printer(json)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .compiling import compile_for
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
 from .output import Printer, progress
 from .outputs import Writes, saving
@@ -84,6 +85,7 @@ def command(
     chosen = load_crane(crane, effects)
     _check(model_error, inputs, tuning)
     seen = _seen(sensors, noise, chosen)
+    compile_for(engine, "semi-recursive", "filter")
     found = Found(
         _reproduced(model_error, inputs, tuning, engine=engine, seed=seed, crane=chosen, jobs=jobs, **seen),
         _compare(engine, seed, chosen) if filters else [],

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .compiling import compile_for
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
 from .output import Printer
 from .outputs import Writes, saving
@@ -30,6 +31,7 @@ def command(
     chosen = load_crane(crane, effects)
     from validation.sample import samples
 
+    compile_for("exudyn")
     made = samples(chosen)
     printer = Printer(json)
     with saving(printer) as save:

@@ -10,6 +10,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
+from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     CraneOption,
@@ -64,6 +65,7 @@ def command(
     recording = None if inputs is None else load_recording(inputs, chosen, mapping, map_file).require(sensors=0)
     from crane_exudyn.simulation import simulate
 
+    compile_for(engine, "semi-recursive")
     holder = make_engine(engine, chosen)
     start = first_state(chosen, holder, recording) if recording is not None and start_from_recording else None
     _compile(chosen, holder)

@@ -8,6 +8,14 @@ from types import SimpleNamespace
 import pytest
 
 
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile everything once, before several processes would each do it for themselves."""
+    if getattr(session.config.option, "numprocesses", None):  # of the process that hands out the tests, with pytest -n
+        from patu.compiling import compile_for
+
+        compile_for("exudyn", "semi-recursive", "filter", "fit")
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _own_list_of_written_files(tmp_path_factory: pytest.TempPathFactory) -> object:
     """Keep what tests write out of the user's list of files that `patu` wrote."""

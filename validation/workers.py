@@ -17,6 +17,12 @@ from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
 
 Task = tuple[Any, ...]
+
+
+class WorkerEnded(CraneError):
+    """A worker process was ended from outside."""
+
+
 _LOOK = 0.5  # s
 #: s in which a scheduler has to answer
 ANSWER = 10.0
@@ -39,7 +45,7 @@ def results_of(
         order: whether results come in the order of the tasks, or as they are done.
 
     Raises:
-        CraneError: a worker process was ended from outside.
+        WorkerEnded: a worker process was ended from outside.
     """
     from joblib import Parallel, delayed
 
@@ -50,10 +56,22 @@ def results_of(
             results = Parallel(n_jobs=-1 if _schedulers else jobs, return_as=order, max_nbytes=None)(calls)
         yield from results
     except BrokenProcessPool as problem:
-        raise CraneError(
+        raise WorkerEnded(
             f"A worker process was ended from outside, as the system does when memory runs out ({jobs} processes). "
             "Run it again with a smaller --jobs."
         ) from problem
+
+
+def own_processes(tasks: Sequence[Task]) -> Iterator[Any]:
+    """Yield the results of tasks as they are done, each in a process of its own that ends with the last of them; never
+    in this process. Raises WorkerEnded as `results_of` does.
+    """
+    from joblib.externals.loky import get_reusable_executor
+
+    try:
+        yield from results_of(tasks, max(2, min(os.cpu_count() or 2, len(tasks))), "generator_unordered")
+    finally:
+        get_reusable_executor().shutdown(wait=True)
 
 
 def in_parallel(jobs: int, tasks: Sequence[Task]) -> list[Any]:
