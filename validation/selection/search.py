@@ -317,8 +317,10 @@ def _beam(path: Path, most: int) -> Sequence[Fitted]:
 
 
 def _is_near(parents: Sequence[Fitted]) -> bool:
-    """Whether a round goes on from one model with effects that leaves hardly more than noise."""
-    return len(parents) == 1 and bool(parents[0].keys) and parents[0].near
+    """Whether a round goes on from one model that leaves hardly more than noise: what little is missing beside it shows
+    in stiffly joined windows only.
+    """
+    return len(parents) == 1 and parents[0].near
 
 
 def _additions(path: Path, parent: Fitted, near: bool) -> list[Move]:
