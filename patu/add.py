@@ -11,18 +11,10 @@ import typer
 from crane_exudyn.errors import CraneError, doing
 
 from .compiling import compile_for
-from .options import (
-    DEFAULT_CRANE,
-    CraneOption,
-    EffectsOption,
-    JsonOption,
-    MapFileOption,
-    MapOption,
-    load_crane,
-    load_recording,
-)
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapFileOption, MapOption
 from .output import Printer, write_out
 from .outputs import Reads, Writes, saving
+from .reading import load_crane, load_recording
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane

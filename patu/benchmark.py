@@ -7,9 +7,10 @@ from typing import Annotated
 import typer
 
 from .compiling import compile_for
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption
 from .output import Printer, progress
 from .outputs import saving
+from .reading import load_crane
 
 
 def command(

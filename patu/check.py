@@ -7,18 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import (
-    DEFAULT_CRANE,
-    CraneOption,
-    EffectsOption,
-    JsonOption,
-    MapFileOption,
-    MapOption,
-    load_crane,
-    load_recording,
-)
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapFileOption, MapOption
 from .output import Printer
 from .outputs import Reads, Writes, saving
+from .reading import load_crane, load_recording
 
 if TYPE_CHECKING:
     from crane_exudyn.mapping import Column

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -21,11 +20,10 @@ from .options import (
     PerRecordingOption,
     RecordingsArgument,
     ReportOption,
-    load_crane,
-    load_several,
 )
 from .output import Printer, progress
 from .outputs import Writes, saving
+from .reading import load_checked, load_crane
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,10 +58,11 @@ def command(
     Several recordings are compared one after the other; what --per-recording names is fitted to each.
     """
     chosen = load_crane(crane, effects)
-    measured = load_several(recordings, chosen, mapping, map_file, anyway=anyway)
+    measured = load_checked(
+        recordings, chosen, mapping, map_file, anyway=anyway, needs=(engine, "semi-recursive", "filter", "fit")
+    )
     from validation.compare import compare_all
 
-    compile_for(engine, "semi-recursive", "filter", "fit")
     with progress("Comparing", json) as step:
         results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)
     from validation.reports import report_comparison

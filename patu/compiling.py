@@ -17,7 +17,7 @@ from .output import progress
 if TYPE_CHECKING:
     from crane_exudyn.recording import Recording
 
-Part = Literal["exudyn", "semi-recursive", "filter", "fit"]
+Part = Literal["exudyn", "semi-recursive", "check", "filter", "fit"]
 #: s of a recording on which every part runs once
 _SHORT = 1.1
 
@@ -26,7 +26,8 @@ def compile_for(*parts: Part) -> None:
     """Compile what these parts of the program need, unless that has been done for these sources and effects.
 
     Args:
-        parts: the engines, the filter (on the first engine that is named), and what fits and compares.
+        parts: the engines, what checks recordings, the filter (on the first engine that is named), and what fits and
+            compares.
     """
     from crane_exudyn.compiled import cache_folder
     from validation.workers import WorkerEnded, own_processes
@@ -51,9 +52,10 @@ def _sides(parts: tuple[Part, ...]) -> list[tuple[Part, ...]]:
 
     What fits is built on the semi-recursive engine; the filter works on either.
     """
-    exudyn = tuple(p for p in ("exudyn", "filter") if "exudyn" in parts and p in parts)
-    rest = tuple(p for p in ("semi-recursive", "filter", "fit") if p in parts and p not in exudyn)
-    return [side for side in (rest, exudyn) if side]
+    fitted: tuple[Part, ...] = ("semi-recursive", "fit") if "exudyn" in parts else ("semi-recursive", "filter", "fit")
+    rest = tuple(p for p in fitted if p in parts)
+    other = tuple(p for p in ("check", "exudyn", "filter") if p in parts and p not in fitted)
+    return [side for side in (rest, other) if side]
 
 
 def _run(*parts: Part) -> None:
@@ -68,12 +70,17 @@ def _run(*parts: Part) -> None:
 
 
 def _run_each(parts: tuple[Part, ...]) -> None:
+    from crane_exudyn.crane import Crane
+    from crane_exudyn.vetting import vet
     from validation.sample import with_the_package
 
-    recording = with_the_package()[0].window(0.0, _SHORT)
+    whole = with_the_package()[0]
+    recording = whole.window(0.0, _SHORT)
     engine: EngineName = "exudyn" if "exudyn" in parts else "semi-recursive"
     for part in parts:
-        if part == "filter":
+        if part == "check":
+            vet(whole, Crane.load(DEFAULT_CRANE))
+        elif part == "filter":
             _estimate(engine, recording)
         elif part == "fit":
             _compare(recording)

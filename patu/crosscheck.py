@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .compiling import compile_for
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, ReportOption, load_crane
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, ReportOption
 from .output import Printer, progress
 from .outputs import Writes, saving
+from .reading import load_crane
 
 if TYPE_CHECKING:
     from validation.crosscheck import CrossCheck, Quantity

@@ -17,9 +17,10 @@ from crane_exudyn.errors import CraneError
 
 from .compiling import compile_for
 from .improve import tell
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption
 from .output import Printer, progress
 from .outputs import Writes, saving
+from .reading import load_crane
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
@@ -90,7 +91,7 @@ def command(
     printer = Printer(json)
     begin = perf_counter()
     chosen = load_crane(crane, effects)
-    compile_for("exudyn", "semi-recursive", "filter", "fit")
+    compile_for("check", "exudyn", "semi-recursive", "filter", "fit")
     printer.line(
         f"1 of 3: a crane follows the paper's 25 s working cycle ({engine} engine), a filter follows the crane."
     )

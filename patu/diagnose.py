@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -22,13 +21,11 @@ from .options import (
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
-    listed,
-    load_all,
-    load_crane,
     picture,
 )
 from .output import Printer, progress
 from .outputs import Writes, saving
+from .reading import listed, load_crane, load_with_check
 
 if TYPE_CHECKING:
     from validation.diagnosis import Diagnosis
@@ -58,11 +55,12 @@ def command(
     recordings of one machine are fitted together; each has its own start and clocks, and what --per-recording names.
     """
     chosen = load_crane(crane, effects)
-    measured, other = load_all(recordings, check, chosen, mapping, map_file, anyway=anyway)
+    measured, other = load_with_check(
+        recordings, check, chosen, mapping, map_file, anyway=anyway, needs=("semi-recursive", "filter", "fit")
+    )
     from validation.diagnosis import diagnose
     from validation.workers import scheduled
 
-    compile_for("semi-recursive", "filter", "fit")
     with progress("Diagnose") as done, scheduled(scheduler):
         result = diagnose(
             chosen,

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, load_crane
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption
 from .output import Printer
 from .outputs import saving
+from .reading import load_crane
 
 if TYPE_CHECKING:
     from crane_exudyn.effects.base import Effect

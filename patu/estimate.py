@@ -12,7 +12,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
-from .compiling import compile_for
+from .compiling import Part
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -25,12 +25,11 @@ from .options import (
     OutputOption,
     RecordingArgument,
     ReportOption,
-    load_checked,
-    load_crane,
     picture,
 )
 from .output import Printer, progress
 from .outputs import Reads, Writes, saving
+from .reading import load_checked, load_crane
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
@@ -106,9 +105,9 @@ def command(
     cranes = _cranes(models, crane, effects)  # with the user's own effects, before anything is compiled
     _refuse(step, model_error, smooth and bool(models))
     chosen = next(iter(cranes.values()))
-    measured = load_checked(recording, chosen, mapping, map_file, anyway=anyway).require(sensors=1)
+    needs: tuple[Part, ...] = (engine, "semi-recursive", "filter")
+    measured = load_checked([recording], chosen, mapping, map_file, anyway=anyway, needs=needs)[0].require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
-    compile_for(engine, "semi-recursive", "filter")
     filters = _filters(cranes, engine, std, method, augment or [], step, bool(models))
     noise, slack = _tuned(cranes.values(), measured, std, augment or [], json, tune), noise_slack(chosen, measured, std)
     filters = {name: f.varied(noise=noise) for name, f in filters.items()}

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -22,13 +21,11 @@ from .options import (
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
-    listed,
-    load_all,
-    load_crane,
     picture,
 )
 from .output import Printer, progress
 from .outputs import Writes, saving
+from .reading import listed, load_crane, load_with_check
 
 if TYPE_CHECKING:
     from validation.improvement import Step
@@ -63,12 +60,13 @@ def command(
     replaces them.
     """
     chosen = load_crane(crane, effects)
-    measured, other = load_all(recordings, check, chosen, mapping, map_file, anyway=anyway)
+    measured, other = load_with_check(
+        recordings, check, chosen, mapping, map_file, anyway=anyway, needs=("exudyn", "semi-recursive", "filter", "fit")
+    )
     from validation.improvement import improve
     from validation.workers import scheduled
 
     printer = Printer(json)
-    compile_for("exudyn", "semi-recursive", "filter", "fit")
     with progress("Improve") as done, scheduled(scheduler):
         result = improve(
             chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most, learn=learn,

@@ -10,7 +10,6 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
-from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
     AnywayOption,
@@ -24,13 +23,11 @@ from .options import (
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
-    listed,
-    load_all,
-    load_crane,
     picture,
 )
 from .output import Printer, progress
 from .outputs import Writes, saving
+from .reading import listed, load_crane, load_with_check
 
 if TYPE_CHECKING:
     from validation.learning import Learned, LearnedLaw
@@ -75,11 +72,12 @@ def command(
     the library's effects do as well, or nothing is found, no law is given (exit status 0).
     """
     chosen = load_crane(crane, effects)
-    measured, other = load_all(recordings, check, chosen, mapping, map_file, anyway=anyway)
+    measured, other = load_with_check(
+        recordings, check, chosen, mapping, map_file, anyway=anyway, needs=("semi-recursive", "filter", "fit")
+    )
     from validation.learning import learn
     from validation.workers import scheduled
 
-    compile_for("semi-recursive", "filter", "fit")
     with progress("Learn") as done, scheduled(scheduler):
         result = learn(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
     from crane_exudyn.files import write_text

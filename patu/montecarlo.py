@@ -8,18 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .compiling import compile_for
-from .options import (
-    DEFAULT_CRANE,
-    CraneOption,
-    EffectsOption,
-    EngineOption,
-    JobsOption,
-    JsonOption,
-    SchedulerOption,
-    load_crane,
-)
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, SchedulerOption
 from .output import Printer, progress
 from .outputs import Writes, saving
+from .reading import load_crane
 
 if TYPE_CHECKING:
     from validation.montecarlo import Series

@@ -1,23 +1,18 @@
-"""Options that several commands share, and what they turn into."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from crane_exudyn.errors import CraneError, doing
+from crane_exudyn.errors import CraneError
 
 from .outputs import Reads, Writes
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
-    from crane_exudyn.mapping import Column
-    from crane_exudyn.recording import Recording
 
 DEFAULT_CRANE = "patu655"
 
@@ -107,92 +102,6 @@ CheckOption = Annotated[
     typer.Option("--check", metavar="REC2", help="A recording that is only predicted, never fitted."),
     Reads(),
 ]
-
-
-def load_crane(crane: str, effects: Sequence[Path] | None = None) -> Crane:
-    """Return the crane of `--crane`, after the user's own effects of `--effects` have been registered.
-
-    Raises:
-        CraneError: no such crane, a bad crane file or effects file.
-    """
-    from crane_exudyn.effects import registry
-
-    for file in effects or ():
-        registry.load_file(file)
-    from crane_exudyn.crane import Crane
-
-    with doing(f"reading {crane}"):
-        return Crane.load(crane)
-
-
-def load_recording(
-    path: Path, crane: Crane, entries: Sequence[str] | None = None, map_file: Path | None = None
-) -> Recording:
-    """Return the recording of a crane at `path`, its columns mapped as `--map-file` says, and `--map`, which goes
-    before it.
-    """
-    from crane_exudyn.recording import Recording
-
-    with doing(f"reading {path}"):
-        return Recording.load(path, load_mapping(crane, entries, map_file), layout=crane.layout)
-
-
-def load_checked(
-    path: Path, crane: Crane, entries: Sequence[str] | None, map_file: Path | None, *, anyway: bool
-) -> Recording:
-    """Return the recording at `path` after `patu check` has looked at it; what is hardly plausible about it is told on
-    standard error.
-
-    Raises:
-        CraneError: something in it is surely wrong, and it is not to be used anyway; every such finding with its mend.
-    """
-    from crane_exudyn.vetting import accepted, vet  # imports compiled code, of which the effects must be part
-
-    recording = load_recording(path, crane, entries, map_file)
-    findings = vet(recording, crane)
-    for finding in (f for f in findings if f.severity == "warning" or anyway):
-        print(f"{path}: {finding.severity}: {finding.text}. {finding.mend}", file=sys.stderr)
-    try:
-        return accepted(recording, findings, anyway=anyway)
-    except CraneError as problem:
-        raise CraneError(f"{problem} To use it all the same, give --anyway.") from None
-
-
-def load_several(
-    paths: Sequence[Path], crane: Crane, entries: Sequence[str] | None, map_file: Path | None, *, anyway: bool
-) -> list[Recording]:
-    """Return the recordings as `load_checked` does; those whose files have the same name are told apart by their
-    folders.
-    """
-    found = [load_checked(p, crane, entries, map_file, anyway=anyway) for p in paths]
-    names = [r.name for r in found]
-    return [replace(r, name=str(path)) if names.count(r.name) > 1 else r for r, path in zip(found, paths, strict=True)]
-
-
-def load_all(
-    recordings: Sequence[Path],
-    check: Path | None,
-    crane: Crane,
-    entries: Sequence[str] | None,
-    map_file: Path | None,
-    *,
-    anyway: bool,
-) -> tuple[list[Recording], Recording | None]:
-    """Return the recordings that are learned from, and the one that is only predicted, as `load_checked` does."""
-    measured = load_several(recordings, crane, entries, map_file, anyway=anyway)
-    return measured, None if check is None else load_checked(check, crane, entries, map_file, anyway=anyway)
-
-
-def listed(paths: Sequence[Path] | None) -> str:
-    """Return the names of files as one text."""
-    return ", ".join(map(str, paths or ()))
-
-
-def load_mapping(crane: Crane, entries: Sequence[str] | None, map_file: Path | None) -> dict[str, Column]:
-    """Return {channel: column} of a crane's recording, of `--map-file`, and of `--map`, which goes before it."""
-    from crane_exudyn.mapping import load_map, parse_map
-
-    return (load_map(map_file, crane.layout) if map_file is not None else {}) | parse_map(entries)
 
 
 def make_engine(name: EngineName, crane: Crane) -> Any:

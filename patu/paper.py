@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .compiling import compile_for
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, load_crane
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption
 from .output import Printer, progress
 from .outputs import Writes, saving
+from .reading import load_crane
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane

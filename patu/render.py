@@ -10,18 +10,10 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
-from .options import (
-    DEFAULT_CRANE,
-    CraneOption,
-    EffectsOption,
-    JsonOption,
-    MapFileOption,
-    MapOption,
-    load_crane,
-    load_recording,
-)
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapFileOption, MapOption
 from .output import Printer, progress
 from .outputs import Reads, Writes, saving
+from .reading import load_crane, load_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -20,12 +20,11 @@ from .options import (
     MapFileOption,
     MapOption,
     OutputOption,
-    load_crane,
-    load_recording,
     make_engine,
 )
 from .output import Printer
 from .outputs import Reads, saving
+from .reading import load_crane, load_recording
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,7 +64,7 @@ def command(
     recording = None if inputs is None else load_recording(inputs, chosen, mapping, map_file).require(sensors=0)
     from crane_exudyn.simulation import simulate
 
-    compile_for(engine, "semi-recursive")
+    compile_for("check", engine, "semi-recursive")
     holder = make_engine(engine, chosen)
     start = first_state(chosen, holder, recording) if recording is not None and start_from_recording else None
     _compile(chosen, holder)

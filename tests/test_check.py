@@ -18,7 +18,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.mapping import load_map
 from crane_exudyn.recording import Recording
 from crane_exudyn.vetting import Finding, mended_columns, vet
-from patu.options import load_checked
+from patu.reading import load_checked
 from validation.loggers import Mistake, mistakes
 
 DATA = Path(__file__).parent / "data"
@@ -149,7 +149,7 @@ def test_errors_stop_what_would_explain_them(
 
 
 def test_anyway_goes_on_and_tells(wrong: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    measured = load_checked(wrong, CRANE, None, None, anyway=True)
+    [measured] = load_checked([wrong], CRANE, None, None, anyway=True, needs=())
     told = capsys.readouterr().err
     assert measured.vouched and "p3 and p4" in told and "Type --map p3=p4" in told
     assert any("p3 and p4" in note for note in measured.notes)

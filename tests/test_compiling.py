@@ -39,8 +39,8 @@ def test_each_part_is_compiled_once(asked: list[tuple[str, ...]]) -> None:
 
 
 def test_the_filter_is_compiled_on_the_engine_that_is_asked_for(asked: list[tuple[str, ...]]) -> None:
-    compiling.compile_for("semi-recursive", "filter", "fit")
-    assert asked == [("semi-recursive", "filter", "fit")]
+    compiling.compile_for("check", "semi-recursive", "filter", "fit")
+    assert asked == [("semi-recursive", "filter", "fit"), ("check",)]
 
 
 def test_what_was_cut_off_is_not_called_compiled(
