@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -226,9 +225,9 @@ def _grown(problem: Problem, best: Explained, before: Fit, progress: Progress) -
     """Return explanations with one part more, fitted to the end, best first."""
     if best.parts:
         before = explain(problem.crane, problem.data, problem.shared, before, best.parts, (LOOSE,)).fit
-    tried = [((*best.parts, part), before) for part in _promising(problem, before)]
+    tried = [((*best.parts, part), fit) for fit in _starts(problem, before) for part in _promising(problem, fit)]
     progress("fitting the likely ones", 0.35)
-    found = _explained(problem, tried, (SIFT,))
+    found = _best_of_each(_explained(problem, tried, (SIFT,)))
     if not found:
         return []
     least = found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
@@ -254,30 +253,23 @@ def _anew(problem: Problem, e: Explained) -> Explained:
     return found if found.evidence > e.evidence else e
 
 
-def _promising(problem: Problem, fit: Fit) -> list[Part]:
-    """Return the laws and the effects of the library that a screen at a fit finds most promising.
+def _starts(problem: Problem, fit: Fit) -> list[Fit]:
+    """Return the fits at which further parts are looked for, and from which they are fitted.
 
-    Parameters that have moved further than they may do a law's work and hide it: then the crane as given is screened
-    too.
+    Parameters that have moved further than they may do a law's work and hide it: then the crane as given is one too.
     """
-    laws, effects = _screened(problem, fit)
-    if fit is problem.base and not plausible(fit):
-        more, others = _screened(problem, problem.unmoved(problem.nominal, Model(problem.shared)))
-        laws, effects = _merged(laws, more), _merged(effects, others)
-    return [*laws[:LOOSELY], *effects[:FITTED]]
+    if fit is not problem.base or plausible(fit):
+        return [fit]
+    return [fit, problem.unmoved(problem.nominal, Model(problem.shared))]
 
 
-def _merged(first: Sequence[Part], second: Sequence[Part]) -> list[Part]:
-    """Return both lists in turn, the first of each name."""
-    found: dict[str, Part] = {}
-    for pair in zip_longest(first, second):
-        for part in filter(None, pair):
-            found.setdefault(_name(part), part)
-    return list(found.values())
+def _best_of_each(found: Sequence[Explained]) -> list[Explained]:
+    """Return explanations, best first, only the best of those with the same parts."""
+    return list({tuple(map(_name, e.parts)): e for e in reversed(found)}.values())[::-1]
 
 
-def _screened(problem: Problem, fit: Fit) -> tuple[list[Part], list[Part]]:
-    """Return laws and effects of the library that could act beside a fit, the most promising first."""
+def _promising(problem: Problem, fit: Fit) -> list[Part]:
+    """Return the laws and the effects of the library that a screen at a fit finds most promising."""
     found = screened_laws(fit, laws_of(fit), LOOSE.stiffness)
     least = max(CRITERIA.proof, CRITERIA.hopeless * found[0].gain) if found else CRITERIA.proof
     laws = [Part.of(f) for f in found if allowed(f) and f.gain > least]
@@ -286,7 +278,7 @@ def _screened(problem: Problem, fit: Fit) -> tuple[list[Part], list[Part]]:
         key = score.start.key
         variables = tuple(effect_variables(key, scaled(score.start, score.amplitude), problem.crane.layout))
         effects.append(Part(key, variables, np.array([v.begin for v in variables])))
-    return laws, effects
+    return [*laws[:LOOSELY], *effects]
 
 
 def _sound(e: Explained) -> bool:
