@@ -21,7 +21,7 @@ from .fit.staged import LOOSE, STIFF, TIGHT, Stage
 from .fit.variables import NominalDirection, Variable, effect_variables
 from .history import added
 from .learned.fits import Explained, Part, explain, left_out_gain
-from .learned.laws import Law, laws_of, unit_over
+from .learned.laws import BLOCK, Law, laws_of, unit_over
 from .learned.resembles import Resemblance, resembles
 from .learned.screen import allowed
 from .learned.screen import screened as screened_laws
@@ -40,8 +40,6 @@ LOOSELY, FITTED, CARRIED = 4, 3, 2
 SIFT = Stage(LOOSE.seconds, LOOSE.stiffness, 3)
 #: laws beside each other
 MOST = 2
-#: length of the blocks of time that are left out in turn, s
-BLOCK = 1.5
 #: share of what a law gains where it was fitted that it must gain where it was not
 PREDICTED = 0.4
 #: standard deviations by which a curve may fall below what physics allows

@@ -22,6 +22,8 @@ from ..semi_recursive.engine import SemiRecursiveEngine
 
 #: knots of a curve, and share of the visited instants beyond its outermost ones
 COUNT, BEYOND = 9, 0.002
+#: length of the blocks of time that are left out in turn, s; what was met within less than one predicts no other
+BLOCK = 1.5
 #: standard deviation, as a share of the curve's greatest departure from neutral, up to which an end of it is known
 KNOWN = 0.1
 #: time between the instants at which the trajectory is looked at, s
@@ -124,7 +126,7 @@ def laws_of(fit: Fit) -> list[Law]:
             if effect.curve is None or fit.crane.effect(key) is not None:
                 continue
             for over in effect.curve.over:
-                x = np.sort(visits[effect.name, place, over.name])
+                x = visits[effect.name, place, over.name]
                 if len(x) and x[-1] - x[0] > _LEAST_RANGE * (over.high - over.low):
                     found += [Law(key, over, against, knots(x, over), x) for against in over.against]
     return found
@@ -149,12 +151,18 @@ def knots(visited: np.ndarray, over: Argument) -> np.ndarray:
 
 def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
     """Return the values (n,) of each argument of each learned effect at each place along a fitted run, where the effect
-    can act.
+    can act, sorted, up to the ends that were met within more than a block of time.
     """
     X, W, time = trajectory(fit)
     lay = fit.crane.layout
     t = SemiRecursiveEngine(fit.crane).terms_along(X, W, time)
+    clock = _EVERY * np.arange(len(X))
     found: dict[tuple[str, str, str], np.ndarray] = {}
+
+    def met(effect: str, place: str, over: str, values: np.ndarray, where: np.ndarray | None = None) -> None:
+        where = np.ones(len(values), dtype=bool) if where is None else where
+        found[effect, place, over] = _met(values[where], np.resize(clock, len(values))[where])
+
     drawn, returned = np.zeros(len(X)), np.zeros(len(X))
     for c, place in enumerate(lay.cylinders):
         a, b, U = 2 * c, 2 * c + 1, W[:, c]
@@ -164,26 +172,34 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
         drawn, returned = drawn + out, returned + into
         opened, moves = np.abs(U) > 2e-3, np.abs(v) > 2e-3
         drops = np.concatenate(
-            [
-                (t["pp"] - np.where(U > 0.0, p[:, 0], p[:, 1]))[opened],
-                (np.where(U > 0.0, p[:, 1], p[:, 0]) - t["pt"])[opened],
-            ]
+            [t["pp"] - np.where(U > 0.0, p[:, 0], p[:, 1]), np.where(U > 0.0, p[:, 1], p[:, 0]) - t["pt"]]
         )
-        found["learned_opening", place, "spool"] = U[opened]
-        found["learned_opening", place, "pressure_drop"] = drops[drops > 0.0]
-        found["learned_force", place, "speed"] = np.abs(v)[moves]
-        found["learned_force", place, "stroke"] = t[f"s{c + 1}"]
-        found["learned_force", place, "pressure_drop"] = np.abs(p[:, 0] - p[:, 1])[moves]
-        found["learned_leakage", place, "pressure_drop"] = np.abs(p[:, 0] - p[:, 1])
+        met("learned_opening", place, "spool", U, opened)
+        met("learned_opening", place, "pressure_drop", drops, np.tile(opened, 2) & (drops > 0.0))
+        met("learned_force", place, "speed", np.abs(v), moves)
+        met("learned_force", place, "stroke", t[f"s{c + 1}"])
+        met("learned_force", place, "pressure_drop", np.abs(p[:, 0] - p[:, 1]), moves)
+        met("learned_leakage", place, "pressure_drop", np.abs(p[:, 0] - p[:, 1]))
         for side, chamber in enumerate(lay.sides[c]):
-            found["learned_flow", chamber, "pressure"] = p[:, side]
+            met("learned_flow", chamber, "pressure", p[:, side])
     for i, place in enumerate(lay.joints):
         rate = np.abs(X[:, lay.velocities][:, i])
-        found["learned_torque", place, "angle"] = X[:, lay.positions][:, i]
-        found["learned_torque", place, "rate"] = rate[rate > 2e-3]
-    found["learned_supply", "", "flow"] = drawn[drawn > 1e-6]
-    found["learned_return", "", "flow"] = returned[returned > 1e-6]
+        met("learned_torque", place, "angle", X[:, lay.positions][:, i])
+        met("learned_torque", place, "rate", rate, rate > 2e-3)
+    met("learned_supply", "", "flow", drawn, drawn > 1e-6)
+    met("learned_return", "", "flow", returned, returned > 1e-6)
     return found
+
+
+def _met(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return values (n,), sorted, up to the ends beyond which they went within less than a block of time only."""
+    order = np.argsort(values)
+    ends = []
+    for out in (order, order[::-1]):
+        span = np.maximum.accumulate(time[out]) - np.minimum.accumulate(time[out])
+        ends.append(int(np.searchsorted(span, BLOCK)))
+    low, high = ends[0], len(values) - ends[1]
+    return values[order[low:high]]
 
 
 def trajectory(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
