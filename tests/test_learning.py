@@ -22,7 +22,7 @@ from validation.fit.data import FitData
 from validation.fit.staged import LOOSE, first_knots, staged
 from validation.history import added, learned, removed, without_learned
 from validation.improvement import Step, improve
-from validation.learned.laws import Law, curve_at, knots, laws_of
+from validation.learned.laws import BLOCK, Law, curve_at, knots, laws_of, well_visited
 from validation.learned.own_effect import own_effect
 from validation.learned.resembles import resembles
 from validation.learned.screen import best_prior, screened
@@ -172,6 +172,18 @@ def test_a_progressive_spool_is_learned_and_read_and_predicts(tmp_path):
     code = f"from crane_exudyn.effects import registry as r; print(r.load_file(r'{file}')[0].opening(1.0, {law.x[0]}))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert float(said) == pytest.approx(law.y[0], rel=1e-4)
+
+
+def test_a_range_ends_where_it_was_met_within_more_than_a_block_of_time():
+    time = np.arange(0.0, 20.0, 0.01)
+    swings = 30.0 + 10.0 * np.sin(time)
+    jolted = swings + 30.0 * np.exp(-(((time - 12.0) / 0.1) ** 2))
+    seen = well_visited(jolted, time)
+    assert 39.9 < seen[-1] < 40.5, "a single jolt widens no range"
+    assert 19.9 < seen[0] < 20.1 and (np.diff(seen) >= 0.0).all()
+    twice = jolted + 30.0 * np.exp(-(((time - 5.0) / 0.1) ** 2))
+    assert well_visited(twice, time)[-1] > 50.0, "two of them do"
+    assert len(well_visited(swings[time < 0.9 * BLOCK], time[time < 0.9 * BLOCK])) == 0
 
 
 def test_a_screen_needs_nothing_that_moves():

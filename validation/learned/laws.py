@@ -161,7 +161,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
 
     def met(effect: str, place: str, over: str, values: np.ndarray, where: np.ndarray | None = None) -> None:
         where = np.ones(len(values), dtype=bool) if where is None else where
-        found[effect, place, over] = _met(values[where], np.resize(clock, len(values))[where])
+        found[effect, place, over] = well_visited(values[where], np.resize(clock, len(values))[where])
 
     drawn, returned = np.zeros(len(X)), np.zeros(len(X))
     for c, place in enumerate(lay.cylinders):
@@ -191,7 +191,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
     return found
 
 
-def _met(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+def well_visited(values: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return values (n,), sorted, up to the ends beyond which they went within less than a block of time only."""
     order = np.argsort(values)
     ends = []
