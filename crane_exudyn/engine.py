@@ -43,7 +43,7 @@ class ExudynEngine:
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
         self._swings = bool(hooks.pendulum(self._E)[0] > 0.0)
         self.state_names = crane.layout.all_states if self._swings else crane.layout.states
-        self._systems: OrderedDict[int, _System] = OrderedDict()
+        self._systems: OrderedDict[int, System] = OrderedDict()
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
         self.halved = 0
         self._system(size)
@@ -170,11 +170,11 @@ class ExudynEngine:
 
     # -- one step ------------------------------------------------------------------------------------------------
 
-    def _system(self, size: int) -> _System:
+    def _system(self, size: int) -> System:
         """Return the kept system of a batch size; build it where there is none."""
         system = self._systems.get(size)
         if system is None:
-            system = self._systems[size] = _System(self.crane, size)
+            system = self._systems[size] = System(self.crane, size)
             if len(self._systems) > _MOST_SYSTEMS:
                 self._systems.popitem(last=False)
         else:
@@ -317,7 +317,7 @@ def _effect_column(crane: Crane, name: str) -> int:
     return registry.slot(effect.name, place, crane.layout) + names.index(parameter)
 
 
-class _System:
+class System:
     """A kept Exudyn system of n cranes and the solver that assembles its residuals."""
 
     def __init__(self, crane: Crane, size: int) -> None:
@@ -379,7 +379,7 @@ class _System:
         plant.inputs[...] = w1
         self.mbs.systemData.SetTime(time + h)
         for _ in range(_MOST_ITERATIONS):
-            residual = self._residual()
+            residual = self.residual()
             if not trapezoidal.correct(
                 plant.topology, plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends
             ):
@@ -402,7 +402,7 @@ class _System:
         trapezoidal.forces_at(plant.topology, plant.P, plant.E, time, inertia, x, w, self._q, self._v, self._p, own)
         self._a[:], self._dp[:], plant.inputs[...] = 0.0, 0.0, w
         self.mbs.systemData.SetTime(time)
-        total = -np.asarray(self._residual())[: own.size].reshape(own.shape) / self._scale
+        total = -np.asarray(self.residual())[: own.size].reshape(own.shape) / self._scale
         self._push[...] = total - own
 
     def _set_parameters(self, P: np.ndarray | None, E: np.ndarray | None, start: float, end: float) -> np.ndarray:
@@ -423,7 +423,7 @@ class _System:
         """Whether the bodies have the payload's mass of a time, all cranes being alike."""
         return bool(hooks.payload_mass(self._E[0], time, self._payload) == self.plant.payload_mass[0])
 
-    def _residual(self) -> np.ndarray:
+    def residual(self) -> np.ndarray:
         """Return Exudyn's residual [M a - f, rates - dp, G v] at the present iterate."""
         data = self.mbs.systemData
         data.SetODE2Coordinates(self._q.ravel())
@@ -444,7 +444,7 @@ class _System:
         self.mbs.systemData.SetTime(time)
         out = {"q": self._q[0].copy(), "v": self._v[0].copy(), "a": self._a[0].copy(), "dp": self._dp[0].copy()}
         self._a[:], self._dp[:] = 0.0, 0.0
-        residual = np.array(self._residual())
+        residual = np.array(self.residual())
         behind = width + self._p.shape[1]
         out |= {"force": -residual[:width] / self._scale, "pressure_rates": residual[width:behind]}
         out |= {"joint": residual[behind:], "mass": np.array(self.solver.GetSystemMassMatrix())[:width, :width]}

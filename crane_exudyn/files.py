@@ -27,7 +27,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     target = check_place(path)
     try:
-        temporary = _beside(target)
+        temporary = temporary_beside(target)
         try:
             yield temporary
             umask = os.umask(0)
@@ -77,7 +77,7 @@ def write_text(path: str | Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-def _beside(target: Path) -> Path:
+def temporary_beside(target: Path) -> Path:
     """Return a new file in the folder of `target` with its ending, and with a name that is short enough."""
     ending = "".join(target.suffixes[-2:])[-20:]
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name[:20]}-", suffix=ending)

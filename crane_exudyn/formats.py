@@ -74,8 +74,9 @@ def _read_mat5(path: Path, _: Collection[str]) -> RawTable:
 
 def _plain(value: Any) -> Any:
     """Return a MATLAB struct as a dict, text as str, numbers as they are, anything else as `Unread`."""
-    if hasattr(value, "_fieldnames"):
-        return {name: _plain(getattr(value, name)) for name in value._fieldnames}
+    fields = getattr(value, "_fieldnames", None)  # scipy's name for it
+    if fields is not None:
+        return {name: _plain(getattr(value, name)) for name in fields}
     if isinstance(value, str):
         return str(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "OUS":

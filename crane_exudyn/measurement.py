@@ -50,7 +50,7 @@ class Measurement:
         self._place = np.array([lay.place_number(SENSORS, c.place) if c.place else -1 for c in chosen], np.int64)
         self._is_pressure = np.array([c.unit == "Pa" for c in chosen], bool)
         self._step = np.array([_OF_NOISE * c.sizes.noise for c in chosen])
-        self._set(P, E)
+        self.use(P, E)
 
     @classmethod
     def of(cls, crane: Crane, names: Sequence[str] | None = None) -> Measurement:
@@ -58,7 +58,7 @@ class Measurement:
         chosen = tuple(crane.layout.sensors) if names is None else names
         return cls(chosen, crane.machine, crane.parameter_vector(), crane.effect_vector())
 
-    def _set(self, P: np.ndarray, E: np.ndarray) -> None:
+    def use(self, P: np.ndarray, E: np.ndarray) -> None:
         self.P, self.E = P, E
         self._floor = np.where(self._is_pressure, vapour_pressure(P), -np.inf)
         slots = sensing_slots()
@@ -70,7 +70,7 @@ class Measurement:
     def beside(self, P: np.ndarray, E: np.ndarray) -> Measurement:
         """Return the same sensors on a crane with other parameters and effects."""
         other = copy.copy(self)
-        other._set(P, E)
+        other.use(P, E)
         return other
 
     def differs(self, X: np.ndarray, P: np.ndarray, E: np.ndarray) -> np.ndarray:

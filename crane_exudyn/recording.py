@@ -76,7 +76,7 @@ class Recording:
         layout = layout or usual_layout()
         columns = columns_of(mapping or {}, layout)
         table = read(Path(path), wanted=wanted(columns, layout))
-        return cls(**assemble(Path(path), table, columns, layout))._with_gaps_told()
+        return cls(**assemble(Path(path), table, columns, layout)).with_gaps_told()
 
     @classmethod
     def from_arrays(
@@ -98,7 +98,7 @@ class Recording:
             if channel not in units:
                 raise CraneError(f"{name}: there is no channel {channel!r}.{nearest(channel, list(units))}")
         made = cls(**assemble(Path(name), RawTable(columns), {}, layout) | {"name": name, "source": name})
-        return made._with_gaps_told()
+        return made.with_gaps_told()
 
     # -- asking --------------------------------------------------------------------------------------------------
 
@@ -220,7 +220,7 @@ class Recording:
         inside = np.searchsorted(others, gaps[:, 1]) - np.searchsorted(others, gaps[:, 0], side="right")
         return gaps if self.sensors else gaps[inside > _RECORDED]
 
-    def _with_gaps_told(self) -> Recording:
+    def with_gaps_told(self) -> Recording:
         """Return the recording with a note on each command that is not known all the time."""
         told = []
         for name, spans in self.unknown_commands().items():

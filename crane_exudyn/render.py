@@ -369,14 +369,14 @@ class Scene:
             self.mbs.systemData.SetTime(time, configuration)
 
     def _draw_changing(self, mbs: Any, _item: int) -> list[shapes.Graphics]:
-        """Return what `_changing` draws; the renderer, which calls this, would swallow an error, so it is kept."""
+        """Return what `moving_shapes` draws; the renderer, which calls this, would swallow an error, so it is kept."""
         try:
-            return self._changing(mbs)
+            return self.moving_shapes(mbs)
         except Exception as problem:
             self._problem = problem
             return []
 
-    def _changing(self, mbs: Any) -> list[shapes.Graphics]:
+    def moving_shapes(self, mbs: Any) -> list[shapes.Graphics]:
         """Return what is drawn anew in every frame: oil, bodies by residual, arrows."""
         time = mbs.systemData.GetTime(exu.ConfigurationType.Visualization)
         main = self.trajectories[0]

@@ -82,7 +82,7 @@ def remarks(what: str, names: Sequence[str], happened: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Form:
     """What a text file's header line tells: names, what separates fields, and how many lines stand above the data."""
 
     path: Path
@@ -106,19 +106,19 @@ def read_text(path: Path, file: BinaryIO) -> RawTable:
         CraneError: empty or cut-off file, text in a number, a line with too few or too many fields.
     """
     pieces = _pieces(path, file)
-    layout, first = _header(path, next(pieces, b""))
-    line, numbers, lines = layout.skipped + 2, [], []
+    form, first = _header(path, next(pieces, b""))
+    line, numbers, lines = form.skipped + 2, [], []
     ahead: bytes | None = first
     while ahead is not None:
         body, ahead = ahead, next(pieces, None)
-        values, own = _read(body, layout, line, last=ahead is None)
+        values, own = _read(body, form, line, last=ahead is None)
         numbers.append(values)
         lines.append(own)
         line += body.count(b"\n")
     found = np.concatenate(numbers)
     if not len(found):
         raise CraneError(f"{path}: the file ends after its header line. Expected one line per sample; record again.")
-    columns = [RawColumn(name, found[:, i]) for i, name in enumerate(layout.names) if name]
+    columns = [RawColumn(name, found[:, i]) for i, name in enumerate(form.names) if name]
     return RawTable(columns, lambda row: f"line {np.concatenate(lines)[row]}")
 
 
@@ -192,7 +192,7 @@ def _newlines(data: bytes) -> bytes:
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
 
 
-def _header(path: Path, data: bytes) -> tuple[_Layout, bytes]:
+def _header(path: Path, data: bytes) -> tuple[Form, bytes]:
     if not data.strip():
         raise CraneError(f"{path}: the file is empty. Expected a first line name[unit],… and one line per sample.")
     skipped = 0
@@ -206,7 +206,7 @@ def _header(path: Path, data: bytes) -> tuple[_Layout, bytes]:
     delimiter = _delimiter(text)
     names = [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
     _check_header(path, skipped + 1, names)
-    return _Layout(path, names, delimiter, skipped), body
+    return Form(path, names, delimiter, skipped), body
 
 
 def _to_text(line: bytes) -> str:
@@ -242,34 +242,34 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read(body: bytes, layout: _Layout, line: int, last: bool) -> tuple[np.ndarray, np.ndarray]:
+def _read(body: bytes, form: Form, line: int, last: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return numbers (n, columns) and line numbers (n,) of some lines, of which the first has the number `line`."""
-    values = _read_fast(body, layout) if body.strip() else np.empty((0, len(layout.names)))
+    values = read_fast(body, form) if body.strip() else np.empty((0, len(form.names)))
     if values is None:
-        return _read_carefully(body, layout, line, last)
+        return read_carefully(body, form, line, last)
     return values, np.arange(line, line + len(values), dtype=np.int32)
 
 
-def _read_fast(body: bytes, layout: _Layout) -> np.ndarray | None:
+def read_fast(body: bytes, form: Form) -> np.ndarray | None:
     """Return the numbers (rows, columns), or None where the body is not plain and wants the careful reader."""
-    separator = layout.delimiter.encode()
+    separator = form.delimiter.encode()
     body = body.rstrip(b"\n") + b"\n"
     body = _without_spaces(body, separator)
-    if body.translate(None, _PLAIN + separator + b"," * layout.decimal_comma) or b"\n\n" in b"\n" + body:
+    if body.translate(None, _PLAIN + separator + b"," * form.decimal_comma) or b"\n\n" in b"\n" + body:
         return None
-    rows = _count_rows(body, ord(separator), len(layout.names))
+    rows = _count_rows(body, ord(separator), len(form.names))
     if rows is None:
         return None
-    if layout.decimal_comma:
+    if form.decimal_comma:
         body = body.replace(b",", b".")
     flat = _fill_empty(body, separator).replace(b"\n", separator)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            numbers = np.fromstring(flat.decode("ascii", errors="replace"), sep=layout.delimiter)  # type: ignore[call-overload]
+            numbers = np.fromstring(flat.decode("ascii", errors="replace"), sep=form.delimiter)  # type: ignore[call-overload]
         except (DeprecationWarning, ValueError):
             return None
-    if numbers.size != rows * len(layout.names):
+    if numbers.size != rows * len(form.names):
         return None
     numbers = numbers.reshape(rows, -1)
     return None if np.isnan(numbers).all(axis=1).any() else numbers
@@ -301,49 +301,47 @@ def _fill_empty(body: bytes, separator: bytes) -> bytes:
     return b"nan" + body if body.startswith(separator) else body
 
 
-def _read_carefully(body: bytes, layout: _Layout, first: int, last: bool) -> tuple[np.ndarray, np.ndarray]:
+def read_carefully(body: bytes, form: Form, first: int, last: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return numbers and line numbers, reading field by field; this is what finds and names a fault."""
     rows, lines = [], []
     text = _to_text(body)
-    reader = csv.reader(io.StringIO(text), delimiter=layout.delimiter)
+    reader = csv.reader(io.StringIO(text), delimiter=form.delimiter)
     total = text.count("\n") + (not text.endswith("\n"))
     for fields in reader:
         if not any(field.strip() for field in fields):
             continue
         line = first - 1 + reader.line_num
-        _check_length(fields, layout, line, last=last and reader.line_num >= total)
-        rows.append([_number(field, name, layout, line) for field, name in zip(fields, layout.names, strict=False)])
+        _check_length(fields, form, line, last=last and reader.line_num >= total)
+        rows.append([_number(field, name, form, line) for field, name in zip(fields, form.names, strict=False)])
         lines.append(line)
-    return np.array(rows, dtype=float).reshape(-1, len(layout.names)), np.array(lines, dtype=np.int32)
+    return np.array(rows, dtype=float).reshape(-1, len(form.names)), np.array(lines, dtype=np.int32)
 
 
-def _check_length(fields: list[str], layout: _Layout, line: int, last: bool) -> None:
-    found, expected = len(fields), len(layout.names)
+def _check_length(fields: list[str], form: Form, line: int, last: bool) -> None:
+    found, expected = len(fields), len(form.names)
     if found == expected or (found > expected and not any(f.strip() for f in fields[expected:])):
         return
-    what = f"{layout.path}, line {line}: found {found} fields, expected {expected} as in the header."
+    what = f"{form.path}, line {line}: found {found} fields, expected {expected} as in the header."
     if found < expected and last:
         raise CraneError(f"{what} The file was cut off in its last line. Delete that line, or export the file again.")
-    if found > expected and layout.delimiter == ",":
+    if found > expected and form.delimiter == ",":
         raise CraneError(f"{what} If decimals are commas, separate the fields by semicolons. Otherwise mend that line.")
     raise CraneError(f"{what} Mend that line; an empty field is a missing sample.")
 
 
-def _number(field: str, name: str, layout: _Layout, line: int) -> float:
+def _number(field: str, name: str, form: Form, line: int) -> float:
     text = field.strip()
     if not text or not name:
         return np.nan
-    if layout.decimal_comma:
+    if form.decimal_comma:
         text = text.replace(",", ".")
     try:
         if "_" in text:  # Python's float takes 1_000, nobody's logger writes it
             raise ValueError
         return float(text)
     except ValueError:
-        hint = (
-            " If this line holds units, put them into the header, as name[unit]." if line <= layout.skipped + 2 else ""
-        )
+        hint = " If this line holds units, put them into the header, as name[unit]." if line <= form.skipped + 2 else ""
         raise CraneError(
-            f"{layout.path}, line {line}, column {name[:40]}: found {field.strip()[:40]!r}, expected a number. "
+            f"{form.path}, line {line}, column {name[:40]}: found {field.strip()[:40]!r}, expected a number. "
             f"Mend it, or leave the field empty for a missing sample.{hint}"
         ) from None

@@ -28,7 +28,7 @@ from .reading import load_checked, load_crane
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from validation.compare import Comparison
+    from validation.comparison import Comparison
 
 _SHOWN = 10
 _PICTURES = ("where", "open_loop", "balances", "balances_by_work")
@@ -61,7 +61,7 @@ def command(
     measured = load_checked(
         recordings, chosen, mapping, map_file, anyway=anyway, needs=(engine, "semi-recursive", "filter", "fit")
     )
-    from validation.compare import compare_all
+    from validation.comparison import compare_all
 
     with progress("Comparing", json) as step:
         results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)

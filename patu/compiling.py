@@ -33,7 +33,7 @@ def compile_for(*parts: Part) -> None:
     from validation.workers import WorkerEnded, own_processes
 
     marks = {part: cache_folder("validation") / f"{part}.compiled" for part in parts}
-    tasks = [(_run, *side) for side in _sides(parts) if not all(marks[part].exists() for part in side)]
+    tasks = [(run_parts, *side) for side in _sides(parts) if not all(marks[part].exists() for part in side)]
     if not tasks:
         return
     try:
@@ -58,7 +58,7 @@ def _sides(parts: tuple[Part, ...]) -> list[tuple[Part, ...]]:
     return [side for side in (rest, other) if side]
 
 
-def _run(*parts: Part) -> None:
+def run_parts(*parts: Part) -> None:
     """Run every part once, in an order in which each finds what the one before it compiled."""
     logger = logging.getLogger("crane_exudyn")
     usual = logger.level
@@ -108,6 +108,6 @@ def _estimate(engine: EngineName, recording: Recording) -> None:
 
 def _compare(recording: Recording) -> None:
     from crane_exudyn.crane import Crane
-    from validation.compare import compare
+    from validation.comparison import compare
 
     compare(Crane.load(DEFAULT_CRANE), recording)

@@ -25,7 +25,7 @@ from .reading import load_crane
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
     from crane_exudyn.recording import Recording
-    from validation.compare import Comparison
+    from validation.comparison import Comparison
     from validation.diagnosis import Diagnosis
     from validation.improvement import Improvement, Step
     from validation.paper import Case
@@ -166,7 +166,7 @@ def followed(cases: dict[str, Case]) -> str:
 
 def laid_beside(crane: Crane, done: Callable[..., None]) -> tuple[tuple[Recording, Recording], Comparison]:
     """Return the recordings that come with the package, and how the model compares with the first."""
-    from validation.compare import compare
+    from validation.comparison import compare
     from validation.sample import with_the_package
 
     recordings = with_the_package()
@@ -189,8 +189,8 @@ def improved(
 def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]:
     """Write report, pictures, states and the improved crane file to `folder`, and return the files."""
     from validation import plots
-    from validation.compare import from_one_start
-    from validation.compare_figures import traces_figure
+    from validation.comparison import from_one_start
+    from validation.comparison_figures import traces_figure
     from validation.paper_figures import following_figure
     from validation.report import write_report
     from validation.reports import verdict

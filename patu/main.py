@@ -286,13 +286,13 @@ def _invoke(name: str, words: list[str]) -> int:
         context_settings={"help_option_names": ["--help", "-h"]},
     )(_past_typer(checked(load(name))))
     try:
-        app(_one_each(words), prog_name=f"patu {name}")
+        app(one_each(words), prog_name=f"patu {name}")
     except SystemExit as leaving:  # typer ends every run, good or bad, this way
         return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
     return 0
 
 
-def _one_each(words: Sequence[str]) -> list[str]:
+def one_each(words: Sequence[str]) -> list[str]:
     """Return the words with `--models A B` as `--models A --models B`: options of typer take one value each."""
     out: list[str] = []
     taking = ""

@@ -216,9 +216,9 @@ def test_the_split_of_a_step_adds_up_and_leaves_no_clock_behind(machine: str, mo
 
     monkeypatch.setattr(benchmark, "STRETCH", 0.05)
     monkeypatch.setattr(benchmark, "NAIVE_STRETCH", 0.003)
-    before = (module.trapezoidal.predict, module._System._residual)
+    before = (module.trapezoidal.predict, module.System.residual)
     results = benchmark.run(["filters"], Crane.load(machine))
-    assert (module.trapezoidal.predict, module._System._residual) == before
+    assert (module.trapezoidal.predict, module.System.residual) == before
     exudyn, quick = ("restore", "exudyn_residual", "newton", "filter_algebra"), ("engine", "filter_algebra")
     for step, names in (("filter.exudyn.step", exudyn), ("filter.semi_recursive.step", quick)):
         parts = [results.measures[f"{step}.{p}"].value for p in names]

@@ -26,7 +26,7 @@ from crane_exudyn.signals import noise_std
 from crane_exudyn.simulation import Simulation, simulate
 from validation import balances, phases
 from validation.balances import Balances, Steps, spread_of
-from validation.compare import Comparison, compare
+from validation.comparison import Comparison, compare
 from validation.findings import scores_of, violation
 from validation.fitness import check_recording, noise_at_rest, usable
 from validation.phases import phases_of
@@ -173,7 +173,7 @@ def random_steps(rng: np.random.Generator, K: int = 7, nx: int = 3, m: int = 2) 
 def dense(steps: Steps) -> tuple[np.ndarray, np.ndarray]:
     """Return mean (K n,) and covariance of all deviations at once, by conditioning one large normal distribution."""
     (K, nx), n = steps.states.shape, steps.states.shape[1] + 6
-    F, constant, Q = balances._augmented(steps)
+    F, constant, Q = balances.augmented(steps)
     L, drift = np.eye(K * n), np.zeros(K * n)  # x = L (start and noises) + drift
     first = np.concatenate([np.zeros(nx), -steps.inputs[0]])
     drift[:n] = first
@@ -182,7 +182,7 @@ def dense(steps: Steps) -> tuple[np.ndarray, np.ndarray]:
         L[rows] = F[k - 1] @ L[before]
         L[rows, rows] = np.eye(n)
         drift[rows] = F[k - 1] @ drift[before] + constant[k - 1]
-    start = np.diag(np.r_[np.full(nx, balances._FIRST**2), np.ones(6)])
+    start = np.diag(np.r_[np.full(nx, balances.START_STD**2), np.ones(6)])
     P = (
         L
         @ np.block([[start if i == j == 0 else Q if i == j else np.zeros((n, n)) for j in range(K)] for i in range(K)])
@@ -200,7 +200,7 @@ def dense(steps: Steps) -> tuple[np.ndarray, np.ndarray]:
 
 def test_smoother_and_mean_over_a_phase_equal_the_dense_normal_distribution() -> None:
     steps = random_steps(np.random.default_rng(3))
-    smoothed = balances._smooth(steps)
+    smoothed = balances.smooth(steps)
     mean, covariance = dense(steps)
     K, n = smoothed.mean.shape
     assert smoothed.mean == pytest.approx(mean.reshape(K, n), abs=1e-8)

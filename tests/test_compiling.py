@@ -63,4 +63,4 @@ def test_work_in_processes_of_its_own_is_never_done_in_this_one() -> None:
 
 @pytest.mark.parametrize("parts", [("semi-recursive", "fit"), ("exudyn", "filter")])
 def test_every_part_runs_in_one_go(parts: tuple[str, ...]) -> None:
-    compiling._run(*parts)
+    compiling.run_parts(*parts)

@@ -132,10 +132,10 @@ def test_only_what_is_left_by_newtons_methods_has_no_order(crane: Crane) -> None
             for h, size in zip(cc.ORDER_STEPS, sizes, strict=True)
         ]
 
-    assert_ok(cc._orders(crane.layout, runs([3e-10, 1e-10, 2e-10])))
-    assert_ok(cc._orders(crane.layout, runs([16e-7, 4e-7, 1e-7])))
+    assert_ok(cc.convergence_orders(crane.layout, runs([3e-10, 1e-10, 2e-10])))
+    assert_ok(cc.convergence_orders(crane.layout, runs([16e-7, 4e-7, 1e-7])))
     for sizes in ([16e-7, 8e-7, 4e-7], [1e-7, 1e-7, 1e-7], [1e-10, 1e-9, 1e-8], [0.0, 0.0, 0.0]):
-        assert not any(q.ok for q in cc._orders(crane.layout, runs(sizes)))
+        assert not any(q.ok for q in cc.convergence_orders(crane.layout, runs(sizes)))
 
 
 def test_joystick_keeps_off_the_ends(crane: Crane, semi_recursive: SemiRecursiveEngine) -> None:

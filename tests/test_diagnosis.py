@@ -10,7 +10,7 @@ import pytest
 from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.channels import Channel
 from validation import hidden
-from validation.diagnosis import Diagnosis, _held_to_check, diagnose, sentence
+from validation.diagnosis import Diagnosis, diagnose, held_to_check, sentence
 from validation.fit.data import FitData
 from validation.fitness import check_check
 from validation.selection.moves import Start, around, starts
@@ -246,7 +246,7 @@ def concluded(verdict: str, before: float, after: float) -> Diagnosis:
 )
 def test_what_does_not_predict_the_check_recording_is_said_first_and_is_no_plain_verdict(verdict, before, after, plain):
     given = concluded(verdict, before, after)
-    found = _held_to_check(given)
+    found = held_to_check(given)
     if plain:
         assert found is given
         return

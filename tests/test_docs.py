@@ -181,13 +181,9 @@ def test_the_site_is_built_without_a_warning(tmp_path):
 
 
 def test_names_of_the_python_interface_are_what_they_say_in_any_order():
-    """A function and its module share a name; whichever is imported first, users get the function."""
-    for first in (
-        "import validation.compare",
-        "from validation import compare",
-        "from validation.compare import Comparison",
-    ):
-        code = f"{first}\nfrom validation import compare, diagnose, improve\nfrom ukf import Estimator\n"
+    """No function has the name of a module of its package, which would take its place once it is imported."""
+    for first in ("import validation.comparison", "import patu.compare, patu.diagnose"):
+        code = f"{first}\nfrom validation import compare, diagnose, improve, learn\nfrom ukf import Estimator\n"
         code += "from crane_exudyn import Crane, Recording, simulate\n"
-        code += "assert all(map(callable, (compare, diagnose, improve, Estimator, Crane, Recording, simulate)))"
+        code += "assert all(map(callable, (compare, diagnose, improve, learn, Estimator, Crane, Recording, simulate)))"
         subprocess.run([sys.executable, "-c", code], check=True)

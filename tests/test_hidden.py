@@ -46,7 +46,8 @@ def test_commands_of_a_controller_have_corners_on_its_cycle() -> None:
 
 
 def test_every_motion_reaches_its_command_by_a_ramp_or_a_step() -> None:
-    times, values = hidden._on_grid(np.array([0.0, 1.0, 1.0, 1.5, 1.53, 3.0]), np.array([0, 0, 0.4, 0.4, 0, 0]), 0.01)
+    times, values = np.array([0.0, 1.0, 1.0, 1.5, 1.53, 3.0]), np.array([0, 0, 0.4, 0.4, 0, 0])
+    times, values = hidden.commands_on_grid(times, values, 0.01)
     assert np.allclose(times, [0.0, 1.0 - 1e-6, 1.0, 1.5, 1.53, 3.0], atol=1e-9)
     assert np.allclose(values, [0, 0, 0.4, 0.4, 0, 0])
 

@@ -14,7 +14,7 @@ from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_param
 from validation.improvement import explained
 from validation.selection.criteria import CRITERIA
 from validation.selection.levels import Levels, falls, independent, likelihoods
-from validation.selection.many import Many, Taken, _believable, search_many
+from validation.selection.many import Many, Taken, believable, search_many
 from validation.selection.search import Problem
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -148,9 +148,9 @@ def test_plain_words_say_what_is_demanded_what_is_not_separated_and_what_is_left
 
 def test_the_last_fit_keeps_parameters_within_what_can_be_believed():
     free = {v.name: v for v in uncertain_parameters(Crane.load("patu655-lab"))}
-    boom = _believable(free["bodies.lift_boom.mass"])
+    boom = believable(free["bodies.lift_boom.mass"])
     assert (boom.lower, boom.upper) == (-3.0, 3.0)
-    payload = _believable(free["payload.mass"])
+    payload = believable(free["payload.mass"])
     assert (payload.lower, payload.upper) == (
         free["payload.mass"].lower,
         free["payload.mass"].upper,

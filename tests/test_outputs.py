@@ -206,14 +206,14 @@ def test_a_link_stays_a_link_and_long_names_are_written(tmp_path: Path) -> None:
 @pytest.fixture
 def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Let every write into the working folder end as on a disk that is full."""
-    usual = files._beside
+    usual = files.temporary_beside
 
     def beside(target: Path) -> Path:
         if target.parent == tmp_path:
             raise OSError(errno.ENOSPC, "No space left on device")
         return usual(target)
 
-    monkeypatch.setattr(files, "_beside", beside)
+    monkeypatch.setattr(files, "temporary_beside", beside)
 
 
 def test_a_result_that_could_not_be_saved_is_printed_or_saved_elsewhere(

@@ -89,12 +89,12 @@ def test_reproduce_in_order_and_with_the_contract_keys():
     def short(error, inputs, engine, seed, tunings, crane, seen):
         return [{"model_error": error, "inputs": inputs, "tuning": t, "realtime_factor": 2.0} for t in tunings], {}
 
-    original = paper._all_tunings
-    paper._all_tunings = short
+    original = paper.all_tunings
+    paper.all_tunings = short
     try:
         result = paper.reproduce((0.05, 0.15), (1, 2), FAST)
     finally:
-        paper._all_tunings = original
+        paper.all_tunings = original
     order = [(d["tuning"], d["inputs"], d["model_error"]) for d in result.documents]
     assert order == [(t, i, e) for t in paper.ROWS for i in (1, 2) for e in (0.05, 0.15)]
     assert result.document()["realtime_factor"] == 2.0

@@ -383,15 +383,15 @@ def test_repr_and_plot_tell_the_channels(tmp_path: Path) -> None:
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
 def test_the_quick_reader_reads_what_the_careful_one_reads(delimiter: str) -> None:
     rng = random.Random(5)
-    layout = tables._Layout(Path("f.csv"), ["a", "b", "c"], delimiter, 0)
+    form = tables.Form(Path("f.csv"), ["a", "b", "c"], delimiter, 0)
     quick = 0
     for _ in range(3000):
         fields = [_odd_field(rng) if rng.random() < 0.2 else repr(rng.random()) for _ in range(6)]
         body = (delimiter.join(fields[:3]) + "\n" + delimiter.join(fields[3:]) + "\n").encode()
-        numbers = tables._read_fast(body, layout)
+        numbers = tables.read_fast(body, form)
         if numbers is not None:  # what the quick reader leaves alone, the careful one reads or refuses
             quick += 1
-            np.testing.assert_array_equal(numbers, tables._read_carefully(body, layout, 2, True)[0], err_msg=repr(body))
+            np.testing.assert_array_equal(numbers, tables.read_carefully(body, form, 2, True)[0], err_msg=repr(body))
     assert quick > 300
 
 

@@ -252,7 +252,7 @@ def test_oil_has_the_colour_of_its_pressure():
     scene = Scene(CRANE, [motion()], colour="pressure", size=SMALL)
     assert scene.scales["Pa"] == pytest.approx(150e5)  # the next round number above 110 bar
     scene.show(1.0)
-    drawn = scene._changing(scene.mbs)
+    drawn = scene.moving_shapes(scene.mbs)
     found = [np.asarray(g["colors"]).reshape(-1, 4)[0] for g in drawn]
     for i, chamber in enumerate((0, 2, 3, 5)):  # each cylinder: piston side, piston, rod side
         expected = colormaps["viridis"]((20.0 + 30 * i) / 150.0)
@@ -299,7 +299,7 @@ def test_marks_are_seen(mark):
 
 def test_an_error_while_drawing_is_not_swallowed():
     scene = Scene(CRANE, [motion()], size=SMALL)
-    scene._changing = lambda mbs: 1 / 0
+    scene.moving_shapes = lambda mbs: 1 / 0
     with pytest.raises(ZeroDivisionError):
         draw(scene)
 
@@ -355,7 +355,7 @@ def test_a_failing_film_leaves_the_old_file(tmp_path):
     path = tmp_path / "run.gif"
     path.write_bytes(b"old")
     scene = Scene(CRANE, [motion()], size=SMALL)
-    scene._changing = lambda mbs: 1 / 0
+    scene.moving_shapes = lambda mbs: 1 / 0
     with pytest.raises(ZeroDivisionError):
         scene.save(path, fps=1.0)
     assert path.read_bytes() == b"old" and len(list(tmp_path.iterdir())) == 1

@@ -9,7 +9,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath
 from crane_exudyn.measurement import Measurement
-from patu.main import _one_each
+from patu.main import one_each
 from ukf.estimator import Estimator
 from ukf.filter import Belief
 from ukf.side_by_side import SideBySide, followed, mixture
@@ -104,7 +104,7 @@ def test_models_of_other_machines_or_none_beside_are_refused():
 
 def test_models_are_listed_behind_one_option():
     words = ["a.csv", "--models", "A.toml", "B.toml", "C.toml", "--json", "-"]
-    assert _one_each(words) == [
+    assert one_each(words) == [
         "a.csv",
         "--models",
         "A.toml",

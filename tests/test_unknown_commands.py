@@ -17,7 +17,7 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import initial_state
 from crane_exudyn.statics import visible
-from validation.compare import compare
+from validation.comparison import compare
 from validation.fit.data import FitData
 from validation.fit.linear import cut, follows
 from validation.fit.staged import start_fitted

@@ -16,7 +16,7 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import simulate
 from crane_exudyn.vetting import contents, vet, vetted
-from validation.compare import compare
+from validation.comparison import compare
 
 BAR, DEG = 1e5, np.pi / 180
 

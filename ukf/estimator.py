@@ -85,6 +85,8 @@ class Estimator:
         max_step: longest integration step of the engine, s; longer intervals are cut evenly.
         pressure_std: standard deviation at the start of a pressure that no sensor shows, Pa.
         adapt: time constant, s, with which the sizes of unknowns with a memory follow what is found (`augment.Sizes`).
+        strokes: whether angles stay where the pistons are inside their cylinders; without, a recording may pass a dead
+            centre, and measured angles say on which side.
 
     Raises:
         CraneError: an unknown sensor, filter, engine or quantity, or a noise that is not positive.
@@ -103,6 +105,7 @@ class Estimator:
         max_step: float = 1e-3,
         pressure_std: float = UNSHOWN["Pa"],
         adapt: float = np.inf,
+        strokes: bool = True,
     ) -> None:
         self.crane = crane
         self.engine = engine_of(engine, crane)
@@ -122,7 +125,7 @@ class Estimator:
         self.extras = resolve(crane, self.augment)
         self._engine_states = len(self.engine.state_names)
         self._channels = Channels(crane, list(self.std_of), self._engine_states, self.extras)
-        self._bounds = self._all_bounds(partial(cylinder_lengths, crane))
+        self._bounds = self._all_bounds(partial(cylinder_lengths, crane) if strokes else None)
         self._limits = self._bounds.without(crane.layout.positions)
         self._process = Process(self.engine, self._channels, self.extras, self._bounds)
         self._method_name = method
@@ -132,6 +135,7 @@ class Estimator:
         self._adapt = float(adapt)
         self._given: dict[str, Any] = {
             "start": start, "gate": gate, "max_step": max_step, "pressure_std": pressure_std, "adapt": adapt,
+            "strokes": strokes,
         }  # fmt: skip
         self._noises: dict[int, np.ndarray] = {}
         self._spool: Any = None

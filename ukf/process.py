@@ -20,9 +20,7 @@ from .linear_algebra import all_finite
 class Process:
     """The transition of [engine states, lagged readings, extra states] over one sampling interval."""
 
-    def __init__(
-        self, engine: Any, channels: Channels, extras: Sequence[Extra], bounds: Bounds, crane: Crane | None = None
-    ) -> None:
+    def __init__(self, engine: Any, channels: Channels, extras: Sequence[Extra], bounds: Bounds) -> None:
         """Raises CraneError where the engine cannot vary what the extra states ask for."""
         self.engine = engine
         self.nx = len(engine.state_names)
@@ -69,9 +67,8 @@ class Process:
 
 
 #: local error of a filter's step, in units of the engines': 2 bar and 6e-6 rad. Finer steps of single sigma points move
-#: the
-#: estimate by less than a hundredth of its standard deviation (sensors of 1.5 bar) at three times the cost; this keeps
-#: out steps that are wrong
+#: the estimate by less than a hundredth of its standard deviation (sensors of 1.5 bar) at three times the cost; this
+#: keeps out steps that are wrong
 ACCURACY = 600.0
 
 

@@ -45,7 +45,7 @@ _KNOTS = 0.1
 #: Pa above the floor up to which a smoothed pressure counts as standing on it
 _AT_FLOOR = 0.5e5
 #: spread of the first state around its guess, and growth of what the model does not say a step, in units of `jump_of`
-_FIRST, _GROWTH = 30.0, 1e-4
+START_STD, GROWTH = 30.0, 1e-4
 
 
 @cache
@@ -63,6 +63,7 @@ class Balances:
         states: (K, nx) smoothed states.
         layout: of the machine; values, std: (K, b) residual of each of its `equations` and its standard deviation, SI.
         log_likelihood: of all samples under this model with unknown inputs.
+        covariance: (K, n, b) of [state, inputs] with the inputs; gains: (K, n, n) of the smoother.
         unsettled: stretches (from, to) in s in which the smoother still moved after its last round.
         floor: pressure in Pa below which the model's oil does not go.
     """
@@ -73,8 +74,8 @@ class Balances:
     values: np.ndarray
     std: np.ndarray
     log_likelihood: float
-    _covariance: np.ndarray = field(repr=False)
-    _gains: np.ndarray = field(repr=False)
+    covariance: np.ndarray = field(repr=False)
+    gains: np.ndarray = field(repr=False)
     unsettled: tuple[tuple[float, float], ...] = ()
     floor: float = 0.0
 
@@ -91,13 +92,13 @@ class Balances:
         Errors of neighbouring instants are not independent: cov(x_k, x_i) = G_k cov(x_k+1, x_i) with the smoother's
         gains G, which is summed up from the end.
         """
-        _, n, b = self._covariance.shape
+        _, n, b = self.covariance.shape
         inputs = slice(n - b, n)  # the covariance has their columns only
         with_sum = np.zeros((n, b))  # cov(x_k, sum of the inputs from k on)
         total = np.zeros(b)
         for k in range(last - 1, first - 1, -1):
-            later = self._gains[k] @ with_sum if k + 1 < last else with_sum
-            own = self._covariance[k]
+            later = self.gains[k] @ with_sum if k + 1 < last else with_sum
+            own = self.covariance[k]
             total += np.diag(own[inputs]) + 2.0 * np.diag(later[inputs])
             with_sum = own + later
         mean = self.values[first:last].mean(axis=0)
@@ -150,7 +151,7 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
     inputs = np.zeros((len(data.time), len(spread)))
     for _ in range(_ROUNDS):
         steps = linearised(model, data, starts, knots, inputs, stride)
-        smoothed = _smooth(steps)
+        smoothed = smooth(steps)
         states = steps.states + smoothed.mean[:, :nx] * jump
         found = steps.inputs + smoothed.mean[:, nx:]
         at = data.time[::stride][: len(found)]
@@ -175,7 +176,7 @@ def _joined(parts: list[Balances]) -> Balances:
     """
     ends = [slice(None, -1)] * (len(parts) - 1) + [slice(None)]
     for part in parts[:-1]:
-        part._gains[-2] = 0.0
+        part.gains[-2] = 0.0
 
     whole: dict[str, Any] = {
         "log_likelihood": sum(part.log_likelihood for part in parts),
@@ -183,7 +184,7 @@ def _joined(parts: list[Balances]) -> Balances:
         "floor": parts[0].floor,
         "layout": parts[0].layout,
     }
-    names = ("time", "states", "values", "std", "_covariance", "_gains")
+    names = ("time", "states", "values", "std", "covariance", "gains")
     pieces = {n: [getattr(part, n)[end] for part, end in zip(parts, ends, strict=True)] for n in names}
     parts.clear()  # of ten minutes they are 150 MB: each column is let go once it is joined
     return Balances(**whole | {n: np.concatenate(pieces.pop(n)) for n in names})
@@ -339,12 +340,12 @@ class _Smoothed:
     log_likelihood: float
 
 
-def _smooth(steps: Steps) -> _Smoothed:
+def smooth(steps: Steps) -> _Smoothed:
     """Return smoothed deviations (K, n) of state and inputs, covariances (K, n, n) and gains (K, n, n)."""
     K, nx = steps.states.shape
     n = nx + steps.inputs.shape[1]
-    F, constant, Q = _augmented(steps)
-    mean, covariance = np.zeros(n), np.diag(np.r_[np.full(nx, _FIRST**2), np.ones(n - nx)])
+    F, constant, Q = augmented(steps)
+    mean, covariance = np.zeros(n), np.diag(np.r_[np.full(nx, START_STD**2), np.ones(n - nx)])
     mean[nx:] = -steps.inputs[0]
     means, covariances = np.empty((K, n)), np.empty((K, n, n))
     before, spread_before = np.empty((K, n)), np.empty((K, n, n))
@@ -366,7 +367,7 @@ def _smooth(steps: Steps) -> _Smoothed:
     return _Smoothed(means, covariances, gains, likelihood)
 
 
-def _augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return F (K-1, n, n), constant (K-1, n) and Q (n, n) of [x d]: d_k+1 = forget · d_k + noise, about the inputs
     found before.
     """
@@ -376,7 +377,7 @@ def _augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     F[:, :nx, :nx], F[:, :nx, nx:] = steps.A, steps.B
     F[:, nx:, nx:] = steps.forget * np.eye(n - nx)
     constant = np.column_stack([steps.jump, steps.forget * steps.inputs[:-1] - steps.inputs[1:]])
-    Q = np.diag(np.r_[np.full(nx, _GROWTH**2), np.full(n - nx, 1.0 - steps.forget**2)])
+    Q = np.diag(np.r_[np.full(nx, GROWTH**2), np.full(n - nx, 1.0 - steps.forget**2)])
     return F, constant, Q
 
 

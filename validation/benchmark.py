@@ -201,7 +201,7 @@ def _split(engine: Any, clocks: dict[str, float], name: str) -> Iterator[None]:
 
     places: list[tuple[Any, str, str]] = [(engine, "propagate", "engine")]
     if name == "exudyn":
-        places += [(module.trapezoidal, "predict", "restore"), (module._System, "_residual", "exudyn")]
+        places += [(module.trapezoidal, "predict", "restore"), (module.System, "residual", "exudyn")]
     originals = [(owner, name, getattr(owner, name)) for owner, name, _ in places]
     for owner, name, label in places:
         setattr(owner, name, _timed(getattr(owner, name), clocks, label))

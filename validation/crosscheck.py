@@ -305,7 +305,7 @@ def compare_runs(
     progress(0.15)
     fine = run(time, w, step)
     progress(1.0)
-    orders = _orders(crane.layout, runs)
+    orders = convergence_orders(crane.layout, runs)
     return [*orders, *_final_differences(fine, crane.layout)], [*runs, fine]
 
 
@@ -316,7 +316,7 @@ def _as_asked(engine: Engine) -> Engine:
     return taken
 
 
-def _orders(layout: Layout, runs: Sequence[Run]) -> list[Quantity]:
+def convergence_orders(layout: Layout, runs: Sequence[Run]) -> list[Quantity]:
     """Return how far the order of the difference in the step is below 2, for positions and pressures: two forms of one
     rule.
 

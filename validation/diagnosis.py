@@ -232,10 +232,10 @@ def diagnosis_of(path: Path, check: Recording | None, notes: Sequence[str] = ())
     )  # fmt: skip
     if verdict.kind == "unknown":
         result = replace(result, where=_where(problem) or left_over(path.best or path.parameters))
-    return _held_to_check(_with_errors(result, path, check))
+    return held_to_check(_with_errors(result, path, check))
 
 
-def _held_to_check(d: Diagnosis) -> Diagnosis:
+def held_to_check(d: Diagnosis) -> Diagnosis:
     """Return the diagnosis; "unknown", if what explains the recording leaves most of what is wrong on the check
     recording.
 
@@ -260,7 +260,7 @@ def _where(problem: Problem) -> tuple[Mapping[str, Any], ...]:
     """Return which balance is violated when, as `compare` finds it, worst first; with several recordings also in
     which.
     """
-    from .compare import compare
+    from .comparison import compare
 
     found = [
         finding.to_dict() | ({"recording": r.name} if len(problem.recordings) > 1 else {})

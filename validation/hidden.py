@@ -228,7 +228,7 @@ def _corners(
             angle += _SPEED[c][int(u < 0.0)] * abs(u) * (1 if u > 0 else -1) * (hold + 0.5 * (up + down))
             t = times[-1]
         t += float(rng.uniform(0.0, 0.05) if rng.random() < 0.25 else rng.uniform(0.2, 4.0))
-    return _on_grid(np.array([*times, DURATION + 1.0]), np.array([*values, 0.0]), cycle)
+    return commands_on_grid(np.array([*times, DURATION + 1.0]), np.array([*values, 0.0]), cycle)
 
 
 def _ramp(rng: np.random.Generator, hold: float) -> float:
@@ -254,7 +254,7 @@ def _time_left(c: int, angle: float, u: float, plan: Range) -> float:
     return max(0.0, (end - angle) / rate)
 
 
-def _on_grid(times: np.ndarray, values: np.ndarray, cycle: float | None) -> tuple[np.ndarray, np.ndarray]:
+def commands_on_grid(times: np.ndarray, values: np.ndarray, cycle: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Return corners at multiples of the controller's cycle; a step takes the microsecond before its corner."""
     if cycle is not None:
         times = np.round(times / cycle) * cycle

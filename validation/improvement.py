@@ -156,7 +156,7 @@ def improve(
         named, _ = search(without_learned(crane))
         path, replaced = (named, replaced) if _as_well(named, path) else (path, ())
     d = replace(diagnosis_of(path, check, notes), given=crane)
-    judge = _Judge(path.problem.recordings, check, path.problem.data.own)
+    judge = Judge(path.problem.recordings, check, path.problem.data.own)
     steps = [judge.step(None, crane, d.verdict, sentence(d))]
     told(steps[0])
     result = _named(
@@ -190,7 +190,7 @@ def _as_well(named: SearchPath, lawful: SearchPath) -> bool:
 
 
 def _named(
-    result: Improvement, path: SearchPath, replaced: Sequence[str], judge: _Judge, most: int, progress: Progress
+    result: Improvement, path: SearchPath, replaced: Sequence[str], judge: Judge, most: int, progress: Progress
 ) -> Improvement:
     """Return the improvement with the named effects that a path justifies, instead of the laws that they replace."""
     (d,), crane = result.diagnoses, result.crane
@@ -221,7 +221,7 @@ def _named(
     return replace(result, steps=(*result.steps, step), crane=best, verdict=left, many=many)
 
 
-def _with_laws(result: Improvement, found: Learned, judge: _Judge) -> Improvement:
+def _with_laws(result: Improvement, found: Learned, judge: Judge) -> Improvement:
     """Return the improvement with the laws that were learned as its last step."""
     if not found.laws:
         return replace(result, learned=found)
@@ -246,7 +246,7 @@ def _chosen(d: Diagnosis) -> Candidate | None:
 
 
 @dataclass(frozen=True)
-class _Judge:
+class Judge:
     """What the steps of an improvement are confirmed on; `own`: parameters that differ from recording to recording."""
 
     recordings: tuple[Recording, ...]

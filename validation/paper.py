@@ -492,7 +492,7 @@ def reproduce(
     crane = crane if crane is not None else Crane.load("patu655")
     work = [(error, i) for i in inputs for error in model_errors]
     seen = {"sensors": tuple(sensors), "noise": dict(noise or {})}
-    tasks = [(_all_tunings, error, i, engine, seed, tuple(tunings), crane, seen) for error, i in work]
+    tasks = [(all_tunings, error, i, engine, seed, tuple(tunings), crane, seen) for error, i in work]
     documents: list[dict[str, Any]] = []
     shown: dict[str, Case] = {}
     for k, (found, cases) in enumerate(results_of(tasks, jobs)):
@@ -505,7 +505,7 @@ def reproduce(
     return Reproduction(tuple(documents), shown, clock.perf_counter() - begin)
 
 
-def _all_tunings(
+def all_tunings(
     error: float, inputs: int, engine: str, seed: int, tunings: tuple[str, ...], crane: Crane, seen: Mapping[str, Any]
 ) -> tuple[list[dict[str, Any]], dict[str, Case]]:
     """Return the documents of one error and input set, and the cases themselves where figures show them."""

@@ -17,8 +17,8 @@ from crane_exudyn.display import engineering, rounded
 from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
-from .compare import Comparison, from_one_start
-from .compare_figures import traces_figure
+from .comparison import Comparison, from_one_start
+from .comparison_figures import traces_figure
 from .diagnosis import Candidate, Diagnosis, sentence
 from .findings import VIOLATED, balance_words, people_unit
 from .improvement import Improvement

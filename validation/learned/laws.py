@@ -39,7 +39,8 @@ class Law:
     Attributes:
         x: (K,) knots within the visited range, SI.
         against: whether it acts against motion.
-        visited: (n,) values of the argument along the recording, sorted.
+        visited: (n,) values of the argument along the recording, sorted; often: (low, high) that were met within more
+            than a block of time.
     """
 
     key: str
@@ -47,6 +48,7 @@ class Law:
     against: bool
     x: np.ndarray
     visited: np.ndarray = field(repr=False)
+    often: tuple[float, float] = field(repr=False)
 
     @property
     def neutral(self) -> np.ndarray:
@@ -70,13 +72,18 @@ class Law:
         return curve_at(x, y, self.x)
 
     def narrowed(self, y: np.ndarray, std: np.ndarray) -> Law:
-        """Return the law over the range at whose ends a curve y (K,) is known; itself where it is known at both, or
-        nowhere.
+        """Return the law over the range that was met often enough and at whose ends a curve y (K,) is known; itself
+        where that is all of it, or little.
         """
         known = self.x[std <= KNOWN * np.abs(y - self.neutral).max()]
-        if len(known) < COUNT // 2 or (known[0], known[-1]) == (self.x[0], self.x[-1]):
+        if len(known) < COUNT // 2:
             return self
-        return replace(self, x=np.interp(self.x, self.x[[0, -1]], known[[0, -1]]))
+        low, high = max(known[0], self.often[0]), min(known[-1], self.often[1])
+        if self.over.from_zero:
+            low = 0.0
+        if (low, high) == (self.x[0], self.x[-1]) or high - low < 0.5 * (known[-1] - known[0]):
+            return self
+        return replace(self, x=np.interp(self.x, self.x[[0, -1]], [low, high]))
 
     def refined(self, y: np.ndarray) -> Law:
         """Return the law with as many knots as there may be over the same range, closer where the curve through y (K,)
@@ -126,9 +133,9 @@ def laws_of(fit: Fit) -> list[Law]:
             if effect.curve is None or fit.crane.effect(key) is not None:
                 continue
             for over in effect.curve.over:
-                x = visits[effect.name, place, over.name]
-                if len(x) and x[-1] - x[0] > _LEAST_RANGE * (over.high - over.low):
-                    found += [Law(key, over, against, knots(x, over), x) for against in over.against]
+                x, often = visits[effect.name, place, over.name]
+                if often[1] - often[0] > _LEAST_RANGE * (over.high - over.low):
+                    found += [Law(key, over, against, knots(x, over), x, often) for against in over.against]
     return found
 
 
@@ -149,19 +156,20 @@ def knots(visited: np.ndarray, over: Argument) -> np.ndarray:
     return 0.6 * by_range + 0.4 * by_number
 
 
-def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
+def visited(fit: Fit) -> Mapping[tuple[str, str, str], tuple[np.ndarray, tuple[float, float]]]:
     """Return the values (n,) of each argument of each learned effect at each place along a fitted run, where the effect
-    can act, sorted, up to the ends that were met within more than a block of time.
+    can act, sorted, and between which ends they were met often.
     """
     X, W, time = trajectory(fit)
     lay = fit.crane.layout
     t = SemiRecursiveEngine(fit.crane).terms_along(X, W, time)
     clock = _EVERY * np.arange(len(X))
-    found: dict[tuple[str, str, str], np.ndarray] = {}
+    found: dict[tuple[str, str, str], tuple[np.ndarray, tuple[float, float]]] = {}
 
     def met(effect: str, place: str, over: str, values: np.ndarray, where: np.ndarray | None = None) -> None:
         where = np.ones(len(values), dtype=bool) if where is None else where
-        found[effect, place, over] = well_visited(values[where], np.resize(clock, len(values))[where])
+        values, when = values[where], np.resize(clock, len(values))[where]
+        found[effect, place, over] = np.sort(values), often_met(values, when)
 
     drawn, returned = np.zeros(len(X)), np.zeros(len(X))
     for c, place in enumerate(lay.cylinders):
@@ -191,15 +199,17 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], np.ndarray]:
     return found
 
 
-def well_visited(values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return values (n,), sorted, up to the ends beyond which they went within less than a block of time only."""
-    order = np.argsort(values)
-    ends = []
+def often_met(values: np.ndarray, time: np.ndarray) -> tuple[float, float]:
+    """Return the ends beyond which values (n,) went within less than a block of time only; (0, 0) where they are all
+    of one block.
+    """
+    if not len(values) or np.ptp(time) < BLOCK:
+        return 0.0, 0.0
+    order, ends = np.argsort(values), []
     for out in (order, order[::-1]):
         span = np.maximum.accumulate(time[out]) - np.minimum.accumulate(time[out])
-        ends.append(int(np.searchsorted(span, BLOCK)))
-    low, high = ends[0], len(values) - ends[1]
-    return values[order[low:high]]
+        ends.append(float(values[out[np.searchsorted(span, BLOCK)]]))
+    return ends[0], ends[1]
 
 
 def trajectory(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

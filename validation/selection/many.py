@@ -475,7 +475,7 @@ def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane
     fit found them.
     """
     given, data = problem.crane, problem.data
-    nominal = [_believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
+    nominal = [believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
     stated, clocks, known = stated_effects(given), timings(data), values_of(before)
     values: list[float] = [known.get(v.name, 0.0) for v in clocks]
     for v in nominal:
@@ -490,7 +490,7 @@ def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane
     return [*clocks, *nominal, *stated, *own], np.array([*values, *(v.begin for v in own)])
 
 
-def _believable(v: NominalDirection) -> NominalDirection:
+def believable(v: NominalDirection) -> NominalDirection:
     """Return a nominal parameter that stays within what can be believed of it."""
     return (
         v if math.isinf(v.prior) else replace(v, lower=-CRITERIA.believed * v.prior, upper=CRITERIA.believed * v.prior)

@@ -196,13 +196,13 @@ class Comparison:
 
     def plot(self) -> Figure:
         """Return the picture for a glance: what fails when, above the commands that were given."""
-        from .compare_figures import where_figure
+        from .comparison_figures import where_figure
 
         return where_figure(self)
 
     def figures(self) -> dict[str, Figure]:
         """Return all pictures by name: "where", "open_loop", "balances", "balances_by_work"."""
-        from .compare_figures import figures
+        from .comparison_figures import figures
 
         return figures(self)
 
@@ -369,23 +369,15 @@ def from_one_start(recording: Recording, cranes: Mapping[str, Crane]) -> dict[st
     return lines
 
 
-class _Following(Estimator):
-    """An estimator without limits on the angles: a recording may pass a dead centre, and measured angles say on which
-    side.
-    """
-
-    def _all_bounds(self, lengths: Any) -> Any:
-        return super()._all_bounds(None)
-
-
 def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[float], None] | None = None) -> Estimate:
     """Return the run of a filter that trusts the model, and believes every sample; it begins anew after unknown
     commands.
     """
     noise = {s.channel: s.noise for s in data.samples}
-    estimator = _Following(
-        crane, engine, sensors=noise, noise=ProcessNoise.of(crane.layout, *_TRUSTING), max_step=data.step, gate=None
-    )
+    estimator = Estimator(
+        crane, engine, sensors=noise, noise=ProcessNoise.of(crane.layout, *_TRUSTING), max_step=data.step, gate=None,
+        strokes=False,
+    )  # fmt: skip
     runs = []
     for first, last in data.stretches:
         done = partial(_share, progress, first / len(data.time), (last - first) / len(data.time))

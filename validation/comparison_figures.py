@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from crane_exudyn.layout import Layout
 
-    from .compare import Comparison
+    from .comparison import Comparison
 
 #: colours of the kinds of work: extending warm, retracting cold, what is special dark
 _COLORS = {REST: "#eeeeee", REVERSAL: "#7A5C8E", LOW_PRESSURE: "#3E6E5A", STROKE_END: "#333333"}
