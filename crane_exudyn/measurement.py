@@ -102,11 +102,15 @@ class Measurement:
         _rows(self._machine.topology, X, *reads, self.P, self.E, Y, C)
         return Y, C
 
-    def shown(self, X: np.ndarray, time: np.ndarray, *, settled: bool = False) -> np.ndarray:
-        """Return what the sensors show (n, m) along states X (n, nx) at `time` (n,) in s; `settled` as in `lagged`."""
+    def shown(
+        self, X: np.ndarray, time: np.ndarray, *, settled: bool = False, first: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return what the sensors show (n, m) along states X (n, nx) at `time` (n,) in s; `settled` and `first` (m,) as
+        in `lagged`.
+        """
         Y = self.read(X)
         for j, tau in self.lags:
-            Y[:, j] = lagged(Y[:, j], time, tau, settled=settled)
+            Y[:, j] = lagged(Y[:, j], time, tau, settled=settled, first=None if first is None else first[j])
         return Y
 
     def shown_on(

@@ -9,6 +9,7 @@ import pytest
 
 from crane_exudyn import Crane, Recording
 from crane_exudyn.measurement import Measurement
+from validation.fit import linear
 from validation.fit.data import ACCURACY, FitData, Samples
 from validation.fit.linear import (
     RATE,
@@ -19,13 +20,16 @@ from validation.fit.linear import (
     linearised,
     model_at,
     normal_equations,
+    pack,
     robust,
     sweep_window,
 )
+from validation.fit.model import model_of
 from validation.fit.solve import bounded_step, covariance, fit, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.selection.model import UNDETERMINED
+from validation.semi_recursive import sensitivity
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 NOISE = {"z1": math.radians(0.05), "z4": math.radians(0.05), "p1": 3e4, "p2": 3e4, "p3": 3e4, "p4": 3e4}
@@ -251,3 +255,49 @@ def test_the_moment_of_an_event_is_found_between_the_moments_that_are_tried():
     assert acting is not None
     assert acting.parameters["T"] == pytest.approx(true["T"], abs=5e-3)
     assert acting.parameters["F"] == pytest.approx(true["F"], rel=0.03)
+
+
+def test_events_in_other_windows_are_swept_once(nominal, monkeypatch):
+    """A load that changed before a window has always been there, one that changes after it has not changed."""
+    crane, data = nominal
+    windows = cut(data, 0.25)
+    window, x0 = windows[8], first_knots(crane, data, 0.25)[8]
+    begin, end = float(window.data.time[0]), float(window.data.time[-1])
+    base = model_of(crane, data)
+    moments = [0.0, 0.5 * begin, 0.5 * (begin + end), end + 0.1]
+    models = [model_of(crane.with_effect("payload_change", {"dm": 5.0, "T": t}), data) for t in moments]
+    columns, swept = pack(base, models, np.ones(len(models))), []
+    sweep = sensitivity.sweep
+    monkeypatch.setattr(sensitivity, "sweep", lambda *a, **k: swept.append(len(a[9])) or sweep(*a, **k))
+    found = sweep_window(window, x0, base, columns, data.channels)
+    assert swept == [2], "before and within"
+    W = columns.W[:, window.start : window.start + len(window.data.time)]
+    true = sweep(
+        x0[None], np.zeros(1), W, data.step, begin, base.P, base.E, columns.P, columns.E, columns.size,
+        topology=base.topology, allowed=ACCURACY,
+    ).S_end[0]  # fmt: skip
+    assert found.end_jacobian == pytest.approx(true, rel=1e-9, abs=1e-12)
+    assert not found.end_jacobian[:, -1].any()
+
+
+@pytest.mark.parametrize(
+    "effect, values",
+    [
+        ("entrained_air", {"alpha": 0.02}),
+        ("released_air", {"alpha": 0.1, "ps": 3e5}),
+        ("internal_leakage@lift", {"k": 3e-12}),
+    ],
+)
+def test_derivatives_on_a_coarser_grid_are_those_on_the_datas_own(monkeypatch, effect, values):
+    """The drop within a second boils the rod side; derivatives are off by some hundredths, the cost by nothing."""
+    crane = Crane.load("patu655").with_effect(effect, values)
+    data = FitData.of(recorded(crane, 3.0), crane)
+    nominal, own = uncertain_parameters(crane), effect_variables(effect, values, crane.layout)
+    variables, u = [*nominal, *own], np.array([0.0] * len(nominal) + [v.begin for v in own])
+    windows, knots = cut(data, 0.25), first_knots(crane, data, 0.25)
+    coarse, _ = linearised(crane, data.stepped(1e-3), windows, knots, variables, u, 100.0)
+    monkeypatch.setattr(linear, "DERIVED", 1e-3)
+    fine, _ = linearised(crane, data.stepped(1e-3), windows, knots, variables, u, 100.0)
+    assert coarse.cost == pytest.approx(fine.cost, rel=1e-9)
+    scale = np.maximum(np.sqrt(np.diag(fine.Huu)), 1e-9)
+    assert np.abs((coarse.Huu - fine.Huu) / np.outer(scale, scale)).max() < 0.05

@@ -20,8 +20,8 @@ class Parameter:
             one.
         along_stroke: True for a length of the piston-side chamber that is a place of the stroke: searches start it
             around where the recording begins.
-        moment: True for the time of an event, counted from the start of the recording: searches try it all along the
-            recording.
+        moment: True for the time of an event, counted from the start of the recording, before which the effect does
+            nothing and after which it acts alike at all times: searches try it all along the recording.
     """
 
     name: str

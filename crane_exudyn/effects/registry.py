@@ -107,6 +107,20 @@ def neutral_vector() -> list[float]:
     return list(_neutral())
 
 
+@cache
+def events() -> tuple[tuple[slice, int], ...]:
+    """Return of each effect with a moment (`Parameter.moment`), at each place, where in E its parameters stand, and
+    where the moment does.
+    """
+    found = []
+    for effect in known():
+        n = len(effect.parameters)
+        for at in (i for i, p in enumerate(effect.parameters) if p.moment):
+            first = starts()[effect.name]
+            found += [(slice(k, k + n), k + at) for k in range(first, first + n * MOST[effect.places], n)]
+    return tuple(found)
+
+
 def register(effect: type[Effect]) -> type[Effect]:
     """Make a user's own effect known; may be used as a class decorator.
 
@@ -120,8 +134,8 @@ def register(effect: type[Effect]) -> type[Effect]:
             f"Effect {effect.name!r} comes too late: engines are compiled. Register it before importing one."
         )
     _user_effects.append(effect)
-    starts.cache_clear()
-    _neutral.cache_clear()
+    for table in (starts, _neutral, events):
+        table.cache_clear()
     return effect
 
 

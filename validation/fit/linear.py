@@ -12,7 +12,7 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
@@ -21,6 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.effects.registry import events, neutral_vector
 from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import Measurement, sensing_slots
 
@@ -39,6 +40,9 @@ THREADS = 2
 T = TypeVar("T")
 #: most grid points that are swept at once: the sensitivities of a piece of a window take some 50 MB
 _LARGE = 30_000
+#: longest step of the runs that derivatives are taken of, s. What is left is told by a run in the data's own steps, so
+#: that the minimum is theirs; derivatives but for some hundredths lead to it as well
+DERIVED = 2.5e-3
 #: by the unit of a sensor: what it shows at the start of a window where it lags is known to its lag times this rate
 RATE: Mapping[str, float] = {"rad": 0.3, "m": 0.3, "rad/s": 0.3, "m/s": 0.3, "Pa": 5e7}
 
@@ -236,9 +240,7 @@ def cost_at(
 
 def _run_window(window: Window, x0: np.ndarray, base: Model) -> tuple[float, int, np.ndarray] | None:
     """Return sum of squared residuals, number of samples and last state of a window; None where the model fails."""
-    data = window.data
-    W = base.W[window.start : window.start + len(data.time)]
-    X, status, _, _ = kernel.simulate(x0, W, data.time, data.step, base.P, base.E, base.topology, ACCURACY)
+    data, (X, status) = window.data, _ran(window, x0, base)
     if status != 0 or not np.isfinite(X[-1]).all():
         return None
     measurement = base.measurement(data.channels)
@@ -249,6 +251,14 @@ def _run_window(window: Window, x0: np.ndarray, base: Model) -> tuple[float, int
             r = _without_memory(r[:, None], sample, data.step, lags[j], base)[0][:, 0]
         squares, number = squares + float(r @ r), number + len(r)
     return (squares, number, X[-1]) if math.isfinite(squares) else None
+
+
+def _ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
+    """Return the states (n, nx) of a window's run in the data's own steps, and its status."""
+    data = window.data
+    W = base.W[window.start : window.start + len(data.time)]
+    X, status, _, _ = kernel.simulate(x0, W, data.time, data.step, base.P, base.E, base.topology, ACCURACY)
+    return X, status
 
 
 def with_states(knots: np.ndarray, nx: int) -> np.ndarray:
@@ -348,6 +358,45 @@ def _pieces(window: Window, longest: int) -> list[Window]:
     return [Window(window.start + a, window.data.part(a, b), window.recording) for a, b in pairwise(edges)]
 
 
+class _Grid(NamedTuple):
+    """Grid on which a piece of a window is differentiated.
+
+    Attributes:
+        time: (n,) s, at equal steps; step: s.
+        W: (n_W, n, inputs) input signals of the base and of perturbed cranes.
+        fine: whether it is the data's own.
+    """
+
+    time: np.ndarray
+    step: float
+    W: np.ndarray
+    fine: bool
+
+    @classmethod
+    def of(cls, window: Window, W: np.ndarray) -> _Grid:
+        """Return the grid of a window with steps of at most DERIVED, or the data's own where these are not shorter; W
+        are signals on the grid of the whole recording.
+        """
+        data, own = window.data, W[:, window.start : window.start + len(window.data.time)]
+        last = len(data.time) - 1
+        steps = math.ceil(last * data.step / DERIVED - 1e-6)
+        if steps >= last:
+            return cls(data.time, data.step, own, True)
+        place = np.linspace(0.0, last, steps + 1)
+        before = np.minimum(place.astype(int), last - 1)
+        share = (place - before)[:, None]
+        between = own[:, before] + share * (own[:, before + 1] - own[:, before])
+        return cls(data.time[0] + data.step * place, data.step * last / steps, between, False)
+
+    def taken(self, sample: Samples, grid: np.ndarray, data: FitData) -> np.ndarray:
+        """Return what `grid` (n, …) on this grid is at a channel's samples."""
+        if self.fine:
+            return sample.taken(grid)
+        place = (sample.index + sample.fraction) * (data.step / self.step)
+        index = np.minimum((place + 1e-9).astype(np.int64), len(self.time) - 2)
+        return replace(sample, index=index, fraction=place - index).taken(grid)
+
+
 class _Begun(NamedTuple):
     """How a piece of a window begins: its state (nx,), and what an earlier piece left.
 
@@ -367,16 +416,19 @@ def _sweep_piece(
     window: Window, begun: _Begun, base: Model, columns: Columns, channels: tuple[str, ...]
 ) -> tuple[Swept, _Begun]:
     """Return residuals of one piece of a window, their derivative, and how the next piece begins."""
-    data, nx = window.data, len(begun.x)
-    X, S, status = _states(window, begun, base, columns)
+    data, nx, grid = window.data, len(begun.x), _Grid.of(window, columns.W)
+    X, S, status = _states(grid, begun, base, columns)
     measurement = base.measurement(channels)
-    Z, dZ = measurement.shown_rows(X, S, data.time, begun.shown)
-    shown = Z[-1].copy(), dZ[-1].copy()
-    shown_on = _add_own(dZ[:, :, nx:], Z, measurement, X, data.time, columns, begun.shown_on)
-    end = _Begun(X[-1].copy(), S[-1].copy(), shown, shown_on)
+    Z, dZ = measurement.shown_rows(X, S, grid.time, begun.shown)
+    by_state = dZ[-1].copy()
+    shown_on = _add_own(dZ[:, :, nx:], Z, measurement, X, grid.time, columns, begun.shown_on)
+    if not grid.fine:
+        X, ended = _ran(window, begun.x, base)
+        status, Z = max(status, ended), measurement.shown(X, data.time, first=begun.shown and begun.shown[0])
+    end = _Begun(X[-1].copy(), S[-1].copy(), (Z[-1].copy(), by_state), shown_on)
     lags, residuals, jacobians, volume = dict(measurement.lags), [], [], 0.0
     for j, sample in enumerate(data.samples):
-        r, dr = sample.residuals(Z[:, j]), sample.taken(dZ[:, j]) / sample.noise
+        r, dr = sample.residuals(Z[:, j]), grid.taken(sample, dZ[:, j], data) / sample.noise
         if window.start > 0 and begun.shown is None and j in lags:
             both, own = _without_memory(np.column_stack([r, dr]), sample, data.step, lags[j], base)
             r, dr, volume = both[:, 0], both[:, 1:], volume + own
@@ -392,22 +444,52 @@ def _sweep_piece(
     ), end  # fmt: skip
 
 
-def _states(window: Window, begun: _Begun, base: Model, columns: Columns) -> tuple[np.ndarray, np.ndarray, int]:
+def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[np.ndarray, np.ndarray, int]:
     """Return states (n, nx), their derivative (n, nx, nx + m) by the window's first state and all variables, and a
     status.
     """
-    data, moving, nx = window.data, np.flatnonzero(columns.dynamic), len(begun.x)
+    nx, (here, own_E, moving, of) = len(begun.x), _acting(grid, base, columns)
     swept = sensitivity.sweep(
-        begun.x[None], np.zeros(1), columns.W[:, window.start : window.start + len(data.time)], data.step,
-        float(data.time[0]), base.P, base.E, columns.P[moving], columns.E[moving], columns.size[moving],
-        columns.W_index[moving], topology=base.topology, own=columns.own[moving], allowed=ACCURACY,
+        begun.x[None], np.zeros(1), grid.W, grid.step, float(grid.time[0]), base.P, own_E, here.P, here.E, here.size,
+        here.W_index, topology=base.topology, own=here.own, allowed=ACCURACY,
     )  # fmt: skip
-    if begun.by_all is None and len(moving) == len(columns.size):
+    if begun.by_all is None and len(here.size) == len(columns.size):
         return swept.X, swept.S, swept.status
     by_first = np.eye(nx, nx + len(columns.size)) if begun.by_all is None else begun.by_all
     S = swept.S[:, :, :nx] @ by_first
-    S[:, :, nx + moving] += swept.S[:, :, nx:]
+    S[:, :, nx + moving] += swept.S[:, :, nx + of]
     return swept.X, S, swept.status
+
+
+def _acting(grid: _Grid, base: Model, columns: Columns) -> tuple[Columns, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the columns that move the machine within a window, no two alike, and the base's E there; then which of all
+    columns do, and which of the first they are.
+
+    Most events happen in other windows: where they are over or not yet begun, all moments are one.
+    """
+    begin, end = float(grid.time[0]), float(grid.time[-1])
+    E, own_E = _within(columns.E, begin, end), _within(base.E[None], begin, end)[0]
+    same = (grid.W == grid.W[0]).all(axis=(1, 2))
+    index = np.where(same[columns.W_index], 0, columns.W_index)
+    acts = (columns.P != base.P).any(axis=1) | (E != own_E).any(axis=1) | (index != 0)
+    moving, known = np.flatnonzero(columns.dynamic & acts), dict[bytes, int]()
+    rows = np.column_stack([columns.P, E, columns.size, index, columns.own])
+    of = [known.setdefault(rows[j].tobytes(), len(known)) for j in moving]
+    first = moving[np.unique(of, return_index=True)[1]] if of else moving
+    here = replace(columns, P=columns.P[first], E=E[first], size=columns.size[first], W_index=index[first],
+                   own=columns.own[first])  # fmt: skip
+    return here, own_E, moving, np.array(of, np.int64)
+
+
+def _within(E: np.ndarray, begin: float, end: float) -> np.ndarray:
+    """Return E (m, …) as it acts from `begin` to `end`, in s: events that come later do nothing, and of those before it
+    is all the same when they were.
+    """
+    E, neutral = E.copy(), np.array(neutral_vector())
+    for own, moment in events():
+        E[E[:, moment] > end, own] = neutral[own]
+        E[:, moment] = np.maximum(E[:, moment], begin)
+    return E
 
 
 def _followed_by(a: Swept, b: Swept) -> Swept:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
 
@@ -102,6 +103,11 @@ class Fit:
 
 def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
     """Eliminate the knots of the normal equations by block elimination along time."""
+    with threadpool_limits(1):  # small matrices: threads of the linear algebra's own would only be in the way
+        return _eliminated(linear, guess, knots)
+
+
+def _eliminated(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
     K, nx, m = linear.Hxu.shape
     H = linear.Hxx + np.diag(linear.weak)
     g = linear.gx + linear.weak * (knots - guess) / linear.jump
@@ -119,7 +125,7 @@ def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
     for k in reversed(range(K)):
         after = off[k] @ solution[k + 1] if k + 1 < K else 0.0
         solution[k] = cho_solve(factors[k], right[k] - after)
-    HB = np.einsum("kij,kil->jl", linear.Hxu, solution)
+    HB = linear.Hxu.reshape(K * nx, m).T @ solution.reshape(K * nx, m + 1)
     return Reduced(linear.Huu - HB[:, :m], linear.gu - HB[:, m], -solution[:, :, :m], -solution[:, :, m])
 
 
