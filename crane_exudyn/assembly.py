@@ -135,7 +135,13 @@ def _find(path: Path, table: RawTable, wanted: str, said: str) -> RawColumn:
     if found:
         raise CraneError(f"{path}: column {wanted!r} of {said} stands there {len(found)} times. Rename one.")
     headers = [split_header(c.header)[0] for c in table.columns]
-    raise CraneError(f"{path}: there is no column {name!r}, as {said} says.{nearest(name, headers)}")
+    why = _left_out(table, name)
+    raise CraneError(f"{path}: there is no column {name!r}, as {said} says.{why or nearest(name, headers)}")
+
+
+def _left_out(table: RawTable, name: str) -> str:
+    """Return why something of that name in the file makes no column; "" where there is nothing of it."""
+    return next((f" The file's {note}." for note in table.notes if f" {name!r} " in note), "")
 
 
 def _mapped_unit(path: Path, header: str, own: str | None, column: Column) -> str | None:
@@ -158,8 +164,8 @@ def _clock_of(
     if clock is None:
         headers = [c.header for c in table.columns]
         raise CraneError(
-            f"{path}: there is no column time[s], found {', '.join(headers[:8])}. Add it, or give its name: --map "
-            "time=Zeit[s]."
+            f"{path}: there is no column time[s], found {', '.join(headers[:8])}.{_left_out(table, 'time')} Add it, or "
+            "give its name: --map time=Zeit[s]."
         )
     return clock
 

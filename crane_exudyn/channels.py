@@ -6,16 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from types import MappingProxyType
 
 import numpy as np
 
+from .frozen import frozen
 from .layout import Layout
 
 #: by unit, the size that no reading of a crane has: turns that no boom makes, rad/s, 1000 bar, m, m/s
-BEYOND: Mapping[str, float] = MappingProxyType(
-    {"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0, "m/s": 20.0}
-)
+BEYOND: Mapping[str, float] = frozen({"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0, "m/s": 20.0})
 
 
 @cache
@@ -23,7 +21,7 @@ def of(layout: Layout) -> Mapping[str, str]:
     """Return all channels that a recording of a machine may have, in their order, and their SI units ("" is a pure
     number).
     """
-    return MappingProxyType(
+    return frozen(
         dict.fromkeys(layout.commands, "")
         | dict.fromkeys(layout.voltages, "V")
         | {name: sensor.unit for name, sensor in layout.sensors.items()}

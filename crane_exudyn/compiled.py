@@ -19,6 +19,7 @@ import shutil
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -115,11 +116,28 @@ ANNOUNCEMENT = Announcement()
 event.register("numba:compile", ANNOUNCEMENT)
 
 
+#: how many functions of each name were made by another function
+_made: Counter[str] = Counter()
+
+
+def _named_apart(function: Callable[..., Any]) -> None:
+    """Give a function that another function made a name of its own.
+
+    Compiled code refers to a function by its name and a number that counts in one process only. Where code from two
+    processes meets, as it does in the cache, two functions of one name would be taken for each other.
+    """
+    if "<locals>" in function.__qualname__:
+        kind = f"{function.__module__}.{function.__qualname__}"
+        _made[kind] += 1
+        function.__qualname__ += f"_{_made[kind]}"
+
+
 def njit(*args: Any, **options: Any) -> Callable[..., Any]:
     """numba.njit with a disk cache, numpy's rules for division, and no global lock while it runs."""
     options = {"cache": True, "error_model": "numpy", "nogil": True} | options
 
     def compile_function(function: Callable[..., Any]) -> Callable[..., Any]:
+        _named_apart(function)
         numba.config.CACHE_DIR = str(
             cache_folder(function.__module__.partition(".")[0] if options["cache"] else _FOUNDATION)
         )

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from .effects.base import Acting
 from .effects.curve import X, Y
 from .errors import CraneError, nearest
 from .files import write_text
+from .frozen import frozen
 from .layout import Layout
 from .machine import Machine
 
@@ -98,7 +98,7 @@ class Crane:
 
     def __post_init__(self) -> None:
         for name in ("values", "voltage", "sensors", "uncertainty", "sources"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+            object.__setattr__(self, name, frozen(getattr(self, name)))
         check(self.name, self.machine, self.values, self.effects)
 
     # -- reading and writing -------------------------------------------------------------------------------------
@@ -188,7 +188,7 @@ class Crane:
     def with_effect(self, key: str, values: Mapping[str, float]) -> Crane:
         """Return a copy with the effect "name@place" added, or given other parameters where it is there already."""
         effect, place = registry.split_key(key, self.layout)
-        acting = Acting(effect.name, place, MappingProxyType(complete(effect, values)))
+        acting = Acting(effect.name, place, frozen(complete(effect, values)))
         kept = [e for e in self.effects if e.key != key]
         at = next((i for i, e in enumerate(self.effects) if e.key == key), len(kept))
         return replace(self, effects=(*kept[:at], acting, *kept[at:]))
@@ -218,7 +218,7 @@ class Crane:
 
     def with_history(self, entry: Mapping[str, Any]) -> Crane:
         """Return a copy whose history has one entry more."""
-        return replace(self, history=(*self.history, MappingProxyType(dict(entry))))
+        return replace(self, history=(*self.history, frozen(entry)))
 
     def __repr__(self) -> str:
         effects = ", ".join(e.key for e in self.effects) or "no effects"

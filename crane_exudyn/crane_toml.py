@@ -6,7 +6,6 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from . import parameters
@@ -14,6 +13,7 @@ from .effects import registry
 from .effects.base import Acting
 from .effects.curve import KNOTS, Curve
 from .errors import CraneError, nearest
+from .frozen import frozen
 from .layout import Layout
 from .machine import PRISMATIC, Machine
 from .machine_toml import OF_CYLINDER, OF_PAYLOAD, machine_of
@@ -53,7 +53,7 @@ def from_document(document: Mapping[str, Any], where: str, text: str = "") -> Cr
         uncertainty=_uncertainties(_table(document, "uncertainty", where), values, where),
         sources={str(k): str(v) for k, v in _table(document, "sources", where).items()},
         effects=effects,
-        history=tuple(MappingProxyType(dict(entry)) for entry in _tables(document, "history", where)),
+        history=tuple(frozen(entry) for entry in _tables(document, "history", where)),
         text=text,
     )
 
@@ -234,9 +234,9 @@ def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
         raise CraneError(f"{where}: {problem}") from problem
     about, given = f"{where}: effect {effect.name!r}: parameters", table.get("parameters", {})
     if effect.curve is not None:
-        return Acting(effect.name, place, MappingProxyType(complete(effect, _curve(effect.curve, given, about))))
+        return Acting(effect.name, place, frozen(complete(effect, _curve(effect.curve, given, about))))
     numbers = _read(given, {p.name: unit_at(p.unit, place, layout) for p in effect.parameters}, about)
-    return Acting(effect.name, place, MappingProxyType(complete(effect, numbers)))
+    return Acting(effect.name, place, frozen(complete(effect, numbers)))
 
 
 _CURVE = ("over", "against_motion", "unit_over", "x", "unit", "y")

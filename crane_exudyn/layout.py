@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 
+from .frozen import frozen
 from .sensors import Sensor
 
 #: the most coordinates (and cylinders) of a machine: how many places compiled code keeps for what acts on them
@@ -136,7 +136,7 @@ class Layout:
     @cached_property
     def sensors(self) -> Mapping[str, Sensor]:
         """The sensors that the machine may have, by name."""
-        return MappingProxyType({sensor.name: sensor for sensor in sensors_of(self)})
+        return frozen({sensor.name: sensor for sensor in sensors_of(self)})
 
     # -- where effects act ------------------------------------------------------------------------------------------
 

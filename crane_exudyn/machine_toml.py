@@ -189,10 +189,17 @@ def _turned(joint: Joint, carriers: Mapping[str, Joint], independent: Sequence[s
         return joint
     if ends(joint.body):
         return Joint(joint.name, joint.kind, joint.body, joint.carrier, joint.own_pin, joint.pin, "", -joint.side)
+    mend = f"State other independent coordinates than {', '.join(independent)}, or put the loop together so."
+    if follows(joint.carrier) and follows(joint.body):
+        other = carriers[joint.carrier].name
+        mend = (
+            f"Close it at joint {other!r} instead: bodies = {[joint.body, joint.carrier]} and the coordinate of "
+            f"{other!r} for joint {joint.name!r}, and {other!r} without a coordinate, with its pin on both bodies (at "
+            "and on)."
+        )
     raise CraneError(
         f"{where}: joint {joint.name!r} closes a loop whose dependent bodies are not two, one carried by the other on "
-        "revolute joints. "
-        f"State other independent coordinates than {', '.join(independent)}, or put the loop together so."
+        f"revolute joints. {mend}"
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from . import signals
 from .assembly import assemble, example, wanted
 from .channels import Channel
 from .errors import CraneError, nearest
+from .frozen import frozen
 from .layout import Layout
 from .machine_toml import usual_layout
 from .mapping import Column, columns_of
@@ -52,7 +52,7 @@ class Recording:
     vouched: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+        object.__setattr__(self, "channels", frozen(self.channels))
 
     # -- making one ----------------------------------------------------------------------------------------------
 

@@ -65,6 +65,10 @@ _DIGITS = re.compile(r"[\d.,_'’]*\d[\d.,_'’]*(?:\s+[\d.,_'’]*\d[\d.,_'’]
 _NUMBER, _DECIMAL_COMMA = re.compile(r"\d+\.?\d*|\.\d+"), re.compile(r"\d*,\d+")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}(,\d{3})+")
 _BROKEN_EXPONENT = re.compile(r"\d\.?[eE][+-]?\d+[.,]")
+#: signs of other alphabets that people and word processors write for those of a formula
+_OTHER_SIGNS = str.maketrans({"−": "-", "‐": "-", "‑": "-", "–": "-", "×": "*", "⋅": "*"})
+#: what stands in a value or unit beside letters, digits and superscripts; pint drops other signs without a word
+_SIGNS = frozenset(".+-⁻*/^()_%°·")
 #: characters of a value, and exponents, that no value of a crane exceeds
 _LONGEST, _GREATEST_POWER = 200, 30.0
 
@@ -73,8 +77,8 @@ def _quantity(text: str) -> Any:
     """Return the pint quantity of a text; what pint would silently take for something else is refused before it
     computes.
 
-    Pint drops commas, multiplies numbers that stand side by side, computes powers of powers, and takes Grad for a
-    giga-radian.
+    Pint drops commas and all signs that it does not know ("5 ± 0.1 m" is 0.5 m to it), multiplies numbers that stand
+    side by side, computes powers of powers, and takes Grad for a giga-radian.
 
     Raises:
         CraneError: the reason, without the place; and whatever pint raises for text that it cannot read.
@@ -83,11 +87,19 @@ def _quantity(text: str) -> Any:
 
     if len(text) > _LONGEST:
         raise CraneError(f"the text is {len(text)} characters long, expected a number and a unit")
-    plain = _with_points(text)
+    plain = _known_signs(_with_points(text.translate(_OTHER_SIGNS)))
     _refuse_towers(string_preprocessor(plain))
     quantity = registry().Quantity(plain)
     _refuse_great_angles(quantity)
     return quantity
+
+
+def _known_signs(text: str) -> str:
+    """Return the text itself; a sign that is none of a number or unit is refused."""
+    for sign in text:
+        if not (sign.isalnum() or sign.isspace() or sign in _SIGNS):
+            raise CraneError(f"{sign!r} is no sign of a number or unit. Write one number and one unit")
+    return text
 
 
 def _with_points(text: str) -> str:

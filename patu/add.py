@@ -49,7 +49,8 @@ def command(
 ) -> None:
     """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones.
 
-    After a fit that does not make the open-loop error smaller nothing is written, unless --anyway asks for it; exit
+    After a fit that does not make the open-loop error smaller, or does so without
+    the effect, nothing is written, unless --anyway asks for it; exit
     status 1.
     """
     chosen = load_crane(crane, effects)
@@ -69,8 +70,8 @@ def command(
     if not better:
         Printer(json).line(
             f"The fit of {effect} to {fit} did not help: error {document['error_before']:.4g} before, "
-            f"{document['error_after']:.4g} after, in units of the sensors' noise."
-            + ("" if anyway else " Nothing was written; --anyway writes it all the same.")
+            f"{document['error_after']:.4g} after, {document['error_without']:.4g} then without the effect, in units "
+            "of the sensors' noise." + ("" if anyway else " Nothing was written; --anyway writes it all the same.")
         )
     _write(result if better or anyway else None, output, json, {"effect": effect, **document, "helped": better})
     raise typer.Exit(0 if better else 1)

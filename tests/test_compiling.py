@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import pytest
 from crane_exudyn import compiled
 from patu import compiling
 from validation import workers
+from validation.semi_recursive import sensitivity  # noqa: F401  and all that it compiles
 
 
 @pytest.fixture
@@ -64,3 +67,57 @@ def test_work_in_processes_of_its_own_is_never_done_in_this_one() -> None:
 @pytest.mark.parametrize("parts", [("semi-recursive", "fit"), ("exudyn", "filter")])
 def test_every_part_runs_in_one_go(parts: tuple[str, ...]) -> None:
     compiling.run_parts(*parts)
+
+
+#: functions long enough to stay functions of their own where they are called
+MADE_FUNCTIONS = """
+import math
+
+from crane_exudyn.compiled import njit
+
+
+def times(factor):
+    @njit(cache=False)
+    def scaled(x):
+        y = x
+        LONG
+        return y
+
+    return scaled
+
+
+twice, thrice = times(2.0), times(3.0)
+
+
+@njit
+def called_twice(x):
+    return twice(x)
+
+
+@njit
+def called_thrice(x):
+    return thrice(x)
+""".replace("LONG", "\n        ".join(["y = (y + factor * math.sin(y)) if y < 99.0 else factor - y"] * 60))
+
+
+def test_code_compiled_in_two_processes_is_not_mixed_up(tmp_path: Path) -> None:
+    """Two functions that one function made, each compiled as the first of its process, would have one name."""
+    (tmp_path / "made.py").write_text(MADE_FUNCTIONS, encoding="utf-8")
+    given = os.environ | {"CRANE_EXUDYN_CACHE": str(tmp_path), "PYTHONPATH": str(tmp_path)}
+
+    def said(*calls: str) -> list[str]:
+        words = [sys.executable, "-c", f"import made; print({', '.join(calls)})"]
+        return subprocess.run(words, env=given, capture_output=True, text=True, check=True).stdout.split()
+
+    twice, thrice = "made.called_twice(1.0)", "made.called_thrice(1.0)"
+    assert [*said(twice), *said(thrice)] == said(twice, thrice)
+
+
+def test_compiled_functions_have_names_of_their_own() -> None:
+    names: dict[tuple[str, str], object] = {}
+    for module in [m for n, m in list(sys.modules.items()) if n.partition(".")[0] in ("crane_exudyn", "validation")]:
+        for found in vars(module).values():
+            function = getattr(found, "py_func", None)
+            if function is not None:
+                assert names.setdefault((function.__module__, function.__qualname__), function) is function
+    assert len(names) > 100

@@ -1,11 +1,13 @@
 """The crane file: round trips, refusals that say the mend, a source for every number."""
 
+import copy
+import pickle
 from fnmatch import fnmatchcase
 
 import numpy as np
 import pytest
 
-from crane_exudyn import Crane, CraneError
+from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.crane import built_in
 
 
@@ -151,6 +153,16 @@ def test_adding_and_removing_is_exact(crane):
     assert removed(file, "dead_band@lift").to_toml() == crane.to_toml()
     with pytest.raises(CraneError, match="no effect"):
         removed(crane, "dead_band@lift")
+
+
+def test_cranes_and_recordings_can_be_copied_and_sent_to_other_processes(crane):
+    changed = crane.with_effect("dead_band@tilt", {"lower": 0.1}).with_history({"added": ["dead_band@tilt"]})
+    recording = Recording.from_arrays("r", np.arange(3.0), {"z1": np.arange(3.0)}, layout=crane.layout)
+    for again in (copy.deepcopy(changed), pickle.loads(pickle.dumps(changed))):
+        assert again == changed
+        with pytest.raises(TypeError):
+            again.values["payload.mass"] = 3.0
+    assert np.array_equal(pickle.loads(pickle.dumps(recording))["z1"].values, recording["z1"].values)
 
 
 def test_a_changed_crane_keeps_units_comments_and_order_of_its_file(tmp_path):

@@ -142,6 +142,11 @@ def _spoilt(old, new, text=USER_EFFECT):
         (_spoilt("0.0, 0.0, 1e7, 1e5", "0.0, '0', 1e7, 1e5"), ["parameter 'c': lower is '0'"]),
         (_spoilt("0.0, 0.0, 1e7, 1e5", "0.0, 0.0, 1e3, 1e5"), ["parameter 'c': typical is 100000", "upper = 1000"]),
         (_spoilt('(Parameter("c", "N*s^2/m^2", 0.0, 0.0, 1e7, 1e5, "drag"),)', '("c",)'), ["Expected a Parameter"]),
+        (_spoilt("N*s^2/m^2", "furlongs/xyz"), ["parameter 'c': unit [furlongs/xyz] is not known"]),
+        (
+            _spoilt("return -c", "if v > 0.2:\n            raise ValueError('no')\n        return -c"),
+            ["cylinder_force fails at c = ", "v = 0.5", "no"],
+        ),
         ("import sys\nsys.exit(3)\n", ["cannot be imported", "SystemExit"]),
     ],
 )
@@ -153,6 +158,15 @@ def test_a_law_that_does_not_fit_is_refused_in_one_line(tmp_path, text, words):
     said = str(refusal.value)
     assert all(word in said for word in [*words, str(file)]) and "\n" not in said
     assert not registry.user_files()
+
+
+def test_a_law_that_does_not_return_is_refused_in_time(tmp_path, monkeypatch):
+    file = tmp_path / "slow.py"
+    law = "k = 0.0\n        while k < 1e9:\n            k += 1.0\n        return -c * v * abs(v) * k / 1e9"
+    file.write_text(_spoilt("return -c * v * abs(v)", law), encoding="utf-8")
+    monkeypatch.setattr(checks, "_LONGEST", 0.1)
+    with pytest.raises(CraneError, match=r"slow\.py.*cylinder_force has not returned after 0.1 s, at c = .*loop"):
+        registry.load_file(file)
 
 
 @pytest.mark.parametrize(

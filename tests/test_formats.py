@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import importlib
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -310,6 +311,8 @@ def test_mat73_says_what_it_leaves_out(tmp_path: Path, odd: Any, words: str) -> 
     recording = Recording.load(tmp_path / "lift.mat")
     assert recording.sensors == ("z1",)
     assert any(words in note for note in recording.notes), recording.notes
+    with pytest.raises(CraneError, match=f"no column 'p1'.*{re.escape(words)}"):
+        Recording.load(tmp_path / "lift.mat", {"p1": "p1[bar]"})
 
 
 def test_mat5_says_what_it_leaves_out(tmp_path: Path) -> None:
@@ -340,7 +343,7 @@ def test_parquet_with_bad_metadata_text_and_columns_of_one_name(tmp_path: Path) 
     ]
     table = pa.table([pa.array(SLOW), pa.array(Z1)], schema=pa.schema(fields))
     pq.write_table(table, tmp_path / "bad.parquet")
-    assert "is not known" in _refused(tmp_path / "bad.parquet")
+    assert "is no sign of a number or unit" in _refused(tmp_path / "bad.parquet")
     twice = pa.table([pa.array(SLOW), pa.array(Z1), pa.array(Z1)], names=["time[s]", "z1[deg]", "z1[deg]"])
     pq.write_table(twice, tmp_path / "twice.parquet")
     assert "z1 stands twice" in _refused(tmp_path / "twice.parquet")

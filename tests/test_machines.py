@@ -74,7 +74,19 @@ def _change(name, **keys):
     return lambda f: next(j for j in f["joint"] if j["name"] == name).update(keys)
 
 
+def _side_by_side(f):
+    """Hang rocker and link each on a body of its own, joined by H."""
+    H, K = (next(j for j in f["joint"] if j["name"] == name) for name in "HK")
+    del H["coordinate"], K["bend"]
+    H.update(on="H_link")
+    K.update(bodies=["bucket", "link"], at="K", on="K_link", coordinate="link")
+
+
 REFUSED = {
+    "dependents side by side": (
+        _side_by_side,
+        r"joint 'H' closes a loop.*Close it at joint 'J' instead: bodies = \['link', 'rocker'\]",
+    ),
     "hangs on nothing": (_drop("L"), "body 'bucket' hangs on nothing"),
     "carried twice": (_change("K", coordinate="k"), "carried by two joints, 'L' and 'K'.*closes a loop"),
     "carried by itself": (_change("A", bodies=["bucket", "arm"]), "is carried by itself"),

@@ -266,14 +266,28 @@ def test_a_failing_writer_names_the_file_that_it_was_to_write(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("evidence", "after", "helped"),
-    [(-np.inf, 1.5, False), (120.0, 2.5, False), (np.nan, 1.0, False), (120.0, 1.5, True)],
+    ("evidence", "after", "without", "helped"),
+    [
+        (-np.inf, 1.5, 2.0, False),
+        (120.0, 2.5, 2.6, False),
+        (np.nan, 1.0, 2.0, False),
+        (120.0, 1.5, 1.5, False),  # parameters alone do it, as where the effect ends at its neutral value
+        (120.0, 1.5, 1.501, False),
+        (120.0, 1.5, 1.51, True),
+    ],
 )
 def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
-    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch, evidence: float, after: float, helped: bool
+    patu: Callable[..., SimpleNamespace],
+    monkeypatch: pytest.MonkeyPatch,
+    evidence: float,
+    after: float,
+    without: float,
+    helped: bool,
 ) -> None:
+    errors = {"error_before": 2.0, "error_after": after, "error_without": without, "samples": 1000}
+
     def fitted(crane: Crane, key: str, *_: object) -> tuple[Crane, dict[str, object]]:
-        return crane.with_effect(key, {"lower": 0.1}), {"evidence": evidence, "error_before": 2.0, "error_after": after}
+        return crane.with_effect(key, {"lower": 0.1}), {"evidence": evidence, **errors}
 
     monkeypatch.setattr(fitting, "fitted_effect", fitted)
     words = ("add", "dead_band@tilt", "--fit", "l.csv", "-o", "new.toml", "--json", "new.json")

@@ -25,6 +25,9 @@ from crane_exudyn.units import factor_to_si, to_si
         ("24,5 l/min/(7,5 bar)**0.5", "m**3/s/Pa**0.5", 24.5e-3 / 60 / math.sqrt(7.5e5)),
         ("7 bar²", "Pa**2", 7e10),
         ("2.5*10**-12 m", "m", 2.5e-12),
+        ("−5 m", "m", -5.0),
+        ("2.5×10**−12 m⁻¹", "1/m", 2.5e-12),
+        ("3 N⋅m", "N*m", 3.0),
     ],
 )
 def test_a_decimal_comma_is_read_as_one_and_powers_of_units_are_read(text: str, unit: str, value: float) -> None:
@@ -43,6 +46,14 @@ def test_a_decimal_comma_is_read_as_one_and_powers_of_units_are_read(text: str, 
         ("2_5 kg", "kg", "thousands"),
         ("bar, 5", "Pa", "outside a number"),
         ("2e1,5 kg", "kg", "outside a number"),
+        ("25;5 kg", "kg", "';'"),
+        ("5 ± 0.1 m", "m", "'±'"),
+        ("5 m # 3", "m", "'#'"),
+        ("5 = 3 m", "m", "'='"),
+        ('5 " ', "", "is no sign"),
+        ("∞ m", "m", "'∞'"),
+        ("5 m'", "m", '"\'"'),
+        ("½ m", "m", ""),
         ("90 Grad", "rad", "gigaradian"),
         ("9**9**9 m", "m", "power"),
         ("((9**9)**9)**9 m", "m", "power"),
@@ -61,7 +72,16 @@ def test_what_may_mean_something_else_is_refused_at_once(text: str, unit: str, w
 
 
 @pytest.mark.parametrize(
-    ("unit", "si"), [("Grad", "rad"), ("kdeg", "rad"), ("Grad/s", "rad/s"), ("bar,abs", "Pa"), ("10**10**10 Pa", "Pa")]
+    ("unit", "si"),
+    [
+        ("Grad", "rad"),
+        ("kdeg", "rad"),
+        ("Grad/s", "rad/s"),
+        ("bar,abs", "Pa"),
+        ("bar!", "Pa"),
+        ("bar; 2", "Pa"),
+        ("10**10**10 Pa", "Pa"),
+    ],
 )
 def test_units_of_columns_are_as_careful(unit: str, si: str) -> None:
     with pytest.raises(CraneError, match="unit"):

@@ -12,11 +12,13 @@ import inspect
 import itertools
 import math
 import re
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from ..errors import CraneError, nearest
 from ..layout import MOST
+from ..units import factor_to_si
 from .base import (
     ACTS_AT,
     CHAMBER_LEAKAGE,
@@ -39,6 +41,8 @@ _TRIED: Mapping[str, tuple[float, ...]] = {
     "omega": (-1.0, -1e-3, 0.0, 1e-3, 1.0),
     "t": (0.0, 7.0, 600.0), "m": (0.0, 100.0), "gx": (-1.0, 0.0), "gy": (-9.81,), "y": (-1.0, 0.0, 0.5, 60e5),
 }  # fmt: skip
+#: s that all trials of a hook may take together; they take some ms
+_LONGEST = 10.0
 
 
 def checked(effect: type[Effect], where: str) -> type[Effect]:
@@ -105,6 +109,11 @@ def _check_parameter(parameter: Any, where: str) -> None:
     for key in ("unit", "text"):
         if not isinstance(getattr(parameter, key), str):
             raise CraneError(f"{where}: {key} is {getattr(parameter, key)!r}, expected a text.")
+    if parameter.unit not in ("", "channel"):  # that of the sensor that it acts on
+        try:
+            factor_to_si(parameter.unit, parameter.unit)
+        except CraneError as problem:
+            raise CraneError(f"{where}: {problem}.") from None
     for key in ("neutral", "lower", "upper", "typical"):
         value = getattr(parameter, key)
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
@@ -134,10 +143,13 @@ def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, functio
     expected = f"{name}({', '.join([*(p.name for p in effect.parameters), *hook.arguments])}) -> {hook.returns}"
     _check_signature(function, where, name, expected, len(effect.parameters) + len(hook.arguments))
     neutral = [p.typical if p.shape else p.neutral for p in effect.parameters]
-    arguments = list(itertools.product(*(_TRIED[a] for a in hook.arguments)))
-    compiled = _compiled(function, where, name, expected, hook, [float(v) for v in (*neutral, *arguments[0])])
-    for values, given in itertools.product(_values(effect, neutral), arguments):
-        result = _numbers(compiled(*map(float, values), *given))
+    tried = [
+        (values, given)
+        for values in _values(effect, neutral)
+        for given in itertools.product(*(_TRIED[a] for a in hook.arguments))
+    ]
+    results = _results(function, where, name, expected, hook, [(*map(float, v), *g) for v, g in tried])
+    for (values, given), result in zip(tried, results, strict=True):
         wanted = hook.off(given)
         if not all(map(math.isfinite, result)):
             at = _at(function, (*values, *given))
@@ -165,23 +177,51 @@ def _check_signature(function: Callable[..., Any], where: str, name: str, expect
         raise CraneError(f"{where}: hook {found} does not have the arguments it is given. Expected {expected}.")
 
 
-def _compiled(
-    function: Callable[..., Any], where: str, name: str, expected: str, hook: Hook, first: list[float]
-) -> Callable[..., Any]:
-    """Return the compiled hook, which returns as many numbers as it must."""
+def _results(
+    function: Callable[..., Any],
+    where: str,
+    name: str,
+    expected: str,
+    hook: Hook,
+    tried: list[tuple[float, ...]],
+) -> list[tuple[Any, ...]]:
+    """Return what the compiled hook gives for each set of numbers that it is tried with, as many numbers as it must.
+
+    It is tried in a thread that can be left behind: compiled code that never ends hears no signal.
+    """
     import numba
 
+    found: list[Any] = []
+    failed: list[Exception] = []
+
+    def run() -> None:
+        try:
+            for given in tried:
+                found.append(compiled(*given))
+        except Exception as problem:  # whatever the law says, it is the law that must be mended
+            failed.append(problem)
+
     try:
-        compiled = numba.njit(function, error_model="numpy")
-        result = compiled(*first)
-    except Exception as problem:  # whatever the compiler or the law says, it is the law that must be mended
+        compiled = numba.njit(function, error_model="numpy", nogil=True)
+        compiled.compile((numba.float64,) * len(tried[0]))
+    except Exception as problem:  # whatever the compiler says, it is the law that must be mended
         raise CraneError(f"{where}: hook {name} cannot be compiled: {_reason(problem)}. Expected {expected}.") from None
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(_LONGEST)
+    if thread.is_alive():
+        at = _at(function, tried[len(found)])
+        raise CraneError(f"{where}: hook {name} has not returned after {_LONGEST:g} s, at {at}. Mend its loop.")
+    if failed:
+        at = _at(function, tried[len(found)])
+        raise CraneError(f"{where}: hook {name} fails at {at}: {_reason(failed[0])}. Expected {expected}.")
     count = len(hook.results)
-    if not (isinstance(result, tuple) == (count > 1) and len(_numbers(result)) == count):
-        raise CraneError(f"{where}: hook {name} returns {result!r}. Expected {expected}.")
-    if not all(isinstance(v, int | float) for v in _numbers(result)):
-        raise CraneError(f"{where}: hook {name} returns {result!r}, which is no number. Expected {expected}.")
-    return compiled
+    for result in found:
+        if not (isinstance(result, tuple) == (count > 1) and len(_numbers(result)) == count):
+            raise CraneError(f"{where}: hook {name} returns {result!r}. Expected {expected}.")
+        if not all(isinstance(v, int | float) for v in _numbers(result)):
+            raise CraneError(f"{where}: hook {name} returns {result!r}, which is no number. Expected {expected}.")
+    return [_numbers(result) for result in found]
 
 
 def _values(effect: type[Effect], neutral: list[float]) -> Iterator[list[float]]:

@@ -17,6 +17,7 @@ from ..fit.data import FitData
 from ..fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions
 from ..fit.variables import stated_effects
 from ..history import added
+from .criteria import CRITERIA
 from .model import Model, at_bound, fitted, open_loop_error
 from .moves import scaled, starts
 from .screen import screen
@@ -24,9 +25,12 @@ from .screen import screen
 
 def helped(document: Mapping[str, Any]) -> bool:
     """Return whether a fit, as `fitted_effect` tells of it, made the open-loop error smaller with a likelihood that
-    exists.
+    exists, and whether the effect had a part in that which is more than chance.
     """
-    return bool(np.isfinite(document["evidence"]) and document["error_after"] < document["error_before"])
+    if not (np.isfinite(document["evidence"]) and document["error_after"] < document["error_before"]):
+        return False
+    without, after = document["error_without"], document["error_after"]
+    return bool(document["samples"] * ((without / after) ** 2 - 1.0) > CRITERIA.told_apart**2)
 
 
 def fitted_effect(
@@ -58,10 +62,12 @@ def fitted_effect(
     done = fitted(crane, data, best.model, best.fit, (TIGHT, STIFF))
     before, _ = open_loop_error(crane, recording)
     after, _ = open_loop_error(done.fit.crane, recording)
+    without, _ = open_loop_error(done.fit.crane.without_effect(key), recording)
     found, spread = done.values(key), done.deviations(key)
     document = {
         "parameters": {n: {"value": v, "std": spread.get(n)} for n, v in found.items()},
-        "evidence": done.evidence, "error_before": before, "error_after": after, "at_bound": at_bound(done.fit, key),
+        "evidence": done.evidence, "error_before": before, "error_after": after, "error_without": without,
+        "samples": sum(len(recording[n]) for n in recording.sensors), "at_bound": at_bound(done.fit, key),
     }  # fmt: skip
     evidence = {"recording": recording.name, "evidence": done.evidence, "error_before": before, "error_after": after}
     return added(crane, done.fit.crane, **evidence), document
