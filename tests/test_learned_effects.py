@@ -43,6 +43,8 @@ def test_a_curve_goes_through_its_knots_with_a_continuous_derivative_and_straigh
     assert [value(E, 0, -3.0), value(E, 0, 4.0)] == pytest.approx([-5.0, 9.0])
     E[AGAINST] = 1.0
     assert value(E, 0, -3.0) == 0.0, "what acts against motion drives nothing, however far it falls"
+    E[Y : Y + 5] = [0.0, 0.0, 1.0, 0.0, 0.0]
+    assert [value(E, 0, -3.0), value(E, 0, 4.0)] == [0.0, 0.0], "one that has levelled out stays level"
 
 
 @pytest.mark.parametrize(("key", "over", "x", "y", "against"), CURVES)

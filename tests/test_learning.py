@@ -22,7 +22,7 @@ from validation.fit.data import FitData
 from validation.fit.staged import LOOSE, first_knots, staged
 from validation.history import added, learned, removed, without_learned
 from validation.improvement import Step, improve
-from validation.learned.laws import BLOCK, Law, curve_at, knots, laws_of, often_met
+from validation.learned.laws import BLOCK, COUNT, Law, curve_at, knots, laws_of, often_met
 from validation.learned.own_effect import own_effect
 from validation.learned.resembles import resembles
 from validation.learned.screen import best_prior, screened
@@ -122,6 +122,29 @@ def test_a_refined_law_follows_a_narrow_curve_more_closely():
     errors = [np.abs(curve_at(law.x, bump(law.x), fine) - bump(fine)).max() for law in (FORCE, finer)]
     assert errors[1] < 0.5 * errors[0]
     assert (finer.x[0], finer.x[-1]) == pytest.approx((FORCE.x[0], FORCE.x[-1]))
+
+
+@pytest.mark.parametrize(
+    ("form", "key", "over", "known"),
+    [
+        (lambda s: 5e3 * np.exp(-(((s - 0.98) / 0.05) ** 2)), "learned_force@lift", "stroke", (0.74, 1.02)),
+        (lambda u: np.sign(u) * np.abs(u) ** 1.5, "learned_opening@tilt", "spool", (-0.17, 0.35)),
+        (lambda p: 3e-5 * np.sqrt(p), "learned_leakage@lift", "pressure_drop", (0.0, 100e5)),
+    ],
+)
+def test_a_law_that_has_a_name_goes_on_along_it(form, key, over, known):
+    """Half as far again as it is known, to within a hundredth of its greatest value."""
+    argument = registry.split_key(key)[0].curve.argument(over, key)
+    law = Law(key, argument, argument.against[0], np.linspace(*known, COUNT), np.linspace(*known, 50), known)
+    named = law.along(form)
+    ends = named.x[0], named.x[-1]
+    assert ends[1] - known[1] == pytest.approx(0.5 * (known[1] - known[0]))
+    assert ends[0] == (0.0 if argument.from_zero else pytest.approx(known[0] - 0.5 * (known[1] - known[0])))
+    near, far = np.linspace(*known, 500), np.linspace(*ends, 500)
+    off = [np.abs(curve_at(named.x, form(named.x), x) - form(x)).max() for x in (near, far)]
+    assert max(off) < 0.01 * np.abs(form(far)).max() and off[0] <= off[1]
+    told = named.telling() @ form(named.x)
+    assert told == pytest.approx(curve_at(named.x, form(named.x), law.x), abs=1e-9 * np.abs(told).max())
 
 
 def test_a_curve_ends_where_it_is_known():

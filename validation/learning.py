@@ -56,6 +56,8 @@ class LearnedLaw:
         against_motion: whether it acts against motion.
         resembles: in words, "" if it resembles nothing simple; tied_with: what this recording cannot tell from it.
         evidence: log evidence that it brings.
+        knots: (K,) places and values through which the crane has the curve; where it resembles a simple form they go on
+            along that beyond what is known.
         law, form: what it is a curve of, with the values that were visited; the simple form that it resembles.
     """
 
@@ -70,6 +72,7 @@ class LearnedLaw:
     resembles: str
     tied_with: tuple[str, ...]
     evidence: float
+    knots: tuple[np.ndarray, np.ndarray] = field(repr=False)
     law: Law = field(repr=False)
     form: Resemblance = field(repr=False)
 
@@ -318,6 +321,32 @@ def _refined(problem: Problem, best: Explained) -> Explained:
 def _reknotted(problem: Problem, best: Explained, laws: Mapping[str, Law]) -> Explained:
     """Return the explanation fitted again with its laws at other knots."""
     parts = [p if p.found is None else Part.of(p.found.reknotted(laws[p.key], best.curve(p)[0])) for p in best.parts]
+    return _with_curves(problem, best, parts)
+
+
+def _along_forms(problem: Problem, best: Explained) -> Explained:
+    """Return the explanation with each curve that resembles a simple form moving along that alone, where the data do
+    not say otherwise.
+
+    A form has two or three numbers where a curve has twenty, and goes on where the recording did not go.
+    """
+    for part in best.laws:
+        form = _form(problem, best, part)
+        if part.law is None or part.found is None or form.law is None:
+            continue
+        law = part.law.along(form.at)
+        y, root = form.at(law.x), form.moves(law.x)
+        if law.over.from_zero:  # nothing acts there
+            y[0], root[0] = 0.0, 0.0
+        parts = [Part.along(p.found, law, y, root) if p is part and p.found is not None else p for p in best.parts]
+        found = _with_curves(problem, best, parts)
+        if found.evidence > best.evidence - CRITERIA.tie and _sound(found):
+            best = found
+    return best
+
+
+def _with_curves(problem: Problem, best: Explained, parts: Sequence[Part]) -> Explained:
+    """Return the explanation fitted again with other curves for its laws."""
     keys = {p.key for p in best.laws}
     shared = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in keys]
     before = replace(best.fit, variables=tuple(best.fit.variables[i] for i in shared), u=best.fit.u[shared])
@@ -352,7 +381,7 @@ def _concluded(
         elif best.weighed.good and unchanged.error_before > CRITERIA.level:
             notes.append("nominal parameters within their uncertainty explain it. Go on with `patu diagnose`")
         return replace(unchanged, notes=tuple(notes))
-    lean = _lean(problem, _refined(problem, best))
+    lean = _lean(problem, _along_forms(problem, _refined(problem, best)))
     evidence, keys = lean.evidence - nothing.evidence, [p.key for p in lean.laws]
     found = lean.fit.crane
     for part in lean.laws:
@@ -398,15 +427,29 @@ def _told(problem: Problem, e: Explained, part: Part, tied: tuple[str, ...], evi
     assert law is not None
     curve = registry.split_key(law.key)[0].curve
     assert curve is not None
-    (_, cov), (fitted, std) = e.curve(part), e.spread(part)
-    y = law.physical(fitted, std)
-    over = replace(law.over, unit=unit_over(law, problem.crane.layout))
-    form = resembles(law.x, y, cov, over, curve.unit, law.key, law.against)
+    knots = law.x, law.physical(*e.spread(part))
+    x, y, cov = e.told(part)
+    std = np.sqrt(np.maximum(np.diag(cov), 0.0))
+    y = replace(law, x=x, told=None).physical(y, std)
+    form = _form(problem, e, part)
     text = form.text + (f", which is {form.library}" if form.library else "")
     return LearnedLaw(
-        law.key, law.over.name, over.unit, curve.unit, law.x, y, std,
-        law.against, text, tied, evidence, law, form,
+        law.key, law.over.name, unit_over(law, problem.crane.layout), curve.unit, x, y, std,
+        law.against, text, tied, evidence, knots, law, form,
     )  # fmt: skip
+
+
+def _form(problem: Problem, e: Explained, part: Part) -> Resemblance:
+    """Return the simple form that a fitted curve resembles."""
+    law = part.law
+    assert law is not None
+    curve = registry.split_key(law.key)[0].curve
+    assert curve is not None
+    x, y, cov = e.told(part)
+    known = replace(law, x=x, told=None)
+    y = known.physical(y, np.sqrt(np.maximum(np.diag(cov), 0.0)))
+    over = replace(law.over, unit=unit_over(law, problem.crane.layout))
+    return resembles(x, y, cov, over, curve.unit, law.key, law.against)
 
 
 def _with_errors(

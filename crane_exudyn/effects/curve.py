@@ -12,7 +12,7 @@ from .parameter import Parameter
 
 #: the most knots of a curve; in E stand their number, what the curve runs over, whether it acts against motion, all x,
 #: all y
-KNOTS = 12
+KNOTS = 20
 NUMBER, OVER, AGAINST, X, Y = 0, 1, 2, 3, 3 + KNOTS
 
 
@@ -143,11 +143,12 @@ def value(E: Any, at: int, x: float) -> float:
     """Return the curve whose parameters begin at E[at]: a cubic a stretch, with a continuous derivative, linear in all
     y.
 
-    The derivative in a knot is that of the parabola through it and its neighbours. Beyond the ends it goes on straight,
-    as a curve does of whose bends nothing is known; what acts against motion stays above 0.
+    The derivative in a knot is that of the parabola through it and its neighbours, at the ends that of the last
+    stretch. Beyond them the curve goes on straight, as one does of whose bends nothing is known: one that has levelled
+    out stays level. What acts against motion stays above 0.
     """
     n = int(E[at])
-    a, b = at + 3, at + 15  # X, Y
+    a, b = at + X, at + Y
     k = 0
     while k < n - 2 and x > E[a + k + 1]:
         k += 1
@@ -161,10 +162,6 @@ def value(E: Any, at: int, x: float) -> float:
     if k < n - 2:
         after = E[a + k + 2] - E[a + k + 1]
         right = (h * (E[b + k + 2] - E[b + k + 1]) / after + after * d) / (h + after)
-    if k == 0 and n > 2:
-        left = 2.0 * d - right
-    if k == n - 2 and n > 2:
-        right = 2.0 * d - left
     if E[a] <= x <= E[a + k + 1]:
         t = (x - E[a + k]) / h
         c2, c3 = 3.0 * d - 2.0 * left - right, left + right - 2.0 * d

@@ -43,6 +43,13 @@ class Part:
         variables = tuple(curve_variables(law.key, law.values(law.neutral), found.root))
         return cls(law.key, variables, found.u, found)
 
+    @classmethod
+    def along(cls, found: Found, law: Law, y: np.ndarray, root: np.ndarray) -> Part:
+        """Return the part of a law that moves from the curve y (K,) along the columns of root (K, m) alone."""
+        variables = tuple(curve_variables(law.key, law.values(y), root))
+        u = np.zeros(root.shape[1])
+        return cls(law.key, variables, u, replace(found, law=law, root=root, u=u, y=y))
+
 
 @dataclass(frozen=True)
 class Explained:
@@ -69,6 +76,12 @@ class Explained:
     def curve(self, part: Part) -> tuple[np.ndarray, np.ndarray]:
         """Return the fitted values (K,) of a law at its knots and their covariance (K, K), SI."""
         return curve_of(self.fit, part.key)[1:]
+
+    def told(self, part: Part) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the knots (J,) at which a law is told, its values there and their covariance (J, J), SI."""
+        assert part.law is not None
+        (y, cov), M = self.curve(part), part.law.telling()
+        return part.law.x if part.law.told is None else part.law.told, M @ y, M @ cov @ M.T
 
     def spread(self, part: Part) -> tuple[np.ndarray, np.ndarray]:
         """Return the fitted values (K,) of a law at its knots and their standard deviations (K,), SI."""

@@ -4,8 +4,9 @@ where it went.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import isotonic_regression
@@ -26,6 +27,11 @@ COUNT, BEYOND = 9, 0.002
 BLOCK = 1.5
 #: standard deviation, as a share of the curve's greatest departure from neutral, up to which an end of it is known
 KNOWN = 0.1
+#: share of what is known by which a curve goes on along a form beyond either end; rounds in which its knots find their
+#: places
+ONWARD, _ROUNDS = 0.5, 60
+#: least distance between such knots, as a share of the range
+_CLOSEST = 0.002
 #: time between the instants at which the trajectory is looked at, s
 _EVERY = 0.01
 #: a curve is not sought over less than this share of the range that is met in practice
@@ -41,6 +47,7 @@ class Law:
         against: whether it acts against motion.
         visited: (n,) values of the argument along the recording, sorted; often: (low, high) that were met within more
             than a block of time.
+        told: (J,) knots at which the curve is told, where its own go on beyond what is known; None for its own.
     """
 
     key: str
@@ -49,6 +56,7 @@ class Law:
     x: np.ndarray
     visited: np.ndarray = field(repr=False)
     often: tuple[float, float] = field(repr=False)
+    told: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def neutral(self) -> np.ndarray:
@@ -96,6 +104,27 @@ class Law:
         passed = np.concatenate([[0.0], np.cumsum(0.5 * (spread[1:] + spread[:-1]))])
         return replace(self, x=np.interp(np.linspace(0.0, 1.0, KNOTS), passed / passed[-1], fine))
 
+    def along(self, form: Callable[[np.ndarray], np.ndarray]) -> Law:
+        """Return the law with as many knots as there may be, placed so that the curve through them is nearest to a form
+        (n,) -> (n,), over half as much again to either side as is known.
+        """
+        low, high = self.x[0], self.x[-1]
+        more = ONWARD * (high - low)
+        start = low if self.over.from_zero or (self.over.magnitude and low <= 0.0) else low - more
+        if self.over.magnitude:
+            start = max(start, 0.0)
+        end = high + more
+        if self.over.slope:
+            start, end = max(start, -1.0), min(end, 1.0)
+        x = spread_along(form, float(start), float(end), (float(low), float(high)))
+        return replace(self, x=x, told=self.x)
+
+    def telling(self) -> np.ndarray:
+        """Return M (J, K): the curve at the knots where it is told is M times its values at its own."""
+        if self.told is None:
+            return np.eye(len(self.x))
+        return np.column_stack([curve_at(self.x, unit, self.told) for unit in np.eye(len(self.x))])
+
     def physical(self, y: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Return the curve nearest to y (K,), in units of std, that has the sign and the slope that physics asks of
         it.
@@ -120,6 +149,28 @@ def curve_at(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
     E = np.zeros(Y + KNOTS)
     E[NUMBER], E[X : X + len(x)], E[Y : Y + len(x)] = len(x), x, y
     return np.array([value(E, 0, float(v)) for v in at])
+
+
+def spread_along(
+    form: Callable[[np.ndarray], np.ndarray], start: float, end: float, known: tuple[float, float]
+) -> np.ndarray:
+    """Return KNOTS places between two ends such that the curve through a form there is off by about as much in every
+    stretch, and by a third of that where the form is known.
+    """
+    fine = np.linspace(start, end, 401)
+    weight = np.where((fine >= known[0]) & (fine <= known[1]), 3.0, 1.0)
+    x, best, least = np.linspace(start, end, KNOTS), np.empty(0), np.inf
+    for _ in range(_ROUNDS):
+        off = weight * np.abs(curve_at(x, form(x), fine) - form(fine))
+        if off.max() < least:
+            best, least = x, float(off.max())
+        each = np.array([off[(fine >= a) & (fine <= b)].max(initial=0.0) for a, b in pairwise(x)])
+        length = (
+            np.diff(x) / (each / max(float(off.max()), 1e-300) + 0.02) ** 0.15
+        )  # where it is off, knots move together
+        length = np.maximum(length, _CLOSEST * length.sum())
+        x = start + (end - start) * np.concatenate([[0.0], np.cumsum(length)]) / length.sum()
+    return best
 
 
 def laws_of(fit: Fit) -> list[Law]:

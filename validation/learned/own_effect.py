@@ -61,10 +61,6 @@ def curve(x):
     if k < n - 2:
         after = X[k + 2] - X[k + 1]
         right = (h * (Y[k + 2] - Y[k + 1]) / after + after * d) / (h + after)
-    if k == 0 and n > 2:
-        left = 2.0 * d - right
-    if k == n - 2 and n > 2:
-        right = 2.0 * d - left
     if x < X[0]:
         return Y[0] + left * (x - X[0])
     if x > X[n - 1]:
@@ -98,12 +94,12 @@ def own_effect(law: LearnedLaw, crane: Crane, recording: str, name: str) -> str:
     hook, at, result = _of(law)
     origin = law.law.over.origin
     at += f" + {crane[f'cylinders.{place}.{origin}']:.6g}" if origin else ""
-    given = _GIVEN.get(effect.name, HOOKS[hook].given)
+    given, (x, y) = _GIVEN.get(effect.name, HOOKS[hook].given), law.knots
     signature = inspect.cleandoc(effect.__doc__ or "").partition("Signature: ")[2]
     return _TEXT.format(
         title=f"A {effect.name.replace('_', ' ')} at {place or 'the whole machine'}: "
               f"{law.resembles or 'a curve'}", over=law.over.replace("_", " "),
-        unit_over=law.unit_over or "1", unit=law.unit or "1", recording=recording, x=_numbers(law.x), y=_numbers(law.y),
+        unit_over=law.unit_over or "1", unit=law.unit or "1", recording=recording, x=_numbers(x), y=_numbers(y),
         cls=name.title().replace("_", ""),
         signature=textwrap.fill(signature, 110, subsequent_indent="    "), name=name, place=place, hook=hook,
         given=given, at=at, result=result,

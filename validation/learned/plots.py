@@ -39,7 +39,7 @@ def _panel(axes: Any, law: LearnedLaw) -> None:
     axes.plot(at / fx, middle, color=color, label="learned")
     axes.plot(law.x / fx, law.y / fy, "o", color=color, markersize=3)
     if law.form.law is not None:
-        axes.plot(at / fx, law.form.law(at) / fy, "--", color=OTHERS[0].color, linewidth=1, label=law.form.name)
+        axes.plot(at / fx, law.form.at(at) / fy, "--", color=OTHERS[0].color, linewidth=1, label=law.form.name)
     went = law.law.visited[:: max(1, len(law.law.visited) // 400)] / fx
     axes.plot(went, np.full(len(went), 0.02), "|", color="0.4", markersize=6, transform=axes.get_xaxis_transform())
     axes.set_xlabel(f"{law.over.replace('_', ' ')}{f' [{x_unit}]' if x_unit else ''}; marks: where the recording went")

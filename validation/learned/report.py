@@ -10,7 +10,7 @@ from ..report import Mood, Part, Picture, Section, Table, write_report
 
 _CAPTION = (
     "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the "
-    "places that carry it. Outside it is not known, and the model goes on straight."
+    "places that carry it. Outside it is not known; the model goes on along the simple form that is named, or straight."
 )
 
 

@@ -39,15 +39,30 @@ class Form:
 
 @dataclass(frozen=True)
 class Resemblance:
-    """The form that a curve resembles, in words; values of its parameters in SI; the effect of the library that is this
-    law, or "".
+    """The form that a curve resembles, in words; values of its parameters in read units; the effect of the library that
+    is this law, or ""; law(x, parameters) with x and the curve in SI.
     """
 
     name: str
     text: str
     parameters: tuple[float, ...] = ()
     library: str = ""
-    law: Callable[[np.ndarray], np.ndarray] | None = field(default=None, repr=False)
+    law: Callable[[np.ndarray, Sequence[float]], np.ndarray] | None = field(default=None, repr=False)
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """Return the form at x, SI."""
+        assert self.law is not None
+        return self.law(x, self.parameters)
+
+    def moves(self, x: np.ndarray) -> np.ndarray:
+        """Return (n, parameters) by how much the form at x moves, SI, while a parameter doubles."""
+        assert self.law is not None
+        columns = []
+        for k, p in enumerate(self.parameters):
+            more = [*self.parameters]
+            more[k] += (step := 1e-4 * max(abs(p), 1e-9))
+            columns.append((self.law(x, more) - self.at(x)) / step * abs(p))
+        return np.column_stack(columns)
 
 
 def _greatest(y: np.ndarray) -> float:
@@ -164,7 +179,7 @@ def resembles(
         return Resemblance("", "")
     words = form.words(p, spread, y_unit, x_unit).replace("  ", " ").strip()
     text = _told(form, p, words, over)
-    law = lambda s: form.law(np.asarray(s) / fx, p) * fy  # noqa: E731
+    law = lambda s, q: form.law(np.asarray(s) / fx, q) * fy  # noqa: E731
     return Resemblance(form.name, text, tuple(p), _library(form, key, over, against), law)
 
 
