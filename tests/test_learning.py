@@ -257,8 +257,8 @@ def stubbed(monkeypatch):
 
         def diagnosis_of(path, *_):
             crane = path.problem.crane.with_effect(LEAK, {"k": 2e-11})
-            makeshift = Candidate((LEAK,), {}, 100.0, 1.0, crane, error_after=3.0, level=3.0)
-            return Diagnosis("rec", verdict, crane, path.problem.crane, {}, (makeshift,), (LEAK,), error_before=5.0)
+            surrogate = Candidate((LEAK,), {}, 100.0, 1.0, crane, error_after=3.0, level=3.0)
+            return Diagnosis("rec", verdict, crane, path.problem.crane, {}, (surrogate,), (LEAK,), error_before=5.0)
 
         def learn_from(crane, *_, **__):
             found, left = with_effects(crane, {LAW: LAWFUL.effect(LAW).parameters}), laws(crane)
@@ -285,7 +285,7 @@ def stubbed(monkeypatch):
 @pytest.mark.parametrize(
     ("laws", "effects"),
     [
-        (lambda crane: 1.0, {LAW}),  # alone they leave less than the makeshift
+        (lambda crane: 1.0, {LAW}),  # alone they leave less than the surrogate
         (lambda crane: 1.0 if crane.effect(LEAK) else 4.0, {LEAK, LAW}),
         (lambda crane: None, {LEAK}),
     ],
