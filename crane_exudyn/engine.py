@@ -370,24 +370,18 @@ class System:
         before = self._set_parameters(P, E, time, time + h)
         if self._has_objects:
             self._measure_push(before, x, w0, time)
-        ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self.status, self._last)
-        if not trapezoidal.predict(
-            plant.topology, plant.P, plant.E, time, h, before, plant.inertia, x, w0, self._push, self._udd, *ends
-        ):
+        machines, step = (plant.topology, plant.P, plant.E, plant.inertia), (time, h, x, w0, w1, self._push)
+        ends = (self._q, self._v, self._a, self._p, self._dp, self._held, self._udd)
+        if not trapezoidal.predict(machines, before, step, ends, self.status, self._last):
             self.status[self.status == trapezoidal.ITERATING] = trapezoidal.DONE
             return out, -1
         plant.inputs[...] = w1
         self.mbs.systemData.SetTime(time + h)
         for _ in range(_MOST_ITERATIONS):
             residual = self.residual()
-            if not trapezoidal.correct(
-                plant.topology, plant.P, plant.E, h, self._scale, plant.inertia, w1, residual, *ends
-            ):
+            if not trapezoidal.correct(machines, h, self._scale, w1, residual, ends, self.status, self._last):
                 break
-        found = (self._push, self._q, self._v, self._p, self._held, self._udd, self.status, self.errors, out)
-        return out, trapezoidal.finish(
-            plant.topology, plant.P, plant.E, time, h, allowed, plant.inertia, x, w0, w1, *found
-        )
+        return out, trapezoidal.finish(machines, step, allowed, ends, self.status, self.errors, out)
 
     def push(self, x: np.ndarray, w: np.ndarray, time: float) -> np.ndarray:
         """Return the forces (n, width) of objects of one's own on the redundant coordinates at states x."""
@@ -399,7 +393,8 @@ class System:
         forces.
         """
         plant, own = self.plant, np.empty_like(self._q)
-        trapezoidal.forces_at(plant.topology, plant.P, plant.E, time, inertia, x, w, self._q, self._v, self._p, own)
+        machines = (plant.topology, plant.P, plant.E, inertia)
+        trapezoidal.forces_at(machines, time, x, w, self._q, self._v, self._p, own)
         self._a[:], self._dp[:], plant.inputs[...] = 0.0, 0.0, w
         self.mbs.systemData.SetTime(time)
         total = -np.asarray(self.residual())[: own.size].reshape(own.shape) / self._scale

@@ -541,7 +541,8 @@ def _all_forces(topology, P, E, t, mass, w, inertia, q, v, p, out):
     for k in range(n):
         i, j = width * k, chambers * k
         qk, vk, pk = q[i : i + width], v[i : i + width], p[j : j + chambers]
-        red.extra_forces(topology, P[k], E[k], t, w[k], inertia[k], qk, vk, pk, arms, lines, out[k])
+        machine = red.Machine(topology, P[k], E[k], inertia[k])
+        red.extra_forces(machine, t, w[k], qk, vk, pk, arms, lines, out[k])
         same = same and hooks.payload_mass(E[k], t, P[k, PAYLOAD]) == mass[k]
     return same
 
@@ -590,9 +591,9 @@ def consistent(plant: Plant, state: np.ndarray, w: np.ndarray, time: float) -> t
     chambers, nu = len(plant.crane.layout.chambers), plant.velocities
     p, dp, held = np.zeros(chambers), np.zeros(chambers), np.zeros((hyd.N_BALANCES, chambers))
     arms, lines, N = red.new_arms(topology), trapezoidal.new_lines(topology), np.zeros((nu, width))
-    x, numbers = np.asarray(state, dtype=float), (plant.P[0], plant.E[0], time, plant.inertia[0])
-    ends = (q, v, a, p, dp, held, np.zeros(nu))
-    if trapezoidal.start(topology, *numbers, x, wide, np.zeros(width), arms, lines, N, *ends) != trapezoidal.ITERATING:
+    x, machine = np.asarray(state, dtype=float), red.Machine(topology, plant.P[0], plant.E[0], plant.inertia[0])
+    scratch, now = red.Scratch(arms, lines, N), red.Motion(q, v, a, p, dp, held, np.zeros(nu))
+    if trapezoidal.start(machine, time, x, wide, np.zeros(width), scratch, now) != trapezoidal.ITERATING:
         raise geo.unreachable(plant.crane, x)
     return q, v, a, p, dp
 

@@ -14,6 +14,7 @@ part of the accelerations.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,40 @@ from .machine import (
     TIP_POINT,
 )
 from .parameters import GRAVITY, PAYLOAD
+
+
+class Machine(NamedTuple):
+    """The numbers of a machine: its topology, nominal parameters P, parameters E of effects, masses (bodies + 1, 4); of
+    several machines a row each.
+    """
+
+    topology: np.ndarray
+    P: np.ndarray
+    E: np.ndarray
+    inertia: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """Tables that are filled anew for each machine: arms, the cylinders as lines, null space N (nu, nq)."""
+
+    arms: np.ndarray
+    lines: np.ndarray
+    N: np.ndarray
+
+
+class Motion(NamedTuple):
+    """A machine at an instant: redundant coordinates and their rates q, v, a (nq,), pressures and their rates p, dp
+    (chambers,), the balances of the chambers (N_BALANCES, chambers) and the independent accelerations udd (nu,) at the
+    start of the step; of several machines a row each.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    p: np.ndarray
+    dp: np.ndarray
+    held: np.ndarray
+    udd: np.ndarray
 
 
 @part
@@ -309,13 +344,14 @@ def add_joint_forces(topology, E, t, w, arms, v, f):
 
 
 @njit
-def extra_forces(topology, P, E, t, w, inertia, q, v, p, arms, lines, f):
+def extra_forces(machine, t, w, q, v, p, arms, lines, f):
     """Fill f (nq,) with all applied forces except weights and the cylinders' pressure forces; arms and lines are
     overwritten.
 
     Friction (19) and the effects' forces of the cylinders, joint moments, forces on the payload's point, pendulum
     damping, disturbances.
     """
+    topology, P, E, inertia = machine
     arms_of(topology, P, inertia, q, arms)
     geo.fill_lines(topology, arms, q, v, lines)
     f[:] = 0.0
@@ -385,8 +421,9 @@ def solve(A, b):
 
 
 @njit
-def applied_forces(topology, P, E, t, w, inertia, arms, lines, q, v, p, f):
+def applied_forces(machine, t, w, arms, lines, q, v, p, f):
     """Fill f (nq,) with all applied forces that the machine itself has; `lines` is filled. `arms` must belong to q."""
+    topology, P, E, inertia = machine
     f[:] = 0.0
     geo.fill_lines(topology, arms, q, v, lines)
     F = np.empty(lines.shape[0])
@@ -397,22 +434,24 @@ def applied_forces(topology, P, E, t, w, inertia, arms, lines, q, v, p, f):
 
 
 @njit
-def accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, push, work, f, M, udd, a):
-    """Fill udd and a with the accelerations that are consistent with the joints: M udd = N (f - M a_centripetal).
+def accelerations(machine, t, w, push, scratch, now):
+    """Fill udd and a of `now` with the accelerations that are consistent with the joints: M udd = N (f - M a_c).
 
-    f gets all applied forces, among them push (nq,), those of somebody's own objects; a the accelerations of the
-    redundant coordinates; `lines` is filled. `arms` must belong to q.
+    f are all applied forces, among them push (nq,), those of somebody's own objects, a_c the centripetal accelerations.
+    The lines of `scratch` are filled; its arms and its null space must belong to q.
     """
-    applied_forces(topology, P, E, t, w, inertia, arms, lines, q, v, p, f)
+    topology, inertia, N, nu = machine.topology, machine.inertia, scratch.N, scratch.N.shape[0]
+    f, work, M = np.empty(push.size), np.empty(push.size), np.empty((nu, nu))
+    applied_forces(machine, t, w, scratch.arms, scratch.lines, now.q, now.v, now.p, f)
     for j in range(f.size):
         f[j] += push[j]
-    centripetal(topology, arms, v, a)
+    centripetal(topology, scratch.arms, now.v, now.a)
     reduced_mass(inertia, N, work, M)
-    mass_times(inertia, a, work)
-    for i in range(N.shape[0]):
-        udd[i] = dot(N[i], f) - dot(N[i], work)
-    regular = solve(M, udd)
-    for j in range(a.size):
-        for i in range(N.shape[0]):
-            a[j] += N[i, j] * udd[i]
+    mass_times(inertia, now.a, work)
+    for i in range(nu):
+        now.udd[i] = dot(N[i], f) - dot(N[i], work)
+    regular = solve(M, now.udd)
+    for j in range(now.a.size):
+        for i in range(nu):
+            now.a[j] += N[i, j] * now.udd[i]
     return regular

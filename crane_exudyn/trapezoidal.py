@@ -21,6 +21,7 @@ fm in the middle of Hermite's interpolation.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from .effects import hooks
 from .geometry import LENGTH, RATE
 from .machine import BODIES, CYLINDERS
 from .parameters import FLUID
+from .reduction import Machine, Motion, Scratch
 from .step_control import POSITION_ERROR, PRESSURE_ERROR, RATE_ERROR
 
 # status of a machine in a step
@@ -58,122 +60,178 @@ def new_lines(topology):
     return np.empty((topology[0, CYLINDERS], geo.N_LINE))
 
 
-@njit
-def start(topology, P, E, t, inertia, x, w, push, arms, lines, N, q, v, a, p, dp, held, udd):
-    """Fill q, v, a, p, dp of one machine from its state x (nx,): joints closed, accelerations and rates consistent.
+class Step(NamedTuple):
+    """A step of several machines, a row each: start t and length h in s, states x and inputs w0 at its start, inputs w1
+    at its end, forces push (m, nq) of somebody's own objects at its start.
+    """
 
-    Args:
-        push: (nq,) forces of somebody's own objects.
-        held: (N_BALANCES, chambers), filled with `hydraulics.chamber_balances`; udd: (nu,), with the independent
-            accelerations.
+    t: float
+    h: float
+    x: np.ndarray
+    w0: np.ndarray
+    w1: np.ndarray
+    push: np.ndarray
+
+
+class Slopes(NamedTuple):
+    """Derivatives after cylinder speeds and pressures: of the cylinders' forces, Fv (cylinders,) and, of the chamber's
+    own cylinder, Fp (chambers,); of the chambers' defects, Rv (chambers,) and Rp (chambers, chambers).
+    """
+
+    Fv: np.ndarray
+    Fp: np.ndarray
+    Rv: np.ndarray
+    Rp: np.ndarray
+
+
+class Linear(NamedTuple):
+    """One machine's equations of a Newton iteration: cylinder rates D (cylinders, nu), slopes, balances of the
+    chambers, matrix A of the unknowns (du, dp), and room to work.
+    """
+
+    D: np.ndarray
+    slopes: Slopes
+    balances: np.ndarray
+    A: np.ndarray
+    work: np.ndarray
+
+
+@njit
+def _scratch(topology, nu, width):
+    """Return empty tables of a machine."""
+    return Scratch(red.new_arms(topology), new_lines(topology), np.zeros((nu, width)))
+
+
+@njit
+def _linear(nu, width, chambers):
+    """Return empty equations of a machine."""
+    n, size = chambers // 2, nu + chambers
+    slopes = Slopes(np.zeros(n), np.zeros(chambers), np.zeros(chambers), np.zeros((chambers, chambers)))
+    balances = np.empty((N_BALANCES, chambers))
+    return Linear(np.zeros((n, nu)), slopes, balances, np.zeros((size, size)), np.zeros(width))
+
+
+@njit
+def _one(machines, k):
+    """Return one of several machines."""
+    return Machine(machines.topology, machines.P[k], machines.E[k], machines.inertia[k])
+
+
+@njit
+def _motion_of(ends, k):
+    """Return the motion of one of several machines."""
+    return Motion(ends.q[k], ends.v[k], ends.a[k], ends.p[k], ends.dp[k], ends.held[k], ends.udd[k])
+
+
+@njit
+def start(machine, t, x, w, push, scratch, now):
+    """Fill `now`, the motion of one machine, from its state x (nx,): joints closed, accelerations and rates consistent.
+
+    push: (nq,) forces of somebody's own objects.
 
     Returns:
         ITERATING, or UNREACHABLE or SINGULAR.
     """
-    width, nu, n = q.size, N.shape[0], topology[0, CYLINDERS]
-    if not red.place(topology, P, E, inertia, x, arms, N, q, v):
+    topology, P, E, inertia = machine
+    n = topology[0, CYLINDERS]
+    if not red.place(topology, P, E, inertia, x, scratch.arms, scratch.N, now.q, now.v):
         return UNREACHABLE
-    p[:] = x[2 * n : 4 * n]
-    f, work, M = np.empty(width), np.empty(width), np.empty((nu, nu))
-    if not red.accelerations(topology, P, E, t, w, inertia, N, arms, lines, q, v, p, push, work, f, M, udd, a):
+    now.p[:] = x[2 * n : 4 * n]
+    if not red.accelerations(machine, t, w, push, scratch, now):
         return SINGULAR
-    hyd.chamber_balances(topology, P, E, w, lines, p, held)
-    hyd.pressure_rates(held, dp)
+    hyd.chamber_balances(topology, P, E, w, scratch.lines, now.p, now.held)
+    hyd.pressure_rates(now.held, now.dp)
     return ITERATING
 
 
 @njit
-def _refer(topology, P, E, before, inertia, x, udd, arms, N, q, v, a):
-    """Refer q, v, a of one machine to the centres of mass that it has at the end of a step, if they move within it.
+def _refer(machine, before, x, scratch, end):
+    """Refer the motion of one machine to the centres of mass that it has at the end of a step, if they move within it.
 
-    A payload that is taken up moves the centre of its body, but not the body.
+    A payload that is taken up moves the centre of its body, but not the body. `before`: the masses at the start.
     """
-    if np.array_equal(before, inertia):
+    if np.array_equal(before, machine.inertia):
         return
-    red.place(topology, P, E, inertia, x, arms, N, q, v)
-    red.centripetal(topology, arms, v, a)
-    for j in range(a.size):
-        for i in range(udd.size):
-            a[j] += N[i, j] * udd[i]
+    topology, P, E, inertia = machine
+    red.place(topology, P, E, inertia, x, scratch.arms, scratch.N, end.q, end.v)
+    red.centripetal(topology, scratch.arms, end.v, end.a)
+    for j in range(end.a.size):
+        for i in range(end.udd.size):
+            end.a[j] += scratch.N[i, j] * end.udd[i]
 
 
 @njit
-def forces_at(topology, P, E, t, inertia, x, w, q, v, p, f):
+def forces_at(machines, t, x, w, q, v, p, f):
     """Fill q, v, p and f, the applied forces that the machines themselves have, of states x (m, nx) at t; (m, .)
     each.
     """
-    n = topology[0, CYLINDERS]
-    arms, lines, N = (
-        red.new_arms(topology),
-        new_lines(topology),
-        np.zeros((widths(topology, red.swings(topology, q[0]))[1], q.shape[1])),
-    )
+    machines = Machine(*machines)
+    topology = machines.topology
+    n, nu = topology[0, CYLINDERS], widths(topology, red.swings(topology, q[0]))[1]
+    arms, lines, N = _scratch(topology, nu, q.shape[1])
     for k in range(x.shape[0]):
-        red.place(topology, P[k], E[k], inertia[k], x[k], arms, N, q[k], v[k])
+        machine = _one(machines, k)
+        red.place(topology, machine.P, machine.E, machine.inertia, x[k], arms, N, q[k], v[k])
         p[k] = x[k, 2 * n : 4 * n]
-        red.applied_forces(topology, P[k], E[k], t, w[k], inertia[k], arms, lines, q[k], v[k], p[k], f[k])
+        red.applied_forces(machine, t, w[k], arms, lines, q[k], v[k], p[k], f[k])
 
 
 @njit
-def predict(topology, P, E, t, h, start_inertia, inertia, x, w, push, udd, q, v, a, p, dp, held, status, last):
-    """Fill the (m, .) arrays of the end of the step with a first guess: a1 = a0 and dp1 = dp0.
+def predict(machines, start_inertia, step, ends, status, last):
+    """Fill `ends`, the motions at the end of the step, with a first guess: a1 = a0 and dp1 = dp0.
+
+    What is called from Python gets tuples in the order of `Machine`, `Step` and `Motion`; numba reads these faster.
 
     Args:
-        t, h: start and length of the step in s.
-        P, E: (m, .) parameters.
-        start_inertia, inertia: (m, bodies + 1, 4) masses at the start and the end of the step.
-        x, w: states (m, nx) and inputs (m, .) at the start of the step;  push: (m, nq) forces of somebody's own objects
-            there.
-        held: (m, N_BALANCES, chambers) filled with the chambers' balances at the start;  udd: (m, nu) with the
-            accelerations there.
+        machines: with the masses at the end of the step;  start_inertia: (m, bodies + 1, 4), those at its start.
         status, last: (m,), set for the first iteration.
 
     Returns:
         False if a machine's status tells that it has no start.
     """
-    width, chambers = q.shape[1], p.shape[1]
-    arms, N, lines = red.new_arms(topology), np.zeros((udd.shape[1], width)), new_lines(topology)
-    balances, good = np.empty((N_BALANCES, chambers)), True
-    for k in range(x.shape[0]):
-        ends = (q[k], v[k], a[k], p[k], dp[k], held[k], udd[k])
-        status[k] = start(topology, P[k], E[k], t, start_inertia[k], x[k], w[k], push[k], arms, lines, N, *ends)
-        last[k] = math.inf
+    machines, step, ends = Machine(*machines), Step(*step), Motion(*ends)
+    topology, h, good = machines.topology, step.h, True
+    scratch = _scratch(topology, ends.udd.shape[1], ends.q.shape[1])
+    balances = np.empty((N_BALANCES, ends.p.shape[1]))
+    for k in range(step.x.shape[0]):
+        machine, end, x, w = _one(machines, k), _motion_of(ends, k), step.x[k], step.w0[k]
+        at_start = Machine(topology, machine.P, machine.E, start_inertia[k])
+        status[k], last[k] = start(at_start, step.t, x, w, step.push[k], scratch, end), math.inf
         good = good and status[k] == ITERATING
-        _refer(topology, P[k], E[k], start_inertia[k], inertia[k], x[k], udd[k], arms, N, q[k], v[k], a[k])
-        for j in range(width):
-            v1 = v[k, j] + h * a[k, j]
-            q[k, j] += 0.5 * h * (v[k, j] + v1)
-            v[k, j] = v1
-        red.arms_of(topology, P[k], inertia[k], q[k], arms)
-        for j in range(chambers):
-            p[k, j] += h * dp[k, j]
-        geo.fill_lines(topology, arms, q[k], v[k], lines)
-        _required_rates(topology, P[k], E[k], w[k], h, lines, p[k], held[k], balances, dp[k])
+        _refer(machine, start_inertia[k], x, scratch, end)
+        for j in range(end.q.size):
+            v1 = end.v[j] + h * end.a[j]
+            end.q[j] += 0.5 * h * (end.v[j] + v1)
+            end.v[j] = v1
+        red.arms_of(topology, machine.P, machine.inertia, end.q, scratch.arms)
+        for j in range(end.p.size):
+            end.p[j] += h * end.dp[j]
+        geo.fill_lines(topology, scratch.arms, end.q, end.v, scratch.lines)
+        _required_rates(machine, w, h, scratch.lines, end, balances)
     return good
 
 
 @part
-def _required_rates(topology, P, E, w, h, lines, p, held, balances, dp):
-    """Fill dp (chambers,) with the pressure rates at the end of a step with which the rule holds for the amounts of
-    oil.
-    """
-    hyd.chamber_balances(topology, P, E, w, lines, p, balances)
-    for j in range(dp.size):
-        wanted = 2.0 / h * (balances[AMOUNT, j] - held[AMOUNT, j]) - held[GAIN, j]
-        dp[j] = (wanted - balances[DRAW, j] * balances[SPEED, j]) / balances[SLOPE, j]
+def _required_rates(machine, w, h, lines, end, balances):
+    """Fill the pressure rates at the end of a step with which the rule holds for the amounts of oil."""
+    hyd.chamber_balances(machine.topology, machine.P, machine.E, w, lines, end.p, balances)
+    for j in range(end.dp.size):
+        wanted = 2.0 / h * (balances[AMOUNT, j] - end.held[AMOUNT, j]) - end.held[GAIN, j]
+        end.dp[j] = (wanted - balances[DRAW, j] * balances[SPEED, j]) / balances[SLOPE, j]
 
 
 @njit
-def _tangents(topology, P, E, w, h, lines, p, base, Fv, Fp, Rv, Rp):
+def _tangents(machine, w, h, lines, p, base, slopes):
     """Fill the derivatives of cylinder forces and chambers' defects after cylinder speeds and pressures.
 
     The defect of a chamber is (dN/dt - 2/h N)/(dN/dy). A speed at the end of the step moves the length by h/2 of it,
     which belongs to the derivative after the speed; flows do not depend on it. The rest is by differences.
 
-    base (N_BALANCES, chambers): filled with the balances here. Fv (cylinders,): dF_c/dv_c. Fp (chambers,): of the
-    chamber's own cylinder; Rv (chambers,) likewise; Rp (chambers, chambers). Chambers of different cylinders are moved
-    together, except where an effect ties the cylinders to the supply.
+    base (N_BALANCES, chambers): filled with the balances here. Chambers of different cylinders are moved together,
+    except where an effect ties the cylinders to the supply.
     """
+    topology, P, E, _ = machine
+    Fv, Fp, Rv, Rp = slopes
     n = Fv.size
     F, G, moved, shifted = np.empty(n), np.empty(n), np.empty((N_BALANCES, 2 * n)), lines.copy()
     hyd.cylinder_forces(topology, P, E, w, lines, p, F)
@@ -218,92 +276,82 @@ def _defect_by_pressure(base, moved, h, i):
 
 
 @njit
-def correct(topology, P, E, h, scale, inertia, w, residual, q, v, a, p, dp, held, status, last):
+def correct(machines, h, scale, w, residual, ends, status, last):
     """Improve the end of the step by one Newton iteration for every machine that needs it, given Exudyn's residual
     there.
 
     A machine that has converged is left alone, so that its result does not depend on its neighbours.
 
     Args:
-        P, E, inertia: (m, .), (m, .), (m, bodies + 1, 4) parameters and masses at the end of the step.
+        machines: with parameters and masses at the end of the step.
         h: step in s.
         scale: factor that Exudyn's solver has put on the ODE2 rows.
+        w: (m, .) inputs at the end of the step.
         residual: Exudyn's [M a - f, rates - dp, G v] of all machines, joint forces left out.
-        q, v, a, p, dp: (m, .) end of the step, improved in place;  held: (m, N_BALANCES, chambers) the chambers'
-            balances at its start.
+        ends: the motions at the end of the step, improved in place.
         status: (m,) updated;  last: (m,) size of each machine's last increment in RATE_UNIT and PRESSURE_UNIT.
 
     Returns:
         how many machines need a further iteration.
     """
-    (n, width), chambers = q.shape, p.shape[1]
-    swinging = red.swings(topology, q[0])
-    _, nu = widths(topology, swinging)
-    rows, size, cylinders = red.joint_equations(topology, swinging), nu + chambers, chambers // 2
-    arms, N, lines, D = red.new_arms(topology), np.zeros((nu, width)), new_lines(topology), np.zeros((cylinders, nu))
-    d, work, g = np.zeros(width), np.zeros(width), np.zeros(rows)
-    A, b, Fv, Rv, balances = (
-        np.zeros((size, size)),
-        np.zeros(size),
-        np.zeros(cylinders),
-        np.zeros(chambers),
-        np.empty((N_BALANCES, chambers)),
-    )
-    ds, none = np.zeros(cylinders), np.empty(0)
-    active = 0
+    machines, ends = Machine(*machines), Motion(*ends)
+    topology, (n, width), chambers = machines.topology, ends.q.shape, ends.p.shape[1]
+    swinging = red.swings(topology, ends.q[0])
+    rows, nu, cylinders = red.joint_equations(topology, swinging), widths(topology, swinging)[1], chambers // 2
+    scratch, linear = _scratch(topology, nu, width), _linear(nu, width, chambers)
+    d, work, g, b = np.zeros(width), linear.work, np.zeros(rows), np.zeros(nu + chambers)
+    ds, none, active = np.zeros(cylinders), np.empty(0), 0
     for k in range(n):
         if status[k] != ITERATING:
             continue
-        Pk, Ek, mk, qk, vk, pk = P[k], E[k], inertia[k], q[k], v[k], p[k]
-        red.arms_of(topology, Pk, mk, qk, arms)
-        _linearised(topology, Pk, Ek, h, mk, w[k], qk, vk, pk, arms, lines, N, D, Fv, Rv, balances, work, A)
+        machine, end = _one(machines, k), _motion_of(ends, k)
+        red.arms_of(topology, machine.P, machine.inertia, end.q, scratch.arms)
+        _linearise(machine, h, w[k], end, scratch, linear)
         start_g = n * (width + chambers) + rows * k
         for i in range(rows):
             g[i] = -residual[start_g + i]
-        red.chain(topology, arms, -1, none, g, d)  # the change of velocity that closes the joints
-        red.mass_times(mk, d, work)
+        red.chain(topology, scratch.arms, -1, none, g, d)  # the change of velocity that closes the joints
+        red.mass_times(machine.inertia, d, work)
         for j in range(width):
             work[j] = residual[width * k + j] / scale + 2.0 / h * work[j]
         for c in range(cylinders):
-            ds[c] = geo.line_rate(topology, arms, d, lines, c)
+            ds[c] = geo.line_rate(topology, scratch.arms, d, scratch.lines, c)
         first = n * width + chambers * k
-        _fill_right_side(N, D, Fv, Rv, ds, work, residual[first : first + chambers], b)
-        if not red.solve(A, b):
+        _fill_right_side(scratch.N, linear, ds, residual[first : first + chambers], b)
+        if not red.solve(linear.A, b):
             status[k] = SINGULAR
             continue
-        change = _apply(topology, Pk, Ek, w[k], h, mk, N, d, b, arms, lines, balances, qk, vk, a[k], pk, dp[k], held[k])
+        change = _apply(machine, w[k], h, d, b, scratch, linear.balances, end)
         status[k], last[k] = _judge(change, last[k]), change
         active += status[k] == ITERATING
     return active
 
 
 @njit
-def _linearised(topology, P, E, h, inertia, w, q, v, p, arms, lines, N, D, Fv, Rv, balances, work, A):
-    """Fill lines, null space N, cylinder rates D, derivatives Fv, Rv, the chambers' balances and the system A of a
-    machine.
-    """
-    red.null_space(topology, arms, N)
-    geo.fill_lines(topology, arms, q, v, lines)
-    for c in range(D.shape[0]):
+def _linearise(machine, h, w, now, scratch, linear):
+    """Fill `linear` and `scratch` for a machine at a motion; the arms must belong to it."""
+    topology, lines, N = machine.topology, scratch.lines, scratch.N
+    red.null_space(topology, scratch.arms, N)
+    geo.fill_lines(topology, scratch.arms, now.q, now.v, lines)
+    for c in range(linear.D.shape[0]):
         for i in range(N.shape[0]):
-            D[c, i] = geo.line_rate(topology, arms, N[i], lines, c)
-    Fp, Rp = np.empty(p.size), np.empty((p.size, p.size))
-    _tangents(topology, P, E, w, h, lines, p, balances, Fv, Fp, Rv, Rp)
-    _fill_system(topology, E, h, inertia, arms, N, D, v, Fv, Fp, Rv, Rp, work, A)
+            linear.D[c, i] = geo.line_rate(topology, scratch.arms, N[i], lines, c)
+    _tangents(machine, w, h, lines, now.p, linear.balances, linear.slopes)
+    _fill_system(machine, h, now.v, scratch, linear)
 
 
 @part
-def _fill_right_side(N, D, Fv, Rv, ds, force, rate, b):
-    """Fill b for residuals `force` (nq,) and `rate` (chambers,), and cylinder speeds ds that closing the joints
-    adds.
+def _fill_right_side(N, linear, ds, rate, b):
+    """Fill b for residuals of the forces, in `linear.work`, and `rate` (chambers,), and cylinder speeds ds that closing
+    the joints adds.
     """
-    nu = N.shape[0]
+    nu, slopes = N.shape[0], linear.slopes
     for i in range(nu):
-        b[i] = -red.dot(N[i], force)
+        b[i] = -red.dot(N[i], linear.work)
         for c in range(ds.size):
-            b[i] += D[c, i] * Fv[c] * ds[c]
+            b[i] += linear.D[c, i] * slopes.Fv[c] * ds[c]
     for j in range(rate.size):
-        b[nu + j] = -rate[j] - Rv[j] * ds[j // 2]
+        b[nu + j] = -rate[j] - slopes.Rv[j] * ds[j // 2]
 
 
 @part
@@ -316,8 +364,11 @@ def _judge(size, last):
 
 
 @part
-def _fill_system(topology, E, h, inertia, arms, N, D, v, Fv, Fp, Rv, Rp, work, A):
+def _fill_system(machine, h, v, scratch, linear):
     """Fill A: reduced balance (2/h M - dF/dv) and pressure equations, unknowns (du, dp)."""
+    topology, _, E, inertia = machine
+    arms, _, N = scratch
+    D, (Fv, Fp, Rv, Rp), _, A, work = linear
     nu, n = N.shape[0], D.shape[0]
     for i in range(nu):
         red.mass_times(inertia, N[i], work)
@@ -341,12 +392,15 @@ def _fill_system(topology, E, h, inertia, arms, N, D, v, Fv, Fp, Rv, Rp, work, A
 
 
 @njit
-def _apply(topology, P, E, w, h, inertia, N, d, change, arms, lines, balances, q, v, a, p, dp, held):
+def _apply(machine, w, h, d, change, scratch, balances, end):
     """Add one Newton increment; return its size. `balances` are those before it, and scratch; so are `lines`.
 
     The amounts of oil take the linear change, the pressures follow from them: so the iteration meets no kink where a
     void closes or gas is pressed together.
     """
+    topology, P, E, inertia = machine
+    arms, lines, N = scratch
+    q, v, a, p = end.q, end.v, end.a, end.p
     nu, n, size = N.shape[0], lines.shape[0], 0.0
     before = lines[:, LENGTH].copy()
     for j in range(q.size):
@@ -367,84 +421,71 @@ def _apply(topology, P, E, w, h, inertia, N, d, change, arms, lines, balances, q
         ya, yb = change[nu + i], change[nu + j]
         Na, Nb = hyd.changed_amounts(P, E, c, balances, p[i], p[j], s - before[c], ya, yb)
         p[i], p[j] = hyd.settled_pressures(P, E, c, s, Na, Nb, p[i], p[j])
-    _required_rates(topology, P, E, w, h, lines, p, held, balances, dp)
+    _required_rates(machine, w, h, lines, end, balances)
     return size
 
 
 @njit
-def finish(topology, P, E, t, h, allowed, inertia, x, w0, w1, push, q, v, p, held, udd, status, errors, out):
+def finish(machines, step, allowed, ends, status, errors, out):
     """Fill out (m, nx) with the independent states at the end of the step, of the machines that are DONE.
 
     `errors` (m,) get the local errors of their steps. A machine whose error is too large becomes COARSE.
 
     Args:
-        t, h: start and length of the step in s;  x, w0, push: (m, .) states, inputs and forces of somebody's own
-            objects at its start;
-        w1: inputs at its end.
+        machines: with the masses at the end of the step.
         allowed: local error in units of `step_control.*_ERROR`.
-        inertia: (m, bodies + 1, 4) masses at the end of the step.
 
     Returns:
         the first machine that is beyond its stroke, or -1.
     """
-    width, n = q.shape[1], topology[0, CYLINDERS]
-    arms, N, lines = red.new_arms(topology), np.zeros((udd.shape[1], width)), new_lines(topology)
-    balances, beyond = np.empty((N_BALANCES, 2 * n)), -1
-    for k in range(q.shape[0]):
+    machines, step, ends = Machine(*machines), Step(*step), Motion(*ends)
+    topology, width = machines.topology, ends.q.shape[1]
+    n, beyond = topology[0, CYLINDERS], -1
+    scratch, balances = _scratch(topology, ends.udd.shape[1], width), np.empty((N_BALANCES, 2 * n))
+    for k in range(ends.q.shape[0]):
         if status[k] != DONE:
             continue
-        red.arms_of(topology, P[k], inertia[k], q[k], arms)
-        red.read_motion(topology, arms, x[k], q[k], v[k], out[k])
-        _settle(topology, P[k], E[k], h, inertia[k], w1[k], arms, lines, q[k], v[k], p[k], held[k], balances, out[k])
-        if beyond < 0 and stroke_end(P[k], E[k], lines, out[k, 2 * n : 4 * n]) > 0:
+        machine, end = _one(machines, k), _motion_of(ends, k)
+        own = Step(step.t, step.h, step.x[k], step.w0[k], step.w1[k], step.push[k])
+        red.arms_of(topology, machine.P, machine.inertia, end.q, scratch.arms)
+        red.read_motion(topology, scratch.arms, own.x, end.q, end.v, out[k])
+        _settle(machine, own, scratch, end, balances, out[k])
+        if beyond < 0 and stroke_end(machine.P, machine.E, scratch.lines, out[k, 2 * n : 4 * n]) > 0:
             beyond = k
-        what = (
-            inertia[k],
-            x[k],
-            out[k],
-            w0[k],
-            w1[k],
-            push[k],
-            arms,
-            lines,
-            N,
-            q[k],
-            v[k],
-            held[k],
-            balances[GAIN],
-            udd[k],
-        )
-        errors[k] = _local_error(topology, P[k], E[k], t, h, allowed, *what)
+        errors[k] = _local_error(machine, own, allowed, scratch, end, balances[GAIN], out[k])
         if not errors[k] <= allowed:
             status[k] = COARSE
     return beyond
 
 
 @part
-def _settle(topology, P, E, h, inertia, w, arms, lines, q, v, p, held, balances, out):
+def _settle(machine, step, scratch, end, balances, out):
     """Write the pressures that belong to the amounts of oil at the end of a step to out (nx,), at its pose with all
     joints closed.
 
-    `lines` and `balances` (N_BALANCES, chambers) are filled.
+    The lines and `balances` (N_BALANCES, chambers) are filled.
     """
-    n = topology[0, CYLINDERS]
-    theta = out[4 * n] if red.swings(topology, q) else 0.0
-    red.close_position(topology, P, E, inertia, out, theta, arms, q)
-    geo.fill_lines(topology, arms, q, v, lines)
-    hyd.chamber_balances(topology, P, E, w, lines, p, balances)
+    topology, P, E, inertia = machine
+    n, lines, held = topology[0, CYLINDERS], scratch.lines, end.held
+    theta = out[4 * n] if red.swings(topology, end.q) else 0.0
+    red.close_position(topology, P, E, inertia, out, theta, scratch.arms, end.q)
+    geo.fill_lines(topology, scratch.arms, end.q, end.v, lines)
+    hyd.chamber_balances(topology, P, E, step.w1, lines, end.p, balances)
     for j in range(2 * n):
-        balances[AMOUNT, j] = held[AMOUNT, j] + 0.5 * h * (held[GAIN, j] + balances[GAIN, j])
-    hyd.settle(P, E, lines, balances[AMOUNT], p, out[2 * n : 4 * n])
+        balances[AMOUNT, j] = held[AMOUNT, j] + 0.5 * step.h * (held[GAIN, j] + balances[GAIN, j])
+    hyd.settle(P, E, lines, balances[AMOUNT], end.p, out[2 * n : 4 * n])
 
 
 @njit
-def _local_error(topology, P, E, t, h, allowed, inertia, x, out, w0, w1, push, arms, lines, N, q, v, held, gain, udd):
-    """Return the local error of one machine's step in units of `step_control.*_ERROR`; arms, lines, N, q, v are
-    scratch.
+def _local_error(machine, step, allowed, scratch, end, gain, out):
+    """Return the local error of one machine's step in units of `step_control.*_ERROR`; `scratch` and the motion q, v of
+    `end` are overwritten. `gain` (chambers,): rates of the amounts of oil at the end.
 
     First by the change of the rates over the step, which bounds the defect of rates that change one way; then by the
     rates in the middle; then after what the system's stiffness makes of it.
     """
+    topology, P, E, inertia = machine
+    h, x, held, udd = step.h, step.x, end.held, end.udd
     nu, n, chambers = udd.size, topology[0, CYLINDERS], gain.size
     after, defect = np.empty(nu), np.empty(nu + chambers)
     for i in range(nu):
@@ -457,35 +498,34 @@ def _local_error(topology, P, E, t, h, allowed, inertia, x, out, w0, w1, push, a
     error = _size(P, held, defect, positions)
     if error <= allowed:
         return error
-    middle, w, width = np.empty(x.size), np.empty(w0.size), q.size
+    middle, w, amount = np.empty(x.size), np.empty(step.w0.size), np.empty(chambers)
     for i in range(w.size):
-        w[i] = 0.5 * (w0[i] + w1[i])
-    amount, between, dp = np.empty(chambers), np.empty((N_BALANCES, chambers)), np.empty(chambers)
+        w[i] = 0.5 * (step.w0[i] + step.w1[i])
     for i in range(nu):
         place, rate = red.position_place(n, i), red.rate_place(n, i)
         middle[place] = 0.5 * (x[place] + out[place]) + 0.125 * h * (x[rate] - out[rate])
         middle[rate] = 0.5 * (x[rate] + out[rate]) + 0.125 * h * (udd[i] - after[i])
     theta = middle[4 * n] if nu > n else 0.0
-    if not red.close_position(topology, P, E, inertia, middle, theta, arms, q):
+    if not red.close_position(topology, P, E, inertia, middle, theta, scratch.arms, end.q):
         return math.inf
-    geo.fill_lines(topology, arms, q, v, lines)
+    geo.fill_lines(topology, scratch.arms, end.q, end.v, scratch.lines)
     for j in range(chambers):
         amount[j] = (
             held[AMOUNT, j] + 0.5 * h * (0.5 * (held[GAIN, j] + gain[j])) + 0.125 * h * (held[GAIN, j] - gain[j])
         )
-    hyd.settle(P, E, lines, amount, x[2 * n : 4 * n], middle[2 * n : 4 * n])
-    a, p, there = np.empty(width), np.empty(chambers), np.empty(nu)
-    what = (middle, w, push, arms, lines, N, q, v, a, p, dp, between, there)
-    if start(topology, P, E, t + 0.5 * h, inertia, *what) != ITERATING:
+    hyd.settle(P, E, scratch.lines, amount, x[2 * n : 4 * n], middle[2 * n : 4 * n])
+    between = np.empty((N_BALANCES, chambers))
+    there = Motion(end.q, end.v, np.empty(end.a.size), np.empty(chambers), np.empty(chambers), between, np.empty(nu))
+    if start(machine, step.t + 0.5 * h, middle, w, step.push, scratch, there) != ITERATING:
         return math.inf
     for i in range(nu):
-        defect[i] = h / 3.0 * (udd[i] + after[i] - 2.0 * there[i])
+        defect[i] = h / 3.0 * (udd[i] + after[i] - 2.0 * there.udd[i])
     for j in range(chambers):
         defect[nu + j] = h / 3.0 * (held[GAIN, j] + gain[j] - 2.0 * between[GAIN, j])
     error = _size(P, held, defect, positions)
     if error <= allowed:
         return error
-    return _stiff_error(topology, P, E, h, inertia, w, arms, lines, N, q, v, p, held, between, defect, positions)
+    return _stiff_error(machine, h, w, held, scratch, there, defect, positions)
 
 
 @njit
@@ -502,26 +542,25 @@ def _size(P, held, defect, positions):
 
 
 @njit
-def _stiff_error(topology, P, E, h, inertia, w, arms, lines, N, q, v, p, held, balances, defect, positions):
-    """Return the error left of a defect by one iteration of Newton's method towards Simpson's rule, around the middle
-    of the step.
+def _stiff_error(machine, h, w, held, scratch, middle, defect, positions):
+    """Return the error left of a defect by one iteration of Newton's method towards Simpson's rule, around the motion
+    in the middle of the step; `held`: the chambers' balances at its start.
     """
-    nu, width, chambers = positions.size, q.size, p.size
-    D, Fv, Rv, work = np.zeros((chambers // 2, nu)), np.zeros(chambers // 2), np.zeros(chambers), np.zeros(width)
-    A, b, M = np.zeros((nu + chambers, nu + chambers)), np.empty(nu + chambers), np.zeros((nu, nu))
-    _linearised(topology, P, E, h, inertia, w, q, v, p, arms, lines, N, D, Fv, Rv, balances, work, A)
-    red.reduced_mass(inertia, N, work, M)
+    nu, chambers = positions.size, middle.p.size
+    linear, b, M = _linear(nu, middle.q.size, chambers), np.empty(nu + chambers), np.zeros((nu, nu))
+    _linearise(machine, h, w, middle, scratch, linear)
+    red.reduced_mass(machine.inertia, scratch.N, linear.work, M)
     for i in range(nu):
         b[i] = 2.0 / h * red.dot(M[i], defect[:nu])
     for j in range(chambers):
-        b[nu + j] = -2.0 / h * defect[nu + j] / balances[SLOPE, j]
-    if not red.solve(A, b):
+        b[nu + j] = -2.0 / h * defect[nu + j] / linear.balances[SLOPE, j]
+    if not red.solve(linear.A, b):
         return math.inf
     left = np.empty(nu + chambers)
     left[:nu] = b[:nu]
     for j in range(chambers):
-        left[nu + j] = b[nu + j] * balances[SLOPE, j]
-    return _size(P, held, left, positions)
+        left[nu + j] = b[nu + j] * linear.balances[SLOPE, j]
+    return _size(machine.P, held, left, positions)
 
 
 @part

@@ -91,7 +91,7 @@ class Finding:
     severity: Severity
     text: str
     mend: str
-    columns: Mapping[str, Column] = field(default_factory=dict)
+    columns: Mapping[str, Column] = field(default_factory=dict, repr=False)
 
 
 def vet(recording: Recording, crane: Crane) -> list[Finding]:

@@ -90,4 +90,5 @@ def tell(printer: Printer, step: Step) -> None:
     """Print one step as soon as it is known."""
     name = "as given" if step.added is None else f"+ {step.added}"
     check = f", on the check recording {step.check_error:.3g}" if step.check_error == step.check_error else ""
-    printer.line(f"{name}: error {step.error:.3g}{check}, the filter's mean NIS {step.nis_mean:.3g} — {step.text}.")
+    nis = f"mean NIS of a filter that trusts it {step.nis_mean:.3g}"
+    printer.line(f"{name}: error {step.error:.3g}{check}, {nis} — {step.text}.")

@@ -256,8 +256,8 @@ def test_what_is_not_a_number_is_never_ok() -> None:
 
 
 def test_an_effect_without_influence_is_not_called_a_success(crane: Crane) -> None:
-    idle = crane.with_effect("internal_leakage@lift", {"k": 0.0})
-    engines = SemiRecursiveEngine(idle), SemiRecursiveEngine(idle)
+    inactive = crane.with_effect("internal_leakage@lift", {"k": 0.0})
+    engines = SemiRecursiveEngine(inactive), SemiRecursiveEngine(inactive)
     quantity = cc.check_effect("internal_leakage@lift", *engines, 5, np.random.default_rng(SEED))
     assert not quantity.ok and "changed no quantity" in quantity.reason
 

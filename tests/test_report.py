@@ -376,6 +376,7 @@ def test_units_are_those_in_which_engineers_think():
 def test_an_improvement_says_what_it_did(tmp_path):
     text = report_improvement(example_improvement(), tmp_path).read_text()
     assert "With internal leakage (lift) the open-loop error falls from 22 to 0.99 times" in text
+    assert "<h2>How sure</h2>" in text
     assert [line.get_label() for line in example_improvement().plot().axes[0].get_lines()[:2]] == [
         "learned from",
         "only predicted",

@@ -103,8 +103,11 @@ class Comparison:
 
     @property
     def error(self) -> float:
-        """Open-loop RMS error over all channels in units of the noise; 1 means nothing is left but noise."""
-        return float(np.sqrt(np.mean([c.error_over_noise**2 for c in self.channels.values()])))
+        """Open-loop RMS error over all samples in units of the noise, as in a diagnosis; 1 means nothing is left but
+        noise.
+        """
+        samples = [len(self.measured[name][0]) for name in self.channels]
+        return float(np.sqrt(np.average([c.error_over_noise**2 for c in self.channels.values()], weights=samples)))
 
     @property
     def consistent(self) -> bool:

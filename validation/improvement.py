@@ -16,9 +16,12 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
+from .comparison import filtered
 from .diagnosis import Candidate, Diagnosis, diagnosis_of, searched, sentence
 from .fit.data import FitData
+from .fit.solve import Fit
 from .fit.staged import FINE, residuals, rms
+from .fitness import usable
 from .history import added, learned, without_learned
 from .learning import Learned
 from .learning import learn as learn_laws
@@ -203,7 +206,7 @@ def _named(
         text = "no effect alone explains the recording, nor do two; these together do"
         text += "" if many.explains else " what can be done"
     elif chosen is not None:
-        name, improved, evidence, text = chosen.name, chosen.crane, chosen.evidence, sentence(d)
+        name, improved, evidence, text = chosen.name, chosen.crane, chosen.evidence, ""
     else:
         return result
     entry: dict[str, Any] = {
@@ -213,11 +216,14 @@ def _named(
         "error_before": result.steps[0].error,
     }
     if replaced:
-        entry, text = entry | {"replaced": list(replaced)}, f"{text}; it replaces {' and '.join(replaced)}"
+        entry = entry | {"replaced": list(replaced)}
     best = added(crane, replace(improved, history=crane.history), **entry)
-    step = judge.step(name, best, d.verdict, text)
+    step = judge.step(name, best, d.verdict)
     good = step.search_error < CRITERIA.level or (many is None and chosen is not None and chosen.level < CRITERIA.level)
-    left = "adequate" if good else "unknown"
+    text = text or ("nothing but noise is left" if good else "more than noise is left")
+    if replaced:
+        text += f"; it replaces {' and '.join(replaced)}"
+    step, left = replace(step, text=text + step.text), "adequate" if good else "unknown"
     return replace(result, steps=(*result.steps, step), crane=best, verdict=left, many=many)
 
 
@@ -253,14 +259,16 @@ class Judge:
     check: Recording | None
     own: tuple[str, ...]
 
-    def step(self, name: str | None, crane: Crane, verdict: str, text: str) -> Step:
+    def step(self, name: str | None, crane: Crane, verdict: str, text: str = "") -> Step:
         """Return a step to a crane: errors on the Exudyn engine and on that of the search, on the check recording, and
-        the filter's mean NIS.
+        the mean NIS of the filter with which `compare` looks at it too.
+
+        To `text` is added where the engines disagree.
         """
         found = [exudyn_error(crane, r, self.own) for r in self.recordings]
         exudyn, searched = (together(self.recordings, e) for e in ([f[0] for f in found], [f[1] for f in found]))
         check_error = exudyn_error(crane, self.check, self.own)[0] if self.check is not None else math.nan
-        nis = [nis_mean(f[2], r) for f, r in zip(found, self.recordings, strict=True)]
+        nis = [nis_mean(fit, r) for (_, _, fit), r in zip(found, self.recordings, strict=True)]
         text += _disagreement(exudyn, searched)
         return Step(name, exudyn, check_error, float(np.mean(nis)), verdict, searched, text)
 
@@ -272,27 +280,24 @@ def _disagreement(error: float, searched: float) -> str:
     return f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
 
 
-def exudyn_error(crane: Crane, recording: Recording, own: Sequence[str] = ()) -> tuple[float, float, Crane]:
+def exudyn_error(crane: Crane, recording: Recording, own: Sequence[str] = ()) -> tuple[float, float, Fit]:
     """Return the open-loop RMS error in noise units on the Exudyn engine, and on that of the search, from the same
-    start, and the crane with the recording's own parameters.
+    start, and the fit of that start, whose crane has the recording's own parameters.
     """
     from crane_exudyn.engine import ExudynEngine
 
     searched, fit = open_loop_error(crane, recording, own=own)
     data = FitData.of(recording, crane, rate=math.inf, step=FINE)
     engine = ExudynEngine(fit.crane)
-    return rms(residuals(fit.crane, data, fit.starts, fit.late, engine.simulate)), searched, fit.crane
+    return rms(residuals(fit.crane, data, fit.starts, fit.late, engine.simulate)), searched, fit
 
 
-def nis_mean(crane: Crane, recording: Recording) -> float:
-    """Return the mean normalised innovation squared of the filter over a recording (expected: the number of
-    sensors).
+def nis_mean(start: Fit, recording: Recording) -> float:
+    """Return the mean normalised innovation squared over a recording of a filter that trusts a fit's crane (expected:
+    the number of sensors).
     """
-    from ukf.estimator import Estimator
-
-    noise = recording.noise()
-    std = {c: crane.sensors.get(c, noise[c]) for c in recording.sensors}
-    return float(Estimator(crane, "semi-recursive", std, max_step=2.5e-3).run(recording).nis_mean)
+    data = FitData.of(usable(recording), start.crane).with_step(FINE).shifted(start.late)
+    return filtered(start.crane, data, "semi-recursive").nis_mean
 
 
 def explained(found: Many) -> list[str]:
@@ -326,9 +331,9 @@ def _identified(found: Many) -> list[str]:
     ]
     texts = [f"Parameters that moved with them: {', '.join(values)}"] if values else []
     known = found.crane.uncertainty
-    strained = [n for n in furthest if abs(found.moved[n]) > CRITERIA.strained and math.isfinite(known[n].std)]
-    if strained:
-        far = ", ".join(f"{n} by {abs(found.moved[n]):.1f}" for n in strained)
+    doubted = [n for n in furthest if abs(found.moved[n]) > CRITERIA.strained and math.isfinite(known[n].std)]
+    if doubted:
+        far = ", ".join(f"{n} by {abs(found.moved[n]):.1f}" for n in doubted)
         texts.append(
             f"Hardly plausible, as many standard uncertainties from the crane file: {far}. They do the work of "
             "something that is not in the model, or that this recording does not separate from them"

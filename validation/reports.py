@@ -401,7 +401,7 @@ def report_improvement(
     }
     rows = [(in_words(s.added or "as given"), s.error, s.check_error, s.nis_mean, s.text) for s in result.steps]
     expected = (
-        "NIS is that of the filter with its usual process noise, and is no error; expected is the number of sensors. "
+        "NIS is that of a filter that trusts the model, as in a comparison; expected is the number of sensors. "
         f"{_ERRORS}"
     )
     table = Table(("step", "error / noise", "on check", "filter's NIS", "what was found"), rows, note=expected)
@@ -418,9 +418,8 @@ def report_improvement(
             sections.append(("What was missing", law_parts(named, _complete(result.crane, named, parameters))))
     if result.learned is not None and result.learned.laws:
         sections.append(("Learned, as no named effect explains it", curve_parts(result.learned)))
-    for i, d in enumerate(result.diagnoses):
-        sections.append((f"How sure: diagnosis {i + 1}", [verdict(d), *sureness(d)]))
-        sections += _details(d)
+    sections.append(("How sure", [verdict(first), *sureness(first)]))
+    sections += _details(first)
     about = {"crane": first.given.name, "recording": result.recording} | dict(given or {})
     mood = _MOODS.get(result.verdict, "neutral")
     title = f"Improvement on {result.recording}"
