@@ -291,7 +291,7 @@ def stubbed(monkeypatch):
                 given if left is None else replace(given, crane=found, laws=(law,), error_before=5.0, error_after=left)
             )
 
-        def step(judge, name, crane, said, text):
+        def step(judge, name, crane, said, text=""):
             return Step(
                 name, {None: 5.0, LEAK: 3.0}.get(name, 1.0), math.nan, 6.0, said, 3.0 if name == LEAK else 1.0, text
             )
