@@ -98,10 +98,10 @@ def model(keys: str = "", evidence: float = 0.0, good: bool = True, **more: obje
     """Return what the verdict asks of a fitted model; `keys` are its effects, separated by blanks."""
     asked = {
         "plausible": True,
-        "strained": False,
+        "beyond_uncertainty": False,
         "level": 1.0,
         "bad": np.zeros(100, dtype=bool),
-        "idle": set(),
+        "inactive": set(),
         "far": (),
         "fit": SimpleNamespace(variables=(), u=()),
     }
@@ -168,7 +168,7 @@ def test_what_predicts_the_blocks_that_were_left_out_explains_although_it_leaves
 
 
 def test_parameters_moved_far_are_tied_with_one_effect_that_explains_at_once():
-    far = model(evidence=100.0, strained=True, far=("a", "b", "c"))
+    far = model(evidence=100.0, beyond_uncertainty=True, far=("a", "b", "c"))
     for bias, kind in (
         (model(BIAS, 108.0), "tied"),
         (model(BIAS, 90.0), "parameters"),

@@ -166,7 +166,7 @@ def test_a_channel_that_is_given_up_costs_more_than_it_saves_elsewhere(monkeypat
         "validation.selection.levels.window_errors", lambda found, _: {c: [np.zeros(1600)] for c in found.levels}
     )
     even, uneven = fitted({"p1": 3.0, "p2": 3.0}), fitted({"p1": 2.5, "p2": 12.0})
-    strained = fitted({"p1": 3.0, "p2": 3.0}, prior_cost=1e3)
-    found = likelihoods((even, uneven, strained), None)
+    moved = fitted({"p1": 3.0, "p2": 3.0}, prior_cost=1e3)
+    found = likelihoods((even, uneven, moved), None)
     assert found[0] > found[1] > found[2]
     assert found[0] - found[1] == pytest.approx(100.0 * math.log(2.5 * 12.0 / 9.0))

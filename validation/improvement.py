@@ -331,7 +331,7 @@ def _identified(found: Many) -> list[str]:
     ]
     texts = [f"Parameters that moved with them: {', '.join(values)}"] if values else []
     known = found.crane.uncertainty
-    doubted = [n for n in furthest if abs(found.moved[n]) > CRITERIA.strained and math.isfinite(known[n].std)]
+    doubted = [n for n in furthest if abs(found.moved[n]) > CRITERIA.doubted and math.isfinite(known[n].std)]
     if doubted:
         far = ", ".join(f"{n} by {abs(found.moved[n]):.1f}" for n in doubted)
         texts.append(

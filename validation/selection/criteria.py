@@ -65,7 +65,7 @@ class Criteria:
     # where errors drift and levels follow the model
     demanded: float = 5.0  # log evidence of independent samples that an effect must bring
     serious: float = 0.5  # share of the best one's from which on others are run over whole recordings
-    # log by which open-loop errors must fall, learned and left out together: less is a makeshift's, and two falls that
+    # log by which open-loop errors must fall, learned and left out together: less is a surrogate's, and two falls that
     gained: float = 0.1  # differ by less are alike
     part: float = 0.25  # or by this share of the log that is left: of four effects that are missing the best takes that
     tolerated: float = 0.1  # log by which those left out may rise
@@ -73,7 +73,7 @@ class Criteria:
         1.5  # an effect stays, for all its evidence, if some channel's error is so many times as large without it
     )
     believed: float = 3.0  # parameters are held within this at last,
-    strained: float = 2.9  # doubted from this on
+    doubted: float = 2.9  # doubted from this on
     told: float = 1.0  # and told from this on
     tried: int = 9  # effects that are fitted in a round
     worth: float = 0.1  # share by which what was not fitted must be predicted better

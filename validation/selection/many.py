@@ -264,19 +264,19 @@ def _carried(
     crane: Crane, data: Data, shared: Sequence[Variable], effects: Sequence[EffectVariable], before: Fit,
     stages: Sequence[Stage], kept: Sequence[str],
 ) -> Fit:  # fmt: skip
-    """Return a fit that goes on from another; of the effects those in `kept` that would fall asleep are held as they
-    were before.
+    """Return a fit that goes on from another; of the effects those in `kept` that would become inactive are held as
+    they were before.
 
     Where everything moves at once, parameters may slide into a valley in which an effect that was found before does
     nothing. Another effect is to come in addition to it.
     """
     variables = [*shared, *effects]
     found = staged(crane, data, variables, _begins(variables, before), before, stages)
-    asleep = [k for k in kept if any(v.key == k for v in effects) and _neutral(found, k)]
-    if not asleep:
+    inactive = [k for k in kept if any(v.key == k for v in effects) and _neutral(found, k)]
+    if not inactive:
         return found
-    crane = with_effects(crane, {k: parameters_of(before.crane, k) for k in asleep})
-    return _carried(crane, data, shared, [v for v in effects if v.key not in asleep], before, stages, kept)
+    crane = with_effects(crane, {k: parameters_of(before.crane, k) for k in inactive})
+    return _carried(crane, data, shared, [v for v in effects if v.key not in inactive], before, stages, kept)
 
 
 def _neutral(found: Fit, key: str) -> bool:
@@ -520,10 +520,10 @@ def _together(problem: Problem, last: Sequence[Standing], nominal: Errors, progr
         left = dict(zip(keys, fits, strict=True))
         needed = {k: log_evidence(final) - log_evidence(f) for k, f in left.items()}
         without = {k: _errors(problem, [f.of(i) for i in each]) for k, f in left.items()}
-        idle = [k for k in keys if needed[k] < CRITERIA.demanded and not mends(without[k], full)]
-        if not idle or len(keys) == 1:
+        unneeded = [k for k in keys if needed[k] < CRITERIA.demanded and not mends(without[k], full)]
+        if not unneeded or len(keys) == 1:
             break
-        weakest = min(idle, key=lambda k: needed[k])
+        weakest = min(unneeded, key=lambda k: needed[k])
         keys.remove(weakest)
         final = left[weakest]
     parts = problem.data.parts

@@ -93,7 +93,7 @@ class Fitted:
         return unexplained(self.fit)
 
     @property
-    def strain(self) -> float:
+    def move_cost(self) -> float:
         """Half the sum of squares of the moves of nominal parameters, in standard uncertainties: their log prior, up to
         a sign.
         """
@@ -125,12 +125,12 @@ class Fitted:
         )  # fmt: skip
 
     @property
-    def strained(self) -> bool:
+    def beyond_uncertainty(self) -> bool:
         """Whether parameters have moved further than they may, together or several of them."""
         return not self.plausible or len(self.far) >= CRITERIA.several
 
     @property
-    def idle(self) -> set[str]:
+    def inactive(self) -> set[str]:
         """Effects whose parameters cannot be told from their neutral values."""
         return {key for key in self.keys if self._at_neutral(key)}
 

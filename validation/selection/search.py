@@ -108,11 +108,11 @@ class Path:
         return max(self.given.evidence, self.parameters.evidence)
 
     @property
-    def strained(self) -> bool:
+    def beyond_uncertainty(self) -> bool:
         """Whether parameters without effects have moved so far that they may do an effect's work, in short windows, or
         as the whole explanation.
         """
-        return not plausible(self.problem.base) or (self.parameters.good and self.fewest.strained)
+        return not plausible(self.problem.base) or (self.parameters.good and self.fewest.beyond_uncertainty)
 
     @cached_property
     def done(self) -> list[Fitted]:
@@ -333,7 +333,7 @@ def _additions(path: Path, parent: Fitted, near: bool) -> list[Move]:
     least = CRITERIA.proof if near or parent.good else CRITERIA.promise
     scores = screened(fit, stiffness)
     found = [(s, fit) for s in likely(best_starts(scores) if near else scores, most, least)]
-    if not (near or parent.plausible) if parent.keys else path.strained:
+    if not (near or parent.plausible) if parent.keys else path.beyond_uncertainty:
         effects = {k: parameters_of(fit.crane, k) for k in parent.keys}
         held = problem.with_effects(effects) if effects else problem.nominal
         held = problem.unmoved(held, Model(problem.shared, effects))
@@ -354,7 +354,7 @@ def _raced(path: Path, moves: Sequence[Move]) -> list[Fitted]:
     moves = sorted(moves, key=lambda m: -m.promise)
     done = path.problem.run(moves[: CRITERIA.first], (LOOSE,))
     rest = moves[CRITERIA.first :]
-    if done and done[0].good and done[0].strain < CRITERIA.helped:
+    if done and done[0].good and done[0].move_cost < CRITERIA.helped:
         most = moves[0].promise
         rest = [m for m in rest if m.promise > most - max(CRITERIA.apart, CRITERIA.left * most)]
     return [*done, *path.problem.run(rest, (LOOSE,))]
@@ -374,7 +374,7 @@ def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]
         leading += [w for w in tried[most : CRITERIA.finished + 1] if w.evidence > best - near]
     elif not leading[0].plausible:
         calmest = min(
-            (w for w in tried if set(parents[0].keys) <= set(w.keys)), key=lambda w: w.strain, default=leading[0]
+            (w for w in tried if set(parents[0].keys) <= set(w.keys)), key=lambda w: w.move_cost, default=leading[0]
         )
         leading += [calmest] if all(calmest is not w for w in leading) else []
     return leading
@@ -386,7 +386,7 @@ def _relocated(path: Path, done: list[Fitted]) -> list[Fitted]:
     An effect at the wrong place explains much of a recording if parameters may help, and they can hide the right place
     from the screen.
     """
-    if not done or done[0].strain < CRITERIA.helped:
+    if not done or done[0].move_cost < CRITERIA.helped:
         return done
     problem, tried = path.problem, {key for w in done for key in w.keys}
     effect, _ = registry.split_key(done[0].keys[0])
@@ -405,7 +405,7 @@ def _further(path: Path, done: Sequence[Fitted]) -> list[Fitted]:
     """
     problem, tasks = path.problem, list[tuple[Any, ...]]()
     best = min(done, key=lambda w: w.level, default=path.parameters)
-    for w in sorted(done, key=lambda w: w.strain - w.evidence)[: CRITERIA.further]:  # rather what parameters help less
+    for w in sorted(done, key=lambda w: w.move_cost - w.evidence)[: CRITERIA.further]:  # rather those helped less
         beaten = len(w.keys) > 1 or best.level < CRITERIA.left_level
         hopeless = beaten and w.level > CRITERIA.left_level
         if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
@@ -439,7 +439,7 @@ def _dropped(path: Path, done: Sequence[Fitted], near: bool) -> list[Fitted]:
     """Return models fitted without one of their effects: one that does nothing, or beside which the others have not
     been seen alone.
 
-    What came in beside another may be the one that is missing, and the first a makeshift; or have only led the fit to
+    What came in beside another may be the one that is missing, and the first a surrogate; or have only led the fit to
     the better minimum.
     """
     known = {frozenset(w.keys) for r in path.rounds for w in r.done} | {frozenset(w.keys) for w in done}
@@ -447,7 +447,7 @@ def _dropped(path: Path, done: Sequence[Fitted], near: bool) -> list[Fitted]:
     for w in (w for w in done if w.evidence > path.bare):
         for key in w.keys:
             rest = {k: w.values(k) for k in w.keys if k != key}
-            if key in w.idle or not (near or not rest or frozenset(rest) in known):
+            if key in w.inactive or not (near or not rest or frozenset(rest) in known):
                 moves.setdefault(frozenset(rest), Move(Model(w.model.variables, rest), w.fit))
     return path.problem.run(list(moves.values()), (TIGHT, STIFF))
 

@@ -38,7 +38,7 @@ def verdict_of(path: Path) -> Verdict:
     enough = path.given.good or moved.good
     proven = best is not None and best.evidence > path.bare + CRITERIA.proof
     if enough and not (proven and best is not None and not within_clocks(path.problem, best)):
-        at_once = _at_once(path) if path.fewest.strained else None
+        at_once = _at_once(path) if path.fewest.beyond_uncertainty else None
         if at_once is not None:
             return Verdict("tied", at_once, (path.fewest,), _bounds(at_once))
         adequate = path.given.good and moved.evidence < path.given.evidence + CRITERIA.proof
@@ -76,7 +76,7 @@ def _predicts(path: Path, w: Fitted) -> bool:
 def _at_once(path: Path) -> Fitted | None:
     """Return the best effect that explains at once what parameters explain only by several far moves."""
     single = (w for w in path.weighed if len(w.keys) == 1 and w.good and len(w.far) < CRITERIA.several)
-    return next((w for w in single if not w.idle and w.evidence > path.parameters.evidence - CRITERIA.tie), None)
+    return next((w for w in single if not w.inactive and w.evidence > path.parameters.evidence - CRITERIA.tie), None)
 
 
 def _bounds(w: Fitted) -> tuple[str, ...]:
