@@ -197,8 +197,15 @@ def paper_time() -> np.ndarray:
 
 
 def initial_state(crane: Crane, engine: Any) -> np.ndarray:
-    """Return the crane file's start (nx,): its pose, at rest, valves closed."""
+    """Return the crane file's start (nx,): its pose, at rest, valves closed.
+
+    Raises:
+        CraneError: there is none: a loop does not close, a cylinder would be shorter or longer than it can be.
+    """
+    from .statics import check_start
+
     rule = crane.initial
+    check_start(crane)
     return np.asarray(engine.static_start(*rule.pose, less_loaded=rule.less_loaded_pressure))
 
 

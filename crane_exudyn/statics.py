@@ -64,17 +64,38 @@ def visible(crane: Crane, states: np.ndarray) -> np.ndarray:
     return shown
 
 
-def stroke_message(crane: Crane, state: np.ndarray) -> str:
-    """Return which cylinder is at which end of its stroke at a state."""
+def stroke_end(crane: Crane, state: np.ndarray) -> tuple[str, str, float]:
+    """Return the cylinder that is at an end of its stroke at a state, at which, and its length in m; "" if none is."""
     r = reduced(crane, state, 0.0)
     code = trapezoidal.stroke_end(r["P"], r["E"], r["lines"], state[crane.layout.pressures]) - 1
     if code < 0:
-        return "the end of a stroke is reached"
+        return "", "", math.nan
     end = "retracted" if code % 2 == 0 else "extended"
+    return crane.layout.cylinders[code // 2], end, float(r["lines"][code // 2, LENGTH])
+
+
+def stroke_message(crane: Crane, state: np.ndarray) -> str:
+    """Return in words which cylinder is at which end of its stroke at a state."""
+    cylinder, end, length = stroke_end(crane, state)
     return (
-        f"the {crane.layout.cylinders[code // 2]} cylinder is fully {end} (length {r['lines'][code // 2, LENGTH]:.4f} "
-        "m)"
+        f"the {cylinder} cylinder is fully {end} (length {length:.4f} m)"
+        if cylinder
+        else "the end of a stroke is reached"
     )
+
+
+def check_start(crane: Crane) -> None:
+    """Raise CraneError where a cylinder cannot be as long as the crane file's start has it."""
+    state = np.zeros(size_of_state(crane))
+    state[crane.layout.positions] = crane.initial.pose
+    cylinder, _, length = stroke_end(crane, state)
+    if cylinder:
+        empty, travel = (crane[f"cylinders.{cylinder}.{n}"] for n in ("empty_length", "chamber_range"))
+        raise CraneError(
+            f"{crane.name}: [initial] {geo.told(crane.layout, state)}: the {cylinder} cylinder would be {length:.4f} m "
+            f"long; cylinders.{cylinder}.empty_length and chamber_range let it be {empty:.4f} to {empty + travel:.4f} "
+            "m. Choose another pose in [initial], or mend these lengths or the cylinder's pins."
+        )
 
 
 def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:

@@ -12,6 +12,7 @@ from crane_exudyn.crane import Crane, built_in
 from crane_exudyn.crane_toml import from_document
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
+from crane_exudyn.simulation import initial_state
 from validation import crosscheck as cc
 from validation import crosscheck_cases as cases
 from validation.semi_recursive import SemiRecursiveEngine
@@ -128,3 +129,16 @@ def test_a_pose_that_cannot_be_is_refused_by_name():
         CraneError, match="rocker and link are too short or too long to close the loop over the joints J-H-K"
     ):
         ExudynEngine(crane).static_start(0.4, -1.3, -0.9)
+
+
+@pytest.mark.parametrize("make", [ExudynEngine, SemiRecursiveEngine])
+@pytest.mark.parametrize(("name", "value"), [("chamber_range", 0.1), ("empty_length", 2.72)])
+def test_a_start_in_which_a_cylinder_cannot_be_that_long_is_refused_with_its_limits(make, name, value):
+    crane = Crane.load("loader").with_parameters({f"cylinders.lift.{name}": value})
+    with pytest.raises(
+        CraneError, match=r"\[initial\] boom = -5\.00 deg: the lift cylinder would be 0\.8531 m"
+    ) as found:
+        initial_state(crane, make(crane))
+    assert f"cylinders.lift.empty_length and chamber_range let it be {crane['cylinders.lift.empty_length']:.4f}" in str(
+        found.value
+    )
