@@ -49,9 +49,8 @@ def command(
 ) -> None:
     """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones.
 
-    After a fit that does not make the open-loop error smaller, or does so without
-    the effect, nothing is written, unless --anyway asks for it; exit
-    status 1.
+    After a fit that does not make the open-loop error smaller, or does so without the effect, nothing is written,
+    unless --anyway asks for it; exit status 1.
     """
     chosen = load_crane(crane, effects)
     values_given = _parse(chosen, effect, values or [])

@@ -108,16 +108,16 @@ def neutral_vector() -> list[float]:
 
 
 @cache
-def events() -> tuple[tuple[slice, int], ...]:
-    """Return of each effect with a moment (`Parameter.moment`), at each place, where in E its parameters stand, and
-    where the moment does.
+def events() -> tuple[tuple[slice, int, tuple[float, ...]], ...]:
+    """Return of each effect with a moment (`Parameter.moment`), at each place, where in E its parameters stand, where
+    the moment does, and the neutral values.
     """
     found = []
     for effect in known():
-        n = len(effect.parameters)
+        n, neutral = len(effect.parameters), tuple(p.neutral for p in effect.parameters)
         for at in (i for i, p in enumerate(effect.parameters) if p.moment):
             first = starts()[effect.name]
-            found += [(slice(k, k + n), k + at) for k in range(first, first + n * MOST[effect.places], n)]
+            found += [(slice(k, k + n), k + at, neutral) for k in range(first, first + n * MOST[effect.places], n)]
     return tuple(found)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.effects.registry import events, neutral_vector
+from crane_exudyn.effects.registry import events
 from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import Measurement, sensing_slots
 
@@ -485,9 +485,9 @@ def _within(E: np.ndarray, begin: float, end: float) -> np.ndarray:
     """Return E (m, …) as it acts from `begin` to `end`, in s: events that come later do nothing, and of those before it
     is all the same when they were.
     """
-    E, neutral = E.copy(), np.array(neutral_vector())
-    for own, moment in events():
-        E[E[:, moment] > end, own] = neutral[own]
+    E = E.copy()
+    for own, moment, neutral in events():
+        E[E[:, moment] > end, own] = neutral
         E[:, moment] = np.maximum(E[:, moment], begin)
     return E
 
