@@ -11,7 +11,7 @@ import numpy as np
 from crane_exudyn import Crane, Recording
 from validation import plots
 from validation.fit.data import FitData
-from validation.fit.staged import residuals, start_fitted
+from validation.fit.staged import residuals, run_fitted
 
 CHANNELS = ("z1", "s1", "p1", "p2", "p3", "p4")
 #: share of the measured range that a panel shows above and below it; a model that is further off leaves the panel
@@ -23,7 +23,7 @@ NOTHING: Line = (np.zeros(1), np.full(1, np.nan))
 def run(crane: Crane, recording: Recording) -> dict[str, Line]:
     """Return (time, values) by channel of an open-loop run whose first state is fitted."""
     data = FitData.of(recording, crane, step=5e-3)
-    fit = start_fitted(crane, data)
+    fit = run_fitted(crane, data)
     left = residuals(crane, data, fit.starts, fit.late)
     return {s.channel: (left[s.channel][0], s.values - left[s.channel][1] * s.noise) for s in data.samples}
 

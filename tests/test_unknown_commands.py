@@ -20,7 +20,7 @@ from crane_exudyn.statics import visible
 from validation.comparison import compare
 from validation.fit.data import FitData
 from validation.fit.linear import cut, follows
-from validation.fit.staged import start_fitted
+from validation.fit.staged import run_fitted
 from validation.selection.model import open_loop_error
 from validation.semi_recursive import SemiRecursiveEngine
 
@@ -93,7 +93,7 @@ def test_a_right_model_explains_what_is_left(holed: Recording) -> None:
     error, fit = open_loop_error(crane, holed)
     assert error < 1.05
     assert fit.starts.shape == (2, 8)
-    assert start_fitted(crane, FitData.of(holed, crane)).error < 1.05
+    assert run_fitted(crane, FitData.of(holed, crane)).error < 1.05
 
 
 def test_a_comparison_begins_anew_after_it(holed: Recording) -> None:

@@ -36,7 +36,7 @@ from .fit.data import FitData, known_parameters
 from .fit.model import model_of, spool_path
 from .fit.objects import with_objects
 from .fit.solve import Fit
-from .fit.staged import FINE, LOOSE, STIFF, TIGHT, WHOLE, first_knots, residuals, staged, timing_of
+from .fit.staged import FINE, residuals, run_fitted, timing_of
 from .fitness import check_recording, usable
 from .metrics import pn_rmse, r2, rmse
 from .phases import Phase, phases_of
@@ -276,7 +276,8 @@ def compare(
     scores = scores_of(estimate, balances, _phases(crane, data, balances))
     done(1.0)
     if _LATE < abs(late) < 0.9 * timing_of(data).upper * timing_of(data).scale:
-        notes.append(f"the commands act {1e3 * late:.1f} ms after their stamps; this is allowed for")
+        way = "after" if late > 0.0 else "before"
+        notes.append(f"the commands act {1e3 * abs(late):.1f} ms {way} their stamps; this is allowed for")
     for begin, end in balances.unsettled:
         notes.append(
             f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: their "
@@ -318,8 +319,7 @@ def started(crane: Crane, data: FitData) -> Fit:
     Beside the start, only the lateness of the commands against the sensors (a few ms at most) is free: it belongs to
     the recorder, not to the crane.
     """
-    timing = (timing_of(data),)
-    return staged(crane, data, timing, np.zeros(1), first_knots(crane, data), (LOOSE, TIGHT, STIFF, WHOLE))
+    return run_fitted(crane, data, (timing_of(data),))
 
 
 # -- the three looks -------------------------------------------------------------------------------------------------

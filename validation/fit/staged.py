@@ -36,12 +36,24 @@ OFF, STARTS = 2.0, (0.15, 0.5, 0.85)
 
 @dataclass(frozen=True)
 class Stage:
-    """Window length in s, expected smallness of jumps between windows, iterations, longest simulation step in s."""
+    """Window length in s, expected smallness of jumps between windows, iterations, longest simulation step in s; how
+    many seconds are looked at from where each long run begins.
+    """
 
     seconds: float
     stiffness: float
     iterations: int
     step: float = 2.5e-3
+    reach: float = math.inf
+
+    def windows(self, data: Data) -> list[Window]:
+        """Return its windows of a recording, or of several."""
+        windows = cut(data, self.seconds)
+        if math.isinf(self.reach):
+            return windows
+        begins = [(w.recording, float(w.data.time[0])) for w in cut(data, LONG)]
+        return [w for w in windows if any(w.recording == i and t - self.seconds < w.data.time[0] < t + self.reach
+                                          for i, t in begins)]  # fmt: skip
 
 
 #: a ring of 7 Hz loses a thousandth of its frequency to a step of 2.5 ms: nothing in a quarter of a second, but not in
@@ -50,8 +62,9 @@ FINE = 1e-3
 LOOSE, TIGHT, STIFF = Stage(SHORT, 1.0, 5), Stage(SHORT, 10.0, 5), Stage(SHORT, 100.0, 6, FINE)
 STAGES = (LOOSE, TIGHT, STIFF)
 WHOLE = Stage(LONG, 1.0, 6, FINE)
-#: a crane as it is, its start alone looked for
-START = (Stage(SHORT, 1.0, 3), Stage(SHORT, 100.0, 4, FINE), WHOLE)
+#: a crane as it is, its start alone looked for: what comes later than these seconds says nothing more of where it began
+_BEGINNING = 4.0
+START = (Stage(SHORT, 1.0, 3, reach=_BEGINNING), Stage(SHORT, 100.0, 4, FINE, _BEGINNING), WHOLE)
 
 
 def staged(
@@ -68,7 +81,7 @@ def staged(
     result: Fit | None = before if isinstance(before, Fit) else None
     for stage in stages:
         data = data.stepped(stage.step)
-        windows = cut(data, stage.seconds)
+        windows = stage.windows(data)
         knots = before if not isinstance(before, Fit) and result is None else reknot(result, windows)  # type: ignore[arg-type]
         result = fit(crane, data, windows, knots, variables, u, stiffness=stage.stiffness, iterations=stage.iterations)  # type: ignore[arg-type]
         u = result.u
@@ -79,6 +92,18 @@ def staged(
 def first_knots(crane: Crane, data: Data, seconds: float = SHORT) -> np.ndarray:
     """Return guessed first states of windows of that length."""
     return np.concatenate([knots_of(crane, part, cut(part, seconds)) for part in data.parts])
+
+
+def run_fitted(crane: Crane, data: FitData, variables: Sequence[Variable] = ()) -> Fit:
+    """Return the fit of an open-loop run: the crane as it is but for the variables, its first state chosen to explain
+    the recording best.
+
+    Where nothing but the start and the clock is looked for, only the beginning is looked at before the run itself.
+    """
+    short = all(isinstance(v, Timing) for v in variables)
+    stages = START if short else tuple(replace(s, reach=math.inf) for s in START)
+    knots = knots_of(crane, data, stages[0].windows(data.stepped(stages[0].step)))
+    return staged(crane, data, variables, np.zeros(len(variables)), knots, stages)
 
 
 def informed_directions(result: Fit) -> list[Variable]:
@@ -152,11 +177,6 @@ def _simulated(model: Model, step: float) -> Simulate:
 def rms(parts: dict[str, tuple[np.ndarray, np.ndarray]]) -> float:
     """Return the root mean square over all samples of all channels."""
     return math.sqrt(sum(float(r @ r) for _, r in parts.values()) / sum(len(r) for _, r in parts.values()))
-
-
-def start_fitted(crane: Crane, data: FitData) -> Fit:
-    """Return the fit of the start alone: the crane as it is, its first state chosen to explain the recording best."""
-    return staged(crane, data, (), np.zeros(0), first_knots(crane, data), START)
 
 
 def timings(data: Data) -> list[Variable]:

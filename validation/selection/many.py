@@ -34,8 +34,8 @@ from ..fit.staged import (
     first_knots,
     informed_directions,
     residuals,
+    run_fitted,
     staged,
-    start_fitted,
     timings,
 )
 from ..fit.variables import (
@@ -527,7 +527,7 @@ def _together(problem: Problem, last: Sequence[Standing], nominal: Errors, progr
         keys.remove(weakest)
         final = left[weakest]
     parts = problem.data.parts
-    before = _errors(problem, [start_fitted(problem.crane, p) for p in parts])
+    before = _errors(problem, [run_fitted(problem.crane, p) for p in parts])
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
     shared = zip(final.variables, final.u, strict=True)
     moved = {v.name: float(u) for v, u in shared if isinstance(v, NominalDirection) and v.recording is None}

@@ -24,7 +24,7 @@ from crane_exudyn.recording import Recording
 from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import FINE, START, Stage, first_knots, residuals, rms, staged, timing_of
+from ..fit.staged import FINE, START, Stage, residuals, rms, run_fitted, staged, timing_of
 from ..fit.variables import (
     CurveDirection,
     EffectParameter,
@@ -296,7 +296,7 @@ def open_loop_error(
     variables: list[Variable] = [timing_of(data)]
     if knots is None:
         variables += [v for v in uncertain_parameters(crane) if v.name in own]
-        fit = staged(crane, data, variables, np.zeros(len(variables)), first_knots(crane, data), START)
+        fit = run_fitted(crane, data, variables)
     else:
         fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, START[-1:])
     every = FitData.of(recording, crane, rate=math.inf, step=FINE)
@@ -304,11 +304,11 @@ def open_loop_error(
 
 
 def run_error(crane: Crane, recording: Recording, knots: Fit | None, own: Sequence[str] = ()) -> float:
-    """Return the open-loop error; where a run from the knots of a fit is far worse than the fit, its start is looked
-    for anew as well.
+    """Return the open-loop error; where a run from the knots of a fit that left little is far worse than the fit, its
+    start is looked for anew as well.
     """
     error = open_loop_error(crane, recording, knots, own)[0]
-    if knots is None or error < ASTRAY * knots.error:
+    if knots is None or knots.error > CRITERIA.left_level or error < ASTRAY * knots.error:
         return error
     return min(error, open_loop_error(crane, recording)[0])
 
