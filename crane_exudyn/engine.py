@@ -155,7 +155,7 @@ class ExudynEngine:
         lay, system = self.crane.layout, self._system(1)
         w = np.zeros((1, len(lay.all_inputs)))
         w[0, lay.driving] = lay.closed
-        N = [statics.reduced(self.crane, x, t)["N"][lay.positions] for x, t in zip(states, time, strict=True)]
+        N = [statics.reduced(self.crane, x, t).N[lay.positions] for x, t in zip(states, time, strict=True)]
         return np.array([n @ system.push(x[None], w, t)[0] for n, x, t in zip(N, states, time, strict=True)])
 
     def residual(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, np.ndarray]:

@@ -56,6 +56,9 @@ class Layout:
     supply: tuple[str, str] = ("pp", "pt")
     added: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Layout: coordinates {', '.join(self.coordinates)}; chambers {', '.join(self.chambers)}>"
+
     # -- the state -------------------------------------------------------------------------------------------------
 
     @property

@@ -106,6 +106,9 @@ class Machine:
     payload: tuple[str, str]
     points: Mapping[str, str]
 
+    def __repr__(self) -> str:
+        return f"<Machine: bodies {', '.join(self.bodies)}; cylinders {', '.join(c.name for c in self.cylinders)}>"
+
     def __hash__(self) -> int:
         return hash((self.bodies, self.joints, self.independent, self.cylinders, self.payload, tuple(self.points)))
 

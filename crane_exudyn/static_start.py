@@ -15,7 +15,7 @@ from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
 from .geometry import LENGTH
-from .statics import reduced, size_of_state, vapour_pressure
+from .statics import Reduction, reduced, size_of_state, vapour_pressure
 
 
 def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e5) -> np.ndarray:
@@ -52,7 +52,7 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e
     r = reduced(crane, state, 0.0)
     forces = _holding_forces(crane, r, state)
     for c, force in enumerate(forces):
-        state[lay.pressures_of(c)] = _pressures(P, E, c, r["lines"][c, LENGTH], force, low[c])
+        state[lay.pressures_of(c)] = _pressures(P, E, c, r.lines[c, LENGTH], force, low[c])
     if not np.isfinite(state).all():
         raise faulty_laws.where_start_failed(crane, state) or CraneError(
             f"{crane.name}: there is no static start at {geo.told(lay, state)}: "
@@ -61,20 +61,20 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e
     return state
 
 
-def _holding_forces(crane: Crane, r: dict[str, Any], state: np.ndarray) -> np.ndarray:
+def _holding_forces(crane: Crane, r: Reduction, state: np.ndarray) -> np.ndarray:
     """Return the cylinder forces (cylinders,) in N that hold weights and tip force at rest."""
-    lay, f = crane.layout, np.zeros(r["width"])
-    red.add_gravity(r["topology"], r["P"], r["E"], r["inertia"], f)
-    rest, w = np.zeros(r["width"]), np.zeros(len(lay.all_inputs))
-    red.add_joint_forces(r["topology"], r["E"], 0.0, w, r["arms"], rest, f)
-    leverage = r["D"][:, lay.positions]
+    lay, f = crane.layout, np.zeros_like(r.v)
+    red.add_gravity(r.topology, r.P, r.E, r.inertia, f)
+    rest, w = np.zeros_like(r.v), np.zeros(len(lay.all_inputs))
+    red.add_joint_forces(r.topology, r.E, 0.0, w, r.arms, rest, f)
+    leverage = r.D[:, lay.positions]
     if np.abs(leverage).max(axis=1).min() < 1e-6 or abs(np.linalg.det(leverage)) < 1e-9:
         name = lay.cylinders[int(np.abs(leverage).max(axis=1).argmin())]
         raise CraneError(
             f"{crane.name}: the {name} cylinder has no leverage at {geo.told(lay, state)}, so no pressure balances the "
             "load. Start at another pose."
         )
-    return np.linalg.solve(leverage.T, -(r["N"] @ f)[lay.positions])
+    return np.linalg.solve(leverage.T, -(r.N @ f)[lay.positions])
 
 
 def _pressures(P: np.ndarray, E: np.ndarray, c: int, s: float, force: float, low: float) -> tuple[float, float]:

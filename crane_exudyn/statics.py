@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,9 +18,37 @@ from .geometry import LENGTH, RATE
 from .machine import BODIES
 
 
-def reduced(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
-    """Return the arrays of the reduction at one state: inertia, arms, lines, N, q, v, a_centripetal, M and the
-    cylinders' rates D.
+class Reduction(NamedTuple):
+    """A machine reduced to its independent coordinates at one state.
+
+    Attributes:
+        crane, P, E, topology: what it is of.
+        inertia, arms, lines: of bodies, joints and cylinders, as `reduction` and `trapezoidal` lay them out.
+        v, centripetal: velocities of the bodies, and their accelerations that the coordinates' rates alone make,
+            (3 bodies + …,).
+        N: velocities of the bodies by independent rates, (nu, 3 bodies + …). M: mass matrix (nu, nu).
+        D: rates of the cylinders' lengths by independent rates, (cylinders, nu).
+    """
+
+    crane: Crane
+    P: np.ndarray
+    E: np.ndarray
+    topology: np.ndarray
+    inertia: np.ndarray
+    arms: np.ndarray
+    lines: np.ndarray
+    v: np.ndarray
+    centripetal: np.ndarray
+    N: np.ndarray
+    M: np.ndarray
+    D: np.ndarray
+
+
+def reduced(crane: Crane, state: np.ndarray, time: float) -> Reduction:
+    """Return the reduction at one state.
+
+    Raises:
+        CraneError: the state has another length, or the machine cannot stand like that.
     """
     P, E, topology = crane.parameter_vector(), crane.effect_vector(), crane.machine.topology
     width, nu = trapezoidal.widths(topology, hooks.pendulum(E)[0] > 0.0)
@@ -36,10 +64,8 @@ def reduced(crane: Crane, state: np.ndarray, time: float) -> dict[str, Any]:
     red.centripetal(topology, arms, v, bias)
     red.reduced_mass(inertia, N, work, M)
     geo.fill_lines(topology, arms, q, v, lines)
-    D = np.array(
-        [[geo.line_rate(topology, arms, row, lines, c) for row in N] for c in range(len(lines))]
-    )  # ds_c / du_i
-    return locals()
+    D = np.array([[geo.line_rate(topology, arms, row, lines, c) for row in N] for c in range(len(lines))])
+    return Reduction(crane, P, E, topology, inertia, arms, lines, v, bias, N, M, D)
 
 
 def size_of_state(crane: Crane) -> int:
@@ -67,11 +93,11 @@ def visible(crane: Crane, states: np.ndarray) -> np.ndarray:
 def stroke_end(crane: Crane, state: np.ndarray) -> tuple[str, str, float]:
     """Return the cylinder that is at an end of its stroke at a state, at which, and its length in m; "" if none is."""
     r = reduced(crane, state, 0.0)
-    code = trapezoidal.stroke_end(r["P"], r["E"], r["lines"], state[crane.layout.pressures]) - 1
+    code = trapezoidal.stroke_end(r.P, r.E, r.lines, state[crane.layout.pressures]) - 1
     if code < 0:
         return "", "", math.nan
     end = "retracted" if code % 2 == 0 else "extended"
-    return crane.layout.cylinders[code // 2], end, float(r["lines"][code // 2, LENGTH])
+    return crane.layout.cylinders[code // 2], end, float(r.lines[code // 2, LENGTH])
 
 
 def stroke_message(crane: Crane, state: np.ndarray) -> str:
@@ -126,12 +152,12 @@ def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> 
     return _geometry_terms(crane, x, r) | _pressure_terms(r, p, wide) | _motion_terms(r, p, wide, time)
 
 
-def _geometry_terms(crane: Crane, x: np.ndarray, r: dict[str, Any]) -> dict[str, float]:
+def _geometry_terms(crane: Crane, x: np.ndarray, r: Reduction) -> dict[str, float]:
     lay, machine = crane.layout, crane.machine
     pose, number = geo.pose(crane, *x[lay.positions]), {b: i for i, b in enumerate(machine.bodies)}
-    out = dict(zip(lay.lengths, r["lines"][:, LENGTH], strict=True))
-    out |= {f"d{n}": rate for n, rate in zip(lay.lengths, r["lines"][:, RATE], strict=True)}
-    turning = r["N"][:, 2 : 3 * len(number) : 3]  # of bodies by independent velocities
+    out = dict(zip(lay.lengths, r.lines[:, LENGTH], strict=True))
+    out |= {f"d{n}": rate for n, rate in zip(lay.lengths, r.lines[:, RATE], strict=True)}
+    turning = r.N[:, 2 : 3 * len(number) : 3]  # of bodies by independent velocities
     for body in machine.dependent:
         joint = machine.carriers[body]
         carried = joint.carrier in number
@@ -145,8 +171,8 @@ def _geometry_terms(crane: Crane, x: np.ndarray, r: dict[str, Any]) -> dict[str,
     return {k: float(v) for k, v in out.items()}
 
 
-def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str, float]:
-    P, E, topology, lines, lay = r["P"], r["E"], r["topology"], r["lines"], r["crane"].layout
+def _pressure_terms(r: Reduction, p: np.ndarray, w: np.ndarray) -> dict[str, float]:
+    P, E, topology, lines, lay = r.P, r.E, r.topology, r.lines, r.crane.layout
     balances, rates, forces = np.zeros((hyd.N_BALANCES, p.size)), np.zeros(p.size), np.zeros(len(lines))
     hyd.chamber_balances(topology, P, E, w, lines, p, balances)
     hyd.pressure_rates(balances, rates)
@@ -169,15 +195,15 @@ def _pressure_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray) -> dict[str
     return {k: float(v) for k, v in out.items()}
 
 
-def _motion_terms(r: dict[str, Any], p: np.ndarray, w: np.ndarray, time: float) -> dict[str, float]:
-    P, E, N, M, lay, topology = r["P"], r["E"], r["N"], r["M"], r["crane"].layout, r["topology"]
-    forces = np.zeros(len(r["lines"]))
-    hyd.cylinder_forces(topology, P, E, w, r["lines"], p, forces)
-    weight, joint, inertial = (np.zeros(r["width"]) for _ in range(3))
-    red.add_gravity(topology, P, E, r["inertia"], weight)
-    red.add_joint_forces(topology, E, time, w, r["arms"], r["v"], joint)
-    red.mass_times(r["inertia"], r["bias"], inertial)
-    parts = {"Qg": N @ weight, "Qv": -N @ inertial, "Qh": r["D"].T @ forces, "Qj": N @ joint}
+def _motion_terms(r: Reduction, p: np.ndarray, w: np.ndarray, time: float) -> dict[str, float]:
+    P, E, N, M, lay, topology = r.P, r.E, r.N, r.M, r.crane.layout, r.topology
+    forces = np.zeros(len(r.lines))
+    hyd.cylinder_forces(topology, P, E, w, r.lines, p, forces)
+    weight, joint, inertial = (np.zeros_like(r.v) for _ in range(3))
+    red.add_gravity(topology, P, E, r.inertia, weight)
+    red.add_joint_forces(topology, E, time, w, r.arms, r.v, joint)
+    red.mass_times(r.inertia, r.centripetal, inertial)
+    parts = {"Qg": N @ weight, "Qv": -N @ inertial, "Qh": r.D.T @ forces, "Qj": N @ joint}
     acceleration = np.linalg.solve(M, sum(parts.values()))
     z, swings = lay.positions, len(lay.coordinates)
     if len(N) > swings:  # the pendulum's own row, solved for its acceleration and put into the others

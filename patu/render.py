@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -140,8 +141,13 @@ def command(
     if open_viewer:
         _view(scene)
     else:
-        again = ["patu render", recording, *([] if crane == DEFAULT_CRANE else ["--crane", crane]), "--open"]
-        printer.line(f"To turn it and zoom: {' '.join(str(word) for word in again if word)} (needs a screen).")
+        given: dict[str, Sequence[object] | None] = {
+            "--crane": [crane] if crane != DEFAULT_CRANE else [], "--ghost": ghost, "--mark": mark, "--map": mapping,
+            "--map-file": [map_file] if map_file else [], "--effects": effects, "--colour": [colour] if colour else [],
+        }  # fmt: skip
+        words = [word for option, values in given.items() for value in values or () for word in (option, str(value))]
+        again = ["patu", "render", *([] if recording is None else [str(recording)]), *words, "--open"]
+        printer.line(f"To turn it and zoom: {shlex.join(again)} (needs a screen).")
 
 
 def _draw(drawn: Callable[..., None], json: str | None, path: Path) -> None:

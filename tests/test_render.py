@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 
@@ -396,6 +397,13 @@ def test_command_writes_picture_solution_and_json(recording, tmp_path, capsys):
     said = json.loads(capsys.readouterr().out)
     assert said["written"] == [str(picture), str(solution)] and said["runs"] == ["measured", "model"]
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_line_for_the_viewer_opens_the_same_scene(recording, tmp_path, capsys):
+    same = ["--ghost", f"model={recording}", "--mark", "tilt", "--mark", "p2", "--map", "z1=z1"]
+    assert patu("render", recording, *same, "-o", tmp_path / "a.png", "--size", "320x180") == 0
+    told = next(line for line in capsys.readouterr().out.splitlines() if "To turn it" in line)
+    assert f"{shlex.join(['patu', 'render', str(recording), *same, '--open'])} (needs a screen)" in told
 
 
 def test_command_draws_the_crane_at_its_start_without_a_recording(tmp_path, capsys):

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import told
 from crane_exudyn.hydraulics import vapour_pressure
@@ -469,13 +470,13 @@ def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.ra
 
     An effect that changes no quantity at any of these states would prove nothing, so it is out of tolerance.
     """
-    nominal = second.crane.nominal()
-    drawn = cases.random_states(nominal if "end_stop" not in key else cases.without_short_strokes(nominal), count, rng)
+    nominal, effect = second.crane.nominal(), registry.split_key(key)[0]
+    drawn = cases.random_states(cases.without_short_strokes(nominal) if effect.beyond_stroke else nominal, count, rng)
     added = len(second.state_names) - len(nominal.layout.states)
     if added:
         drawn = cases.States(np.column_stack([drawn.x, rng.normal(0.0, 0.4, (count, added))]), drawn.w, drawn.time)
     quantities = compare_terms(first, second, drawn, skip=split_by_pendulum(nominal) if added else ())
-    if "end_stop" not in key:  # whose poses are beyond the ends
+    if not effect.beyond_stroke:  # whose poses are beyond the ends
         quantities += compare_static_starts(first, second, drawn)
     worst = worst_of(key, quantities)
     if worst.ok and not acts(second, drawn):
@@ -494,10 +495,11 @@ def run_effect(key: str, first: Engine, second: Engine) -> Quantity:
     accuracy.
     """
     crane = second.crane
-    if "end_stop" in key:
+    effect, place = registry.split_key(key)
+    if effect.beyond_stroke:
         crane = cases.without_short_strokes(crane)
         first, second = type(first)(crane), type(second)(crane)  # type: ignore[call-arg]
-    time, w = cases.exciting(crane, key.partition("@")[2] if "end_stop" in key else "")
+    time, w = cases.exciting(crane, place if effect.beyond_stroke else "")
     x0 = initial_state(crane, second)
     apart = visible(crane, first.simulate(x0, time, w)) - visible(crane, second.simulate(x0, time, w))
     angles, pressures = (

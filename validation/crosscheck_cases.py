@@ -192,7 +192,7 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
             base = crane.with_parameters({"payload.mass": 100.0})
         if OF_PAYLOAD & set(effect.hooks()) and not crane.machine.payload[0]:
             continue
-        if effect.name == "end_stop":  # bring both ends into the range of random states
+        if effect.beyond_stroke:  # bring both ends into the range of random states
             base = _short_strokes(crane)
         begins = {p.name: BEGIN for p in effect.parameters if p.moment}
         probes[key] = base.with_effect(key, {p.name: p.typical for p in effect.parameters} | begins)

@@ -281,8 +281,10 @@ def _run(crane: Crane, engine: Any, manoeuvre: Manoeuvre) -> np.ndarray:
 
 
 def _check_reach(crane: Crane, states: np.ndarray) -> None:
-    """Raise CraneError if a run leaves the allowed angles; machines with an end stop may go as far as it lets them."""
-    if any(e.name == "end_stop" for e in crane.effects):
+    """Raise CraneError if a run leaves the allowed angles; machines with ends of stroke may go as far as these let
+    them.
+    """
+    if any(registry.split_key(e.key)[0].beyond_stroke for e in crane.effects):
         return
     for name, angles, (low, high) in zip(("z1", "z4"), np.degrees(states[:, :2]).T, _ALLOWED, strict=True):
         if not (low < angles.min() and angles.max() < high):
@@ -339,7 +341,7 @@ def _pick(rng: np.random.Generator, kind: str, sensors: Sequence[str]) -> list[s
     by_name: dict[str, list[str]] = {}
     for key in hideable(sensors):
         by_name.setdefault(key.partition("@")[0], []).append(key)
-    names = [n for n in by_name if n != "end_stop" or kind == "effect"]
+    names = [n for n in by_name if kind == "effect" or not registry.split_key(by_name[n][0])[0].beyond_stroke]
     chosen = rng.choice(names, HIDES[kind], replace=False)
     return [str(rng.choice(by_name[n])) for n in chosen]
 
@@ -435,7 +437,8 @@ def _until_it_does(seed: int, s: _Setting) -> HiddenCase:
 def _try_case(seed: int, s: _Setting) -> HiddenCase:
     """Return a case of new manoeuvres and severities, or raise CraneError where they do not do."""
     cylinders = s.machine.layout.cylinders
-    plan = [_PAST_THE_STOP[c] if f"end_stop@{name}" in s.keys else _PLANNED[c] for c, name in enumerate(cylinders)]
+    ends = {place for effect, place in map(registry.split_key, s.keys) if effect.beyond_stroke}
+    plan = [_PAST_THE_STOP[c] if name in ends else _PLANNED[c] for c, name in enumerate(cylinders)]
     manoeuvres = [draw_manoeuvre(s.rng, cycle=None if s.foreign else 0.01, plan=plan) for _ in range(2)]
     if s.kind == "unknown":
         return _unknown_case(seed, s, manoeuvres)
@@ -491,8 +494,9 @@ def _seen(s: _Setting, machine: Crane, manoeuvre: Manoeuvre) -> dict[str, float]
     whole = _draft(machine, manoeuvre)
     seen = {}
     for key in s.keys:
-        if key.startswith("end_stop"):
-            _check_hit(machine, whole, machine.layout.cylinders.index(key.partition("@")[2]))
+        effect, place = registry.split_key(key)
+        if effect.beyond_stroke:
+            _check_hit(machine, whole, machine.layout.cylinders.index(place))
             continue  # without it there is no run to compare with
         seen[key] = visibility(whole, _draft(machine.without_effect(key), manoeuvre), s.noise)
         if not s.visible[0] <= seen[key] <= s.visible[1]:

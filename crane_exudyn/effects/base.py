@@ -93,6 +93,8 @@ class Effect:
     places: ClassVar[str] = EVERYWHERE
     only: ClassVar[tuple[str, ...]] = ()
     parameters: ClassVar[tuple[Parameter, ...]] = ()
+    #: whether it acts only where a cylinder is beyond an end of its stroke, and a run without it ends there
+    beyond_stroke: ClassVar[bool] = False
     #: parameter values at which a search starts; one line a start
     probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
     #: of a law that is a curve through knots: its parameters are those of the curve, and its hooks are given (E, at,

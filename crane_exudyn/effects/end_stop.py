@@ -12,6 +12,7 @@ class EndStop(Effect):
 
     name = "end_stop"
     places = CYLINDERS
+    beyond_stroke = True
     parameters = (
         Parameter("stiffness", "N/m", 0.0, 0.0, 1e10, 1e8, "stiffness of the stop; 0 means absent"),
         Parameter("damping", "N*s/m", 0.0, 0.0, 1e8, 1e5, "damping of the stop"),
