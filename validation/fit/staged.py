@@ -102,7 +102,8 @@ def run_fitted(crane: Crane, data: FitData, variables: Sequence[Variable] = ()) 
     """
     short = all(isinstance(v, Timing) for v in variables)
     stages = START if short else tuple(replace(s, reach=math.inf) for s in START)
-    knots = knots_of(crane, data, stages[0].windows(data.stepped(stages[0].step)))
+    data = data.stepped(stages[0].step)
+    knots = knots_of(crane, data, stages[0].windows(data))
     return staged(crane, data, variables, np.zeros(len(variables)), knots, stages)
 
 
