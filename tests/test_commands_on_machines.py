@@ -150,7 +150,7 @@ def test_what_is_missing_is_found_and_added_and_the_error_falls(
     file = tmp_path / "new.toml"
     answer = answered("improve", case.learn, "--check", case.check, "--crane", case.machine, "-j", "1", "-o", str(file))
     given, better = answer["steps"]
-    assert (given["added"], better["added"]) == (None, case.secret.effect)
+    assert (given["added"], given["verdict"], better["added"]) == (None, "effect", case.secret.effect)
     assert better["error"] < 1.1 < 2.0 < given["error"]
     assert better["check_error"] < 1.3 < given["check_error"]
     found = Crane.load(file).effect(case.secret.effect)
@@ -159,6 +159,8 @@ def test_what_is_missing_is_found_and_added_and_the_error_falls(
         assert found.parameters[name] == pytest.approx(value, rel=0.1)
 
 
+@pytest.mark.parametrize("case", ["loader"], indirect=True)
 def test_a_diagnosis_names_what_is_missing(case: Case, answered: Callable[..., dict]) -> None:
+    """The other machines' are what `improve` begins with, above."""
     answer = answered("diagnose", case.learn, "--check", case.check, "--crane", case.machine, "-j", "1")
     assert (answer["verdict"], answer["effects"]) == ("effect", [case.secret.effect])
