@@ -7,6 +7,9 @@ their own: beside each other, and their memory, of which a process that compiles
 from __future__ import annotations
 
 import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -15,11 +18,15 @@ from .options import DEFAULT_CRANE, EngineName, make_engine
 from .output import progress
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from crane_exudyn.recording import Recording
 
 Part = Literal["exudyn", "semi-recursive", "check", "filter", "fit"]
 #: s of a recording on which every part runs once
 _SHORT = 1.1
+#: s between two looks whether a part is done
+_LOOK = 0.1
 
 
 def compile_for(*parts: Part) -> None:
@@ -29,22 +36,44 @@ def compile_for(*parts: Part) -> None:
         parts: the engines, what checks recordings, the filter (on the first engine that is named), and what fits and
             compares.
     """
-    from crane_exudyn.compiled import cache_folder
-    from validation.workers import WorkerEnded, own_processes
+    with compiling(*parts):
+        pass
 
-    marks = {part: cache_folder("validation") / f"{part}.compiled" for part in parts}
-    tasks = [(run_parts, *side) for side in _sides(parts) if not all(marks[part].exists() for part in side)]
+
+@contextmanager
+def compiling(*parts: Part) -> Iterator[Callable[..., None]]:
+    """Compile as `compile_for` does while the body runs; yield what waits until the parts given to it are done, as all
+    are at the end.
+    """
+    from validation.workers import own_processes
+
+    tasks = [(_attempt, *side) for side in _sides(parts) if not all(map(_done, side))]
     if not tasks:
+        yield lambda *some: None
         return
-    try:
-        with progress("Compiling the equations, once after an installation or a change") as done:
-            for k, _ in enumerate(own_processes(tasks)):
-                done((k + 1) / len(tasks))
-    except WorkerEnded:
-        return  # what is left is compiled, and announced, where it is needed
-    for mark in marks.values():
-        mark.parent.mkdir(parents=True, exist_ok=True)
-        mark.touch()
+    with own_processes(tasks) as running:
+
+        def wait_for(*some: Part) -> None:
+            if all(map(_done, some)) or not running():
+                return  # what an ended process leaves is compiled, and announced, where it is needed
+            with progress("Compiling the equations, once after an installation or a change") as told:
+                while running() and not all(map(_done, some)):
+                    told(sum(map(_done, parts)) / len(parts))
+                    time.sleep(_LOOK)
+
+        yield wait_for
+        wait_for(*parts)
+
+
+def _done(part: Part) -> bool:
+    return _mark(part).exists()
+
+
+def _mark(part: Part) -> Path:
+    """Return the file that stands where a part has been compiled for these sources and effects."""
+    from crane_exudyn.compiled import cache_folder
+
+    return cache_folder("validation") / f"{part}.compiled"
 
 
 def _sides(parts: tuple[Part, ...]) -> list[tuple[Part, ...]]:
@@ -58,8 +87,14 @@ def _sides(parts: tuple[Part, ...]) -> list[tuple[Part, ...]]:
     return [side for side in (rest, other) if side]
 
 
+def _attempt(*parts: Part) -> None:
+    """Run every part once; what fails will fail again, and be told, where it is needed."""
+    with suppress(Exception):
+        run_parts(*parts)
+
+
 def run_parts(*parts: Part) -> None:
-    """Run every part once, in an order in which each finds what the one before it compiled."""
+    """Run every part once, in an order in which each finds what the one before it compiled, and mark it as done."""
     logger = logging.getLogger("crane_exudyn")
     usual = logger.level
     logger.setLevel(logging.ERROR)  # the process that asked has told it
@@ -86,6 +121,8 @@ def _run_each(parts: tuple[Part, ...]) -> None:
             _compare(recording)
         else:
             _simulate(part, recording)
+        _mark(part).parent.mkdir(parents=True, exist_ok=True)
+        _mark(part).touch()
 
 
 def _simulate(engine: EngineName, recording: Recording) -> None:
@@ -109,5 +146,9 @@ def _estimate(engine: EngineName, recording: Recording) -> None:
 def _compare(recording: Recording) -> None:
     from crane_exudyn.crane import Crane
     from validation.comparison import compare
+    from validation.fit.data import FitData
+    from validation.fit.staged import all_parameters
 
-    compare(Crane.load(DEFAULT_CRANE), recording)
+    crane = Crane.load(DEFAULT_CRANE)
+    compare(crane, recording)
+    all_parameters(crane, FitData.of(recording, crane))

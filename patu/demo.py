@@ -15,7 +15,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
-from .compiling import compile_for
+from .compiling import compiling
 from .improve import tell
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption
 from .output import Printer, progress
@@ -91,14 +91,15 @@ def command(
     printer = Printer(json)
     begin = perf_counter()
     chosen = load_crane(crane, effects)
-    compile_for("check", "exudyn", "semi-recursive", "filter", "fit")
-    printer.line(
-        f"1 of 3: a crane follows the paper's 25 s working cycle ({engine} engine), a filter follows the crane."
-    )
-    with progress("The paper's cycle") as done:
-        cases = follow(chosen, engine, seed, done)
-    printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(cases))
-    printer.line(followed(cases))
+    with compiling("check", "exudyn", "semi-recursive", "filter", "fit") as wait_for:
+        wait_for("exudyn", "semi-recursive", "filter")
+        printer.line(
+            f"1 of 3: a crane follows the paper's 25 s working cycle ({engine} engine), a filter follows the crane."
+        )
+        with progress("The paper's cycle") as done:
+            cases = follow(chosen, engine, seed, done)
+        printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(cases))
+        printer.line(followed(cases))
     printer.line(
         "2 of 3: a recording of a crane with a hidden effect is compared and diagnosed, the crane file improved."
     )

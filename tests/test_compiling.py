@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from crane_exudyn import compiled
+from crane_exudyn import compiled, vetting
 from patu import compiling
 from validation import workers
 from validation.semi_recursive import sensitivity  # noqa: F401  and all that it compiles
@@ -22,11 +24,16 @@ def asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str, ..
     """What would have been compiled, each entry in one process, in a cache that is empty at first."""
     found: list[tuple[str, ...]] = []
 
-    def record(tasks: Sequence[tuple[Any, ...]]) -> Iterator[None]:
+    @contextmanager
+    def record(tasks: Sequence[tuple[Any, ...]]) -> Iterator[Callable[[], bool]]:
         for _, *parts in tasks:
             found.append(tuple(parts))
-            yield None
+            compiling.run_parts(*parts)
+        yield lambda: False
 
+    for part in ("_simulate", "_estimate", "_compare"):
+        monkeypatch.setattr(compiling, part, lambda *given: None)
+    monkeypatch.setattr(vetting, "vet", lambda *given: [])
     monkeypatch.setattr(workers, "own_processes", record)
     monkeypatch.setattr(compiled, "cache_folder", lambda package: tmp_path / package)
     return found
@@ -49,19 +56,53 @@ def test_the_filter_is_compiled_on_the_engine_that_is_asked_for(asked: list[tupl
 def test_what_was_cut_off_is_not_called_compiled(
     asked: list[tuple[str, ...]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def ended(tasks: object) -> Iterator[None]:
-        raise workers.WorkerEnded("no memory")
-        yield
+    def ended(*given: object) -> None:
+        raise MemoryError
 
-    monkeypatch.setattr(workers, "own_processes", ended)
-    compiling.compile_for("exudyn")
-    assert not list(tmp_path.rglob("*.compiled"))
+    monkeypatch.setattr(compiling, "_simulate", ended)
+    with pytest.raises(MemoryError):
+        compiling.compile_for("check", "exudyn")
+    assert [m.name for m in tmp_path.rglob("*.compiled")] == ["check.compiled"]
 
 
-def test_work_in_processes_of_its_own_is_never_done_in_this_one() -> None:
-    for tasks in ([(os.getpid,)], [(os.getpid,), (os.getpid,)]):
-        pids = list(workers.own_processes(tasks))
-        assert len(pids) == len(tasks) and os.getpid() not in pids
+def _written(file: Path) -> None:
+    file.write_text(str(os.getpid()))
+
+
+def _endless() -> None:
+    time.sleep(1e3)
+
+
+def test_work_in_processes_of_its_own_is_never_done_in_this_one(tmp_path: Path) -> None:
+    files = [tmp_path / "a", tmp_path / "b"]
+    with workers.own_processes([(_written, file) for file in files]):
+        pass
+    pids = {file.read_text() for file in files}
+    assert len(pids) == 2 and str(os.getpid()) not in pids
+
+
+def test_processes_of_its_own_end_with_a_body_that_fails() -> None:
+    with pytest.raises(KeyboardInterrupt), workers.own_processes([(_endless,)]) as running:
+        assert running()
+        raise KeyboardInterrupt
+    assert not running()
+
+
+def test_a_part_is_waited_for_while_the_others_are_compiled(
+    asked: list[tuple[str, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = [("exudyn",), ("fit",)]
+
+    @contextmanager
+    def slow(tasks: Sequence[tuple[Any, ...]]) -> Iterator[Callable[[], bool]]:
+        yield lambda: bool(left)
+
+    monkeypatch.setattr(workers, "own_processes", slow)
+    monkeypatch.setattr(compiling.time, "sleep", lambda seconds: compiling.run_parts(*left.pop(0)))
+    with compiling.compiling("exudyn", "fit") as wait_for:
+        wait_for("exudyn")
+        assert left == [("fit",)]
+    assert not left
 
 
 @pytest.mark.parametrize("parts", [("semi-recursive", "fit"), ("exudyn", "filter")])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import multiprocessing
 import os
 import signal
 import threading
@@ -62,16 +63,29 @@ def results_of(
         ) from problem
 
 
-def own_processes(tasks: Sequence[Task]) -> Iterator[Any]:
-    """Yield the results of tasks as they are done, each in a process of its own that ends with the last of them; never
-    in this process. Raises WorkerEnded as `results_of` does.
-    """
-    from joblib.externals.loky import get_reusable_executor
+@contextmanager
+def own_processes(tasks: Sequence[Task]) -> Iterator[Callable[[], bool]]:
+    """Run each task (function, *arguments) in a process of its own while the body runs; yield what says whether some
+    still do.
 
+    What a task returns is lost, and so is what one leaves undone that was ended from outside. At the end all are waited
+    for; where the body fails they are ended.
+    """
+    context = multiprocessing.get_context("spawn")
+    given = os.getpid(), registry.user_files()
+    running = [context.Process(target=_in_worker, args=(*given, *task), daemon=True) for task in tasks]
+    with _deaf_to_interrupts():
+        for process in running:
+            process.start()
     try:
-        yield from results_of(tasks, max(2, min(os.cpu_count() or 2, len(tasks))), "generator_unordered")
+        yield lambda: any(process.is_alive() for process in running)
+    except BaseException:
+        for process in running:
+            process.terminate()
+        raise
     finally:
-        get_reusable_executor().shutdown(wait=True)
+        for process in running:
+            process.join()
 
 
 def in_parallel(jobs: int, tasks: Sequence[Task]) -> list[Any]:
