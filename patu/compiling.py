@@ -147,8 +147,9 @@ def _compare(recording: Recording) -> None:
     from crane_exudyn.crane import Crane
     from validation.comparison import compare
     from validation.fit.data import FitData
-    from validation.fit.staged import all_parameters
+    from validation.fit.staged import LOOSE, all_parameters
+    from validation.selection.screen import screened
 
     crane = Crane.load(DEFAULT_CRANE)
     compare(crane, recording)
-    all_parameters(crane, FitData.of(recording, crane))
+    screened(all_parameters(crane, FitData.of(recording, crane)), LOOSE.stiffness)
