@@ -90,6 +90,13 @@ def _read(law, y, share=0.01):
             "",
         ),
         (_law("learned_supply", "flow", 0.0, 1e-3), lambda q: 3e12 * q**2, "power", "the power 2", ""),
+        (
+            _law("learned_opening@lift", "pressure_drop", 0.0, 100e5),
+            lambda p: 0.5 + 0.6 * np.exp(-p / 40e5),
+            "Stribeck",
+            "exponential: from 1.1 at 0 to 0.5 within 40 bar",
+            "",
+        ),
     ],
 )
 def test_a_curve_is_named_by_the_simple_form_that_it_resembles(law, of, name, words, library):

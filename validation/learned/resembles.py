@@ -134,7 +134,7 @@ FORMS = (
         "Stribeck",
         lambda x, p: p[0] + p[1] * np.exp(-np.abs(x / p[2])),
         lambda x, y: [[float(y[-1]), float(y[0] - y[-1]), 0.15 * float(np.ptp(x))]],
-        lambda p, s, u, v: f"{p[0]:.3g} {u}, and {p[1]:.3g} {u} more at rest that are gone at {abs(p[2]):.3g} {v}",
+        lambda p, s, u, v: f"from {p[0] + p[1]:.3g} {u} at 0 to {p[0]:.3g} {u} within {abs(p[2]):.3g} {v}",
     ),
 )
 
@@ -195,7 +195,8 @@ def _told(form: Form, p: np.ndarray, words: str, over: Argument) -> str:
         return f"opening = {factor}U^{p[1]:.3g}"
     if form.name == "bump":
         return f"{words} of the {over.name.replace('_', ' ')}"
-    return f"{form.name}: {words}"
+    name = "exponential" if form.name == "Stribeck" and over.name not in ("speed", "rate") else form.name
+    return f"{name}: {words}"
 
 
 def _library(form: Form, key: str, over: Argument, against: bool) -> str:
