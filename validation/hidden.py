@@ -284,7 +284,7 @@ def _check_reach(crane: Crane, states: np.ndarray) -> None:
     """Raise CraneError if a run leaves the allowed angles; machines with ends of stroke may go as far as these let
     them.
     """
-    if any(registry.split_key(e.key)[0].beyond_stroke for e in crane.effects):
+    if any(registry.find(e.name).beyond_stroke for e in crane.effects):
         return
     for name, angles, (low, high) in zip(("z1", "z4"), np.degrees(states[:, :2]).T, _ALLOWED, strict=True):
         if not (low < angles.min() and angles.max() < high):
@@ -341,7 +341,7 @@ def _pick(rng: np.random.Generator, kind: str, sensors: Sequence[str]) -> list[s
     by_name: dict[str, list[str]] = {}
     for key in hideable(sensors):
         by_name.setdefault(key.partition("@")[0], []).append(key)
-    names = [n for n in by_name if kind == "effect" or not registry.split_key(by_name[n][0])[0].beyond_stroke]
+    names = [n for n in by_name if kind == "effect" or not registry.find(n).beyond_stroke]
     chosen = rng.choice(names, HIDES[kind], replace=False)
     return [str(rng.choice(by_name[n])) for n in chosen]
 

@@ -52,8 +52,10 @@ class Stage:
         if math.isinf(self.reach):
             return windows
         begins = [(w.recording, float(w.data.time[0])) for w in cut(data, LONG)]
-        return [w for w in windows if any(w.recording == i and t - self.seconds < w.data.time[0] < t + self.reach
-                                          for i, t in begins)]  # fmt: skip
+        return [w for w in windows if any(i == w.recording and self._reaches(t, w) for i, t in begins)]
+
+    def _reaches(self, begin: float, window: Window) -> bool:
+        return begin - self.seconds < window.data.time[0] < begin + self.reach
 
 
 #: a ring of 7 Hz loses a thousandth of its frequency to a step of 2.5 ms: nothing in a quarter of a second, but not in

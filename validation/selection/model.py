@@ -24,7 +24,7 @@ from crane_exudyn.recording import Recording
 from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import FINE, START, Stage, residuals, rms, run_fitted, staged, timing_of
+from ..fit.staged import FINE, WHOLE, Stage, residuals, rms, run_fitted, staged, timing_of
 from ..fit.variables import (
     CurveDirection,
     EffectParameter,
@@ -298,7 +298,7 @@ def open_loop_error(
         variables += [v for v in uncertain_parameters(crane) if v.name in own]
         fit = run_fitted(crane, data, variables)
     else:
-        fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, START[-1:])
+        fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, (WHOLE,))
     every = FitData.of(recording, crane, rate=math.inf, step=FINE)
     return rms(residuals(fit.crane, every, fit.starts, fit.late)), fit
 
