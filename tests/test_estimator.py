@@ -24,6 +24,7 @@ from ukf.estimator import Estimator
 from ukf.filter import Belief
 from ukf.monitor import FROZEN, OUTLIER
 from ukf.noise import PaperNoise, ProcessNoise, paper_process_noise, paper_start_covariance
+from ukf.revisit import Revisit
 from ukf.sigma_points import merwe
 from ukf.signals import Signals
 from ukf.tuning import busiest, cut, scale, tune
@@ -328,6 +329,29 @@ def test_unknown_parameters_are_found(changes, name, tolerance):
     assert estimate.units[name] in ("kg", "Pa")
 
 
+@pytest.mark.parametrize("gap", [False, True])
+def test_a_payload_is_found_by_going_through_the_beginning_again(gap):
+    """The truth is in the interval all along; a long gap ends the beginning, and what was noted is told by nobody."""
+    crane = CRANE.with_parameters({"payload.mass": 10.0})
+    signals = recording(every=2)
+    if gap:
+        signals = Signals(
+            TIME, COMMANDS, {n: (np.where(t > 0.2, t + 11.0, t), y) for n, (t, y) in signals.sensors.items()}
+        )
+    noise = ProcessNoise((1e-5, 1e-5), (1e7, 1e7, 1e7, 1e7))
+    load = Augment("payload.mass", 115.0, drift=0.1)
+    filter_ = estimator(
+        crane=crane, noise=noise, method="ekf", augment=[load], max_step=2e-3, revisit=Revisit(1.5), gate=None
+    )
+    found = filter_.run(signals, smooth=True)
+    if gap:
+        assert any("anew from the sensors" in e.text for e in found.events)
+        return
+    mass, std = found["payload.mass"], found.std[:, found.state_names.index("payload.mass")]
+    assert (np.abs(mass - 25.0) < 3.0 * std + 1e-6).mean() > 0.95
+    assert mass[-1] == pytest.approx(25.0, abs=1.0) and std[-1] < 1.0
+
+
 def test_unknown_inputs_are_found():
     """A moment on the lift boom, a force on the outer boom, a leak into nowhere: each is found while the others are
     free.
@@ -557,6 +581,7 @@ def test_engine_without_parameters_refuses_augmented_states():
         ({"augment": ("bias.z1", "bias.z1")}, "twice"),
         ({"augment": (Augment("payload.mass", std=0.0),)}, "positive"),
         ({"augment": ("internal_leakage@lift.q",)}, "no such parameter"),
+        ({"revisit": Revisit(1.0)}, "goes with the filter"),
     ],
 )
 def test_bad_arguments_are_refused(options, message):

@@ -8,11 +8,13 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from crane_exudyn.errors import CraneError
 from ukf import filter as kf
 from ukf.linear_algebra import cholesky, lower_factor, semidefinite_root
 from ukf.noise import PaperNoise, ProcessNoise, measurement_noise, paper_process_noise, paper_start_covariance
+from ukf.revisit import Beginning, Step
 from ukf.sigma_points import Weights, centre_gain, cubature, merwe, simplex
 from ukf.smoother import smooth
 
@@ -303,3 +305,48 @@ def test_smoother_equals_the_batch_solution():
     np.testing.assert_allclose(mean.ravel(), joint @ right, atol=1e-9)
     for k in range(steps + 1):
         np.testing.assert_allclose(cov[k], joint[k * N : (k + 1) * N, k * N : (k + 1) * N], atol=1e-9)
+
+
+def test_a_beginning_of_a_linear_model_gone_through_again_is_what_the_filter_had():
+    step, beginning = np.full(N, 1e-5), Beginning(START, 9.0, [0])
+    belief, times = START, []
+    for k, y in enumerate(MEASURED[:9], 1):
+        prior = kf.predict_linearised(belief, linear, Q, step)
+        belief = kf.update_linearised(prior, seen, y, R, step)
+        if beginning.add(float(k), Step(linear, Q, seen, y, R), belief):
+            times.append(k)
+            again = beginning.again(lambda mean, covariance: mean)
+            np.testing.assert_allclose(again.mean, belief.mean, atol=1e-6)
+            np.testing.assert_allclose(again.covariance, belief.covariance, atol=1e-6)
+    assert times[-1] == 9 and beginning.over
+
+
+def product(points: np.ndarray) -> np.ndarray:
+    """Two constants of which a sensor shows the product: it tells one combination of them, and never the other."""
+    return points[:, :1] * points[:, 1:]
+
+
+@pytest.mark.parametrize("noise", [0.3, 0.03])
+def test_what_no_sensor_shows_is_not_believed_after_a_beginning_was_gone_through_again(noise):
+    """Against the curvature of the posterior itself; the filter alone, whose slopes wander, believes to know both."""
+    rng, truth, count = np.random.default_rng(3), np.array([2.0, 0.5]), 400
+    start = kf.Belief(np.array([1.0, 1.5]), np.diag([1.0, 1.0]))
+    increments, still, R1 = np.full(2, 1e-6), np.zeros((2, 2)), np.array([[noise**2]])
+    y = truth.prod() + noise * rng.normal(size=(count, 1))
+    belief, beginning = start, Beginning(start, count, [0, 1])
+    for k in range(count):
+        belief = kf.update_linearised(belief, product, y[k], R1, increments)
+        if beginning.add(k + 1.0, Step(lambda p: p, still, product, y[k], R1), belief):
+            again = beginning.again(lambda mean, covariance: mean)
+    assert beginning.over
+
+    def cost(x):
+        return 0.5 * np.sum((x - start.mean) ** 2) + 0.5 * np.sum((y - x[0] * x[1]) ** 2) / noise**2
+
+    best = minimize(cost, again.mean, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12}).x
+    assert np.linalg.norm(again.mean - best) < 0.02
+    slope = best[::-1]
+    exact = np.linalg.inv(np.eye(2) + count / noise**2 * np.outer(slope, slope))
+    unseen = np.linalg.eigh(exact)[1][:, 1]
+    assert unseen @ again.covariance @ unseen == pytest.approx(unseen @ exact @ unseen, rel=0.05)
+    assert unseen @ belief.covariance @ unseen < 0.7 * (unseen @ exact @ unseen)

@@ -29,6 +29,7 @@ from .methods import method_of
 from .monitor import ABSENT, FASTEST, OUTLIER, USED, Doubt, Monitor, leaps
 from .noise import ProcessNoise, measurement_noise
 from .process import Process, engine_of
+from .revisit import Beginning, Revisit, Step
 from .samples import command_of, first_stamp, impossible, number, readings_of
 from .second_opinion import SecondOpinion
 from .signals import LONG_GAP, Plan, Signals
@@ -78,7 +79,7 @@ class Estimator:
             standard deviation, else a default of the channel's kind); by default all coordinates and the chambers that
             carry loads.
         noise: process noise with a method `covariance(dt)` -> (nx, nx); `noise.ProcessNoise` or `noise.PaperNoise`.
-        method: "ukf", "sr-ukf", "ckf" or "ekf".
+        method: "ukf", "sr-ukf", "ckf", "simplex" or "ekf".
         augment: quantities to estimate along with the state, see `augment`.
         start: mean and covariance (nx, …) of the state to start with; without it, the crane at rest as measured first.
         gate: how many standard deviations an innovation may leap before the sample is rejected; None for no gate.
@@ -87,6 +88,9 @@ class Estimator:
         adapt: time constant, s, with which the sizes of unknowns with a memory follow what is found (`augment.Sizes`).
         strokes: whether angles stay where the pistons are inside their cylinders; without, a recording may pass a dead
             centre, and measured angles say on which side.
+        revisit: when all since the start of a recording is gone through again, linearised where the machine is now
+            known to have been (`revisit`); between, slopes are taken along the model's own trajectory from there
+            (`methods.Linearised`). Of the filter "ekf" only; live steps are never gone through again.
 
     Raises:
         CraneError: an unknown sensor, filter, engine or quantity, or a noise that is not positive.
@@ -106,6 +110,7 @@ class Estimator:
         pressure_std: float = UNSHOWN["Pa"],
         adapt: float = np.inf,
         strokes: bool = True,
+        revisit: Revisit | None = None,
     ) -> None:
         self.crane = crane
         self.engine = engine_of(engine, crane)
@@ -127,15 +132,23 @@ class Estimator:
         self._channels = Channels(crane, list(self.std_of), self._engine_states, self.extras)
         self._bounds = self._all_bounds(partial(cylinder_lengths, crane) if strokes else None)
         self._limits = self._bounds.without(crane.layout.positions)
-        self._process = Process(self.engine, self._channels, self.extras, self._bounds)
+        self._process = self._again = Process(self.engine, self._channels, self.extras, self._bounds)
+        if revisit is not None and revisit.engine is not None:
+            engine = engine_of(revisit.engine, crane)
+            self._again = Process(engine, self._channels, self.extras, self._bounds)
         self._method_name = method
+        constants = [k for k, e in enumerate(self.extras, self.size - len(self.extras)) if e.memory == np.inf]
+        self._held = constants if revisit is not None else []
         self._method = method_of(method, np.ones(self.size))
         self._gate = np.inf if gate is None else float(gate)
         self._start, self._pressure_std = start, float(pressure_std)
         self._adapt = float(adapt)
+        self._revisit = revisit
+        if revisit is not None and method != "ekf":
+            raise CraneError(f'revisit goes with the filter "ekf", which takes slopes, not with {method!r}. Use "ekf".')
         self._given: dict[str, Any] = {
             "start": start, "gate": gate, "max_step": max_step, "pressure_std": pressure_std, "adapt": adapt,
-            "strokes": strokes,
+            "strokes": strokes, "revisit": revisit,
         }  # fmt: skip
         self._noises: dict[int, np.ndarray] = {}
         self._spool: Any = None
@@ -189,6 +202,7 @@ class Estimator:
         self._last_input: np.ndarray | None = None
         self._last_command: np.ndarray | None = None
         self._late = _IN_ORDER
+        self._broken = False  # whether the belief was set up anew on the way
         self._flags = np.zeros(len(self.std_of), np.uint8)
         self._sizes = Sizes(self.extras, self._engine_states + len(self._channels.lags), self._adapt)
 
@@ -339,7 +353,7 @@ class Estimator:
         covariance[extras, extras] = np.diag([e.std**2 for e in self.extras])
         self._set_states(start, mean, covariance)
         self._opened = covariance
-        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)))
+        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)), self._held)
         self.belief = self._method.begin(mean, covariance)
         self._forget_doubts(time, taken(self.crane.layout, first) if self._start is None else ())
         self.time = time
@@ -486,7 +500,7 @@ class Estimator:
     ) -> None:
         """Go on after a gap that is too long to be predicted through."""
         self.events.append((time, "time", f"clock went on by {time - self._clock:.3g} s: anew from the sensors"))
-        self.belief = self._anew(first, spread)
+        self.belief, self._broken = self._anew(first, spread), True
         self._forget_doubts(time, taken(self.crane.layout, first))
         if recorder is not None and recorder.smooth:
             recorder.cut(self.belief)
@@ -499,7 +513,7 @@ class Estimator:
         """
         assert self._opinion is not None and self.time is not None
         row, since, self.belief = self._opinion.row, self._opinion.since, self._opinion.belief
-        self._opinion = None
+        self._opinion, self._broken = None, True
         self._belief_in_doubt.heard()
         self._monitor.believe(self.time, row, innovation)
         if row is None:
@@ -586,7 +600,7 @@ class Estimator:
         if not np.isfinite(mean).all():
             mean = np.where(np.isfinite(mean), mean, 0.0)
         mean = np.clip(mean, self._limits.lower, self._limits.upper)
-        self.belief = self._method.begin(mean, self._opened)
+        self.belief, self._broken = self._method.begin(mean, self._opened), True
 
     def _all_bounds(self, lengths: Callable[[np.ndarray], np.ndarray] | None) -> Bounds:
         engine = crane_bounds(self.crane, lengths, self._engine_states)
@@ -637,8 +651,12 @@ class Estimator:
         plan = self.opened(recording)
         recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
         recorder.start(self.belief)
+        until = plan.time[0] + (self._revisit.until if self._revisit else 0.0)
+        beginning = Beginning(self.belief, float(until), self._held)
         for k in range(1, plan.time.size):
             result = self.on_plan(plan, k, recorder)
+            if not beginning.over:
+                self._look_back(beginning, plan, k, result[2] == USED, recorder)
             recorder.note(k, self.belief, *result)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
@@ -675,6 +693,33 @@ class Estimator:
             self._resume(float(plan.time[k]), *plan.opening(at=float(plan.time[k])), recorder)
             return self._nothing(plan.values.shape[1])
         return self._advance(plan.grid[i:j], plan.inputs[i:j], plan.values[k], recorder)
+
+    def _look_back(self, beginning: Beginning, plan: Plan, k: int, used: np.ndarray, recorder: Recorder) -> None:
+        """Note instant k of a plan, at which the sensors `used` (k,) were believed, and go on from what the whole
+        beginning tells where it is time for that.
+        """
+        if self._broken:
+            beginning.end()
+            return
+        i, j, time = plan.inner[k - 1], plan.inner[k] + 1, float(plan.time[k])
+        step = Step(
+            self._again.over(plan.inputs[i:j], plan.grid[i:j]),
+            self.process_noise(time - float(plan.time[k - 1])),
+            lambda points: np.ascontiguousarray(self.observe(points)[:, used]),
+            plan.values[k, used],
+            np.ascontiguousarray(self._variance[np.ix_(used, used)]),
+        )
+        if not beginning.add(time, step, self.belief):
+            return
+        try:
+            found = beginning.again(self._limits.project)
+        except _FAILURES as problem:
+            self.events.append((time, "filter", f"the beginning could not be gone through again: {problem}"))
+            beginning.end()
+            return
+        self.believe(found)
+        if recorder.smooth:
+            recorder.cut(self.belief)
 
     def _agreed_start(self, plan: Plan) -> dict[str, float]:
         """Return {channel: time} of the channels whose samples before that time the start must not be taken from.

@@ -14,7 +14,7 @@ does so, and filterpy 2 (filterpy 1 does not).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -52,10 +52,13 @@ def scaled_eigenvalues(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """A Gaussian belief: `mean` (n,) and `covariance` (n, n)."""
+    """A Gaussian belief: `mean` (n,) and `covariance` (n, n); `at` (n,) is where slopes are taken, None for the
+    mean.
+    """
 
     mean: np.ndarray
     covariance: np.ndarray
+    at: np.ndarray | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,13 +199,20 @@ def update_root(
 
 
 def predict_linearised(belief: Belief, propagate: Points, noise: np.ndarray, increments: np.ndarray) -> Prediction:
-    """Return the EKF's belief one step on: x = f(x), P = F P Fᵀ + Q, F by central differences in one batch.
+    """Return the EKF's belief one step on: x = f(at) + F (x - at), P = F P Fᵀ + Q, F by differences in one batch.
 
-    `increments` (n,) are the finite-difference steps in state units.
+    `increments` (n,) are the finite-difference steps in state units. Where `at` is given, the prediction's is f(at).
     """
-    mean, jacobian = linearise(propagate, belief.mean, increments)
+    at = belief.mean if belief.at is None else belief.at
+    after, jacobian = linearise(propagate, at, increments)
     spread = jacobian @ belief.covariance
-    return Prediction(mean, _symmetric(spread @ jacobian.T + noise), np.ascontiguousarray(spread.T))
+    mean = after + jacobian @ (belief.mean - at)
+    return Prediction(
+        mean,
+        _symmetric(spread @ jacobian.T + noise),
+        np.ascontiguousarray(spread.T),
+        at=None if belief.at is None else after,
+    )
 
 
 def update_linearised(
@@ -214,9 +224,11 @@ def update_linearised(
     *,
     step: int | None = None,
 ) -> Correction:
-    """Return the EKF's belief corrected by `measurement` (k,); H by central differences. Raises FilterError."""
-    predicted, jacobian = linearise(observe, belief.mean, increments)
-    return update_linear(belief, jacobian, measurement - predicted, noise, step=step)
+    """Return the EKF's belief corrected by `measurement` (k,); H by differences. Raises FilterError."""
+    at = belief.mean if belief.at is None else belief.at
+    predicted, jacobian = linearise(observe, at, increments)
+    innovation = measurement - predicted - jacobian @ (belief.mean - at)
+    return update_linear(belief, jacobian, innovation, noise, step=step)
 
 
 def update_linear(
@@ -227,14 +239,13 @@ def update_linear(
     mean, covariance, spread, nis, log_likelihood, failed = result
     if failed:
         raise FilterError("innovation covariance", spread, step)
-    return Correction(mean, covariance, innovation, spread, nis, log_likelihood)
+    return Correction(mean, covariance, innovation, spread, nis, log_likelihood, at=belief.at)
 
 
 def linearise(function: Points, at: np.ndarray, increments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return f(x) (k,) and its Jacobian (k, n) by central differences, all 2n + 1 points in one call."""
-    values = function(np.vstack([at, at + np.diag(increments), at - np.diag(increments)]))
-    n = at.size
-    return values[0], np.ascontiguousarray(((values[1 : n + 1] - values[n + 1 :]) / (2 * increments[:, None])).T)
+    """Return f(x) (k,) and its Jacobian (k, n) by forward differences, all n + 1 points in one call."""
+    values = function(np.vstack([at, at + np.diag(increments)]))
+    return values[0], np.ascontiguousarray(((values[1:] - values[0]) / increments[:, None]).T)
 
 
 def _check_points(points: np.ndarray, shape: tuple[int, ...]) -> None:

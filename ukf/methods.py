@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +14,8 @@ from . import filter as kf
 from .linear_algebra import semidefinite_root
 from .sigma_points import Weights, cubature, merwe, simplex
 
+#: standard deviations of the mean from the trajectory about which a filter is linearised, at most
+_LEASH = 3.0
 METHODS = ("ukf", "sr-ukf", "ckf", "simplex", "ekf")
 
 
@@ -77,27 +80,46 @@ class SquareRoot:
 
 @dataclass(frozen=True)
 class Linearised:
-    """EKF with Jacobians from central differences; `increments` (n,) in state units."""
+    """EKF with Jacobians from differences; `increments` (n,) in state units.
+
+    With `constants`, states that do not change, slopes are taken along a trajectory of the model instead of at the
+    mean: it begins where the belief was set up, keeps its constants, and takes up the mean of the other states when
+    that is further off than `_LEASH`. Slopes that follow every estimate tell in sum what no sensor has shown (Huang,
+    Mourikis and Roumeliotis, A first-estimates Jacobian EKF for improving SLAM consistency, ISER 2008).
+    """
 
     increments: np.ndarray
+    constants: Sequence[int] = ()
 
     def begin(self, mean: np.ndarray, covariance: np.ndarray) -> kf.Belief:
         """Return the belief to start with."""
-        return kf.Belief(mean, covariance)
+        return kf.Belief(mean, covariance, at=mean if len(self.constants) else None)
 
     def predict(self, belief: kf.Belief, propagate: kf.Points, noise: np.ndarray, step: int) -> kf.Prediction:
-        """Return x = f(x), P = F P Fᵀ + Q."""
+        """Return the linearised prediction."""
         return kf.predict_linearised(belief, propagate, noise, self.increments)
 
     def update(
         self, belief: kf.Belief, observe: kf.Points, y: np.ndarray, noise: np.ndarray, step: int
     ) -> kf.Correction:
         """Return the linearised correction."""
-        return kf.update_linearised(belief, observe, y, noise, self.increments, step=step)
+        found = kf.update_linearised(belief, observe, y, noise, self.increments, step=step)
+        return found if found.at is None else replace(found, at=self._leashed(found.at, found))
+
+    def _leashed(self, at: np.ndarray, belief: kf.Belief) -> np.ndarray:
+        """Return where slopes are taken, not too far from the mean of a belief."""
+        away = np.abs(belief.mean - at) > _LEASH * np.sqrt(belief.covariance.diagonal())
+        away[self.constants] = False
+        if not away.any():
+            return at
+        near = belief.mean.copy()
+        near[self.constants] = at[self.constants]
+        return near
 
 
-def method_of(name: str, std: np.ndarray) -> Method:
-    """Return the filter called `name` for states whose standard deviations at the start are `std` (n,).
+def method_of(name: str, std: np.ndarray, constants: Sequence[int] = ()) -> Method:
+    """Return the filter called `name` for states whose standard deviations at the start are `std` (n,); `constants`
+    as in `Linearised`.
 
     Raises:
         CraneError: no such filter.
@@ -112,5 +134,6 @@ def method_of(name: str, std: np.ndarray) -> Method:
     if name == "sr-ukf":
         return SquareRoot(merwe(std.size))
     if name == "ekf":
-        return Linearised(1e-3 * std)  # far above the engines' solver tolerance, far below any curvature
+        # increments far above the engines' solver tolerance, far below any curvature
+        return Linearised(1e-3 * std, constants)
     raise CraneError(f"There is no filter {name!r}.{nearest(name, list(METHODS))}")
