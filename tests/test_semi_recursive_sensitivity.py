@@ -192,3 +192,19 @@ def test_a_failing_window_is_flagged_and_the_others_go_on(crane: Crane, start: n
     assert (result.status, result.failed) == (kernel.NOT_CONVERGED, 100)
     assert np.isfinite(result.X[:101]).all() and np.isfinite(result.X[200:]).all()
     assert np.isnan(result.X[101:200]).all() and np.isnan(result.X_end[1]).all()
+
+
+def test_a_machine_that_runs_away_ends_a_run_of_a_fit_but_no_other(crane: Crane) -> None:
+    """A boom that spins at 360 rad/s in oil under tension needs thousands of parts in every step; no sample is like
+    it.
+    """
+    away, W = np.array([1.05, -126.2, 15.6, -363.4, -6e7, 1.9e8, 2.6e8, -1.2e9]), np.full((101, 4), np.nan)
+    W[:, :2] = 0.0
+    result = swept(crane, away, W, [], [], allowed=10.0)
+    assert result.status == kernel.TOO_COARSE and 0 <= result.failed < 100
+    assert np.isnan(result.X[result.failed + 1 :]).all()
+    machine = (crane.parameter_vector(), crane.effect_vector(), crane.machine.topology)
+    fitting = kernel.simulate(away, W, np.arange(101) * H, H, *machine, 10.0, kernel.MOST_PARTS)
+    assert fitting[1] == kernel.TOO_COARSE and fitting[2] < 100
+    short = kernel.simulate(away, W[:2], np.arange(2) * H, H, *machine, 10.0)
+    assert short[1] == kernel.OK

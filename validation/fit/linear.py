@@ -257,7 +257,9 @@ def _ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
     """Return the states (n, nx) of a window's run in the data's own steps, and its status."""
     data = window.data
     W = base.W[window.start : window.start + len(data.time)]
-    X, status, _, _ = kernel.simulate(x0, W, data.time, data.step, base.P, base.E, base.topology, ACCURACY)
+    X, status, _, _ = kernel.simulate(
+        x0, W, data.time, data.step, base.P, base.E, base.topology, ACCURACY, kernel.MOST_PARTS
+    )
     return X, status
 
 

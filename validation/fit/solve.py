@@ -347,7 +347,9 @@ def _states(window: Window, x0: np.ndarray, model: Model, times: np.ndarray) -> 
     """Return states (n, nx) at times in a window that begins with x0; NaN where the run does not reach."""
     data = window.data
     W = model.W[window.start : window.start + len(data.time)]
-    X, _, _, _ = kernel.simulate(x0, W, data.time, data.step, model.P, model.E, model.topology, ACCURACY)
+    X, _, _, _ = kernel.simulate(
+        x0, W, data.time, data.step, model.P, model.E, model.topology, ACCURACY, kernel.MOST_PARTS
+    )
     index = np.round((times - data.time[0]) / data.step).astype(int)
     inside = index < len(X)
     found = np.full((len(times), len(x0)), math.nan)

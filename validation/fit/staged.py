@@ -169,7 +169,9 @@ def _simulated(model: Model, step: float) -> Simulate:
     """Return the semi-recursive engine's run; where it leaves what the crane can do it stands still."""
 
     def simulate(x0: np.ndarray, time: np.ndarray, W: np.ndarray) -> np.ndarray:
-        X, status, last, _ = kernel.simulate(x0, W, time, step, model.P, model.E, model.topology, ACCURACY)
+        X, status, last, _ = kernel.simulate(
+            x0, W, time, step, model.P, model.E, model.topology, ACCURACY, kernel.MOST_PARTS
+        )
         if status != kernel.OK:
             X[last + 1 :] = X[last]
         return np.asarray(X)

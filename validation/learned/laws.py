@@ -272,7 +272,9 @@ def trajectory(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         for window, x0 in zip(own.windows, own.knots, strict=True):
             W = model.W[window.start : window.start + len(window.data.time)]
             time = window.data.time
-            X = kernel.simulate(x0, W, time, data.step, model.P, model.E, model.topology, ACCURACY)[0]
+            X = kernel.simulate(x0, W, time, data.step, model.P, model.E, model.topology, ACCURACY, kernel.MOST_PARTS)[
+                0
+            ]
             parts.append((X[:-1:stride], W[:-1:stride], time[:-1:stride]))
     X, W, time = (np.concatenate(p) for p in zip(*parts, strict=True))
     whole = np.isfinite(X).all(axis=1)

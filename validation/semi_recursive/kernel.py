@@ -44,6 +44,9 @@ __all__ = ["NOT_CONVERGED", "OK", "TOO_COARSE", "propagate_batch", "simulate"]
 #: status of a run
 OK, NOT_CONVERGED, TOO_COARSE = 0, 1, 2
 MAX_ITERATIONS = 16
+#: parts that a step of a fit's run may have on the average, and as many as there may be beside: a machine that runs
+#: away (a boom that spins) would have thousands in every step, and no sample is like it
+MOST_PARTS, PARTS_BESIDE = 16.0, 1000.0
 #: amounts of oil are counted in this unit, m^3: about what 1 Pa more presses into a chamber
 AMOUNT = 1e-12
 #: Newton stops when no position moves by more than the step times this (rad/s), or by what it is rounded to (rad), and
@@ -71,8 +74,8 @@ class Work(NamedTuple):
     Every length of step has a tangent of its own, by how often it was halved: factors A (levels, n, n), `pivot`, the
     step size `made` for which it was made (0: there is none), and the contraction `rate` that Newton's method had with
     it. `said` holds how many steps were halved, the error of the last step in units of `step_control.*_ERROR`, how many
-    of these are allowed, and the PATIENCE: after a step of more iterations the next one has a new tangent; and how
-    often the next step is halved at once.
+    of these are allowed, and the PATIENCE: after a step of more iterations the next one has a new tangent; how often
+    the next step is halved at once; and how many parts steps had in all.
     """
 
     sheet: Sheet
@@ -89,7 +92,7 @@ class Work(NamedTuple):
     past: np.ndarray
 
 
-HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE = range(7)
+HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE, PARTS = range(8)
 #: the patience of a run: a tangent costs as much as seven iterations, and serves for hundreds of steps
 PATIENT = 3.0
 
@@ -121,7 +124,7 @@ def workspace(topology, nx, n_inputs):
         sheet(topology), places, np.empty((levels, m, m)), np.empty((levels, m), np.int64), np.zeros(levels),
         np.ones(levels),
         np.empty((3, m)), point(nx, n), point(nx, n), np.empty((3, n_inputs)),
-        np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0]),
+        np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0, 0.0]),
         np.zeros(nx),
     )  # fmt: skip
 
@@ -445,6 +448,12 @@ def remember(start, h, work):
 
 
 @part
+def exhausted(steps, most, work):
+    """Whether so many steps had more parts than they may, `most` on the average."""
+    return work.said[PARTS] > most * steps + PARTS_BESIDE
+
+
+@part
 def forget(work):
     """Begin anew: no part lies before the next."""
     work.said[LEVEL], work.said[BEFORE] = 0.0, 0.0
@@ -463,6 +472,7 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
         between(w0, w1, done, wa)
         between(w0, w1, done + part, wb)
         work.said[LIMIT] = limit(level, part * h, work.said[ALLOWED])
+        work.said[PARTS] += 1.0
         status = try_step(now, wa, wb, t0 + done * h, part * h, P, E, work, level)
         if status == OK:
             done += part
@@ -484,7 +494,7 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
 
 
 @compiled.njit
-def simulate(x0, W, time, step, P, E, topology, allowed=1.0):
+def simulate(x0, W, time, step, P, E, topology, allowed=1.0, most=math.inf):
     """Return states X (N, nx) at increasing times (N,), the status, the sample before the step that failed, and halved
     steps.
 
@@ -495,12 +505,13 @@ def simulate(x0, W, time, step, P, E, topology, allowed=1.0):
         P, E: parameter and effect vectors.
         topology: of the machine.
         allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
+        most: parts that a step may have on the average; a run that needs more ends as one whose steps are too coarse.
     """
     n_times, nx = W.shape[0], x0.size
     X = np.full((n_times, nx), math.nan)
     work, now = workspace(topology, nx, W.shape[1]), point(nx, topology[0, CYLINDERS])
     work.said[ALLOWED], work.said[PATIENCE] = allowed, PATIENT
-    wa, wb = np.empty(W.shape[1]), np.empty(W.shape[1])
+    wa, wb, steps = np.empty(W.shape[1]), np.empty(W.shape[1]), 0
     now.x[:] = x0
     begin(now, W[0], time[0], P, E, work.sheet)
     X[0] = x0
@@ -511,6 +522,9 @@ def simulate(x0, W, time, step, P, E, topology, allowed=1.0):
             between(W[k], W[k + 1], i / n, wa)
             between(W[k], W[k + 1], (i + 1) / n, wb)
             status = advance(now, wa, wb, time[k] + i * h, h, P, E, work, False)
+            steps += 1
+            if status == OK and exhausted(steps, most, work):
+                status = TOO_COARSE
             if status != OK:
                 X[k + 1] = now.x
                 return X, status, k, int(work.said[HALVED])

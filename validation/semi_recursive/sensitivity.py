@@ -31,13 +31,17 @@ from .kernel import (
     HALVED,
     LEVEL,
     LIMIT,
+    MOST_PARTS,
     NOT_CONVERGED,
     OK,
+    PARTS,
     PATIENCE,
     PATIENT,
+    TOO_COARSE,
     Point,
     begin,
     between,
+    exhausted,
     factorise,
     forget,
     point,
@@ -60,7 +64,8 @@ class Sweep(NamedTuple):
         X_end, S_end: (K, nx), (K, nx, M): where each window arrives at the next knot (the last one: at the last
             sample).
         Phi: (N, nx, nx), Phi[k + 1] = dx_{k+1}/dx_k; empty unless asked for. Phi[0] is the identity.
-        status: of the kernel; where a step failed, the rest of that window is NaN in X and 0 in S.
+        status: of the kernel; where a step failed, or the run had more parts than a fit's may (`MOST_PARTS`), the rest
+            of that window is NaN in X and 0 in S.
         failed: sample before the first step that failed, or -1.
         halved: how many steps were halved.
     """
@@ -320,6 +325,7 @@ def advance_sample(base, k, v, work):
         between(base.W_all[0, k], base.W_all[0, k + 1], start, wa)
         between(base.W_all[0, k], base.W_all[0, k + 1], end, wb)
         work.said[LIMIT] = limit(level, h, work.said[ALLOWED])
+        work.said[PARTS] += 1.0
         status = try_step(v.now, wa, wb, t, h, base.P, base.E, work, level)
         if status == OK:
             remember(v.now, h, work)
@@ -389,6 +395,8 @@ def _sweep(x0_knots, knot_index, base, topology, want_phi):
         if want_phi:
             set_identity(v.S, M)
         came = advance_sample(base, k, v, work)
+        if came == OK and exhausted((k + 1) * base.substeps, MOST_PARTS, work):
+            came = TOO_COARSE
         alive = came == OK
         if want_phi and alive:
             Phi[k + 1] = v.S[:, M:]
