@@ -3,6 +3,7 @@ data.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from validation.fit.solve import bounded_step, covariance, fit, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.selection.model import UNDETERMINED
-from validation.semi_recursive import sensitivity
+from validation.semi_recursive import kernel, sensitivity
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 NOISE = {"z1": math.radians(0.05), "z4": math.radians(0.05), "p1": 3e4, "p2": 3e4, "p3": 3e4, "p4": 3e4}
@@ -278,6 +279,31 @@ def test_events_in_other_windows_are_swept_once(nominal, monkeypatch):
     ).S_end[0]  # fmt: skip
     assert found.end_jacobian == pytest.approx(true, rel=1e-9, abs=1e-12)
     assert not found.end_jacobian[:, -1].any()
+
+
+def test_what_no_slope_tells_is_answered_by_a_run_of_the_changed_machine(nominal):
+    """Gas hundreds of times softer than oil, and a pendulum that the base lacks, beside a leak by its slope."""
+    crane, data = nominal
+    window = cut(data, 1.0)[2]
+    begin, own = window.start, data.time[window.start : window.start + len(window.data.time)]
+    changed = [
+        crane.with_effect("released_air", {"alpha": 0.2, "ps": 20e5}),
+        crane.with_effect("internal_leakage@lift", {"k": 1e-12}),
+        crane.with_effect("payload_swing", {"length": 0.8, "damping": 5.0}),
+    ]
+    base, models = model_of(crane, data), [model_of(c, data) for c in changed]
+    columns = pack(base, models, np.ones(3))
+    assert columns.by_run.tolist() == [False, False, True]
+    columns = replace(columns, by_run=np.array([True, False, True]))
+    x0 = np.pad(first_knots(crane, data, 1.0)[2], (0, 2))
+    jacobian = sweep_window(window, x0, base, columns, data.channels).end_jacobian[:, len(x0) :]
+    W = base.W[begin : begin + len(own)]
+    ends = [kernel.simulate(x0, W, own, data.step, m.P, m.E, m.topology, ACCURACY)[0][-1] for m in (base, *models)]
+    for j in (0, 2):
+        assert jacobian[:, j] == pytest.approx(ends[1 + j] - ends[0], rel=1e-6, abs=1e-9)
+    scale = np.abs(ends[2] - ends[0]).max()
+    assert np.abs(jacobian[:, 1] - (ends[2] - ends[0])).max() < 0.1 * scale
+    assert np.abs(ends[1] - ends[0])[4:8].max() > 1e4 and np.abs(ends[3] - ends[0])[8] > 1e-4
 
 
 @pytest.mark.parametrize(

@@ -170,20 +170,6 @@ def test_substeps_refine_the_run(crane: Crane, start: np.ndarray, inputs: np.nda
     np.testing.assert_allclose(result.X, fine, rtol=1e-8, atol=1e-9)
 
 
-def test_a_probe_with_its_own_tangent_swings(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
-    """A pendulum changes the dynamics: with its own tangent the column follows the difference of runs, without it
-    cannot.
-    """
-    swinging = crane.with_effect("payload_swing", {"length": 0.8, "damping": 5.0})
-    x0 = np.concatenate([start, np.zeros(2)])
-    difference = run(swinging, x0, inputs) - run(crane, x0, inputs)
-    scale = np.abs(difference[:, 8]).max()
-    followed = swept(crane, x0, inputs, [swinging], [1.0], own=np.array([True])).S[:, 8, 10]
-    stiff = swept(crane, x0, inputs, [swinging], [1.0]).S[:, 8, 10]
-    assert np.abs(followed - difference[:, 8]).max() < 0.1 * scale
-    assert np.abs(stiff - difference[:, 8]).max() > 0.5 * scale
-
-
 def test_a_failing_window_is_flagged_and_the_others_go_on(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
     knots = np.array([0, 100, 200])
     wild = start.copy()

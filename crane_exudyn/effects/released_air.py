@@ -26,7 +26,7 @@ class ReleasedAir(Effect):
         Parameter("alpha", "", 0.0, 0.0, 1.0, 0.1, "volume of air at 1 bar, as a share of the chamber"),
         Parameter("ps", "Pa", 5e5, 1e5, 20e5, 5e5, "saturation pressure", shape=True),
     )
-    probes = ({"alpha": 0.02, "ps": 5e5}, {"alpha": 0.2, "ps": 5e5})
+    probes = tuple({"alpha": alpha, "ps": ps} for ps in (2e5, 5e5, 12e5) for alpha in (0.02, 0.2))
 
     @staticmethod
     def free_gas(alpha, ps, p):

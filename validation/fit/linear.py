@@ -144,7 +144,7 @@ class Columns:
     W_index: np.ndarray
     size: np.ndarray
     dynamic: np.ndarray  # which columns change the motion (the others only what sensors show)
-    own: np.ndarray  # which are answered with a tangent of their own (a pendulum that the base lacks, softer oil)
+    by_run: np.ndarray  # which are answered by a run of their own machine (a pendulum that the base lacks, softer oil)
 
 
 def columns_of(
@@ -300,7 +300,7 @@ def join(a: Columns, b: Columns) -> Columns:
         np.concatenate([a.P, b.P]), np.concatenate([a.E, b.E]), np.concatenate([a.W, b.W[1:]]),
         np.concatenate([a.W_index, np.where(b.W_index > 0, b.W_index + len(a.W) - 1, 0)]),
         np.concatenate([a.size, b.size]), np.concatenate([a.dynamic, b.dynamic]),
-        np.concatenate([a.own, b.own]),
+        np.concatenate([a.by_run, b.by_run]),
     )  # fmt: skip
 
 
@@ -316,9 +316,9 @@ def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
     dynamic = (P != base.P).any(axis=1) | (np.array(index) != 0)
     different = E != base.E
     different[:, sensing_slots(only=True)] = False
-    own = np.array([m.nx > base.nx for m in moved], dtype=bool)
+    by_run = np.array([m.nx > base.nx for m in moved], dtype=bool)
     signal_index = np.array(index, dtype=np.int64)
-    return Columns(P, E, np.array(signals), signal_index, sizes, dynamic | different.any(axis=1), own)
+    return Columns(P, E, np.array(signals), signal_index, sizes, dynamic | different.any(axis=1), by_run)
 
 
 @dataclass
@@ -451,16 +451,34 @@ def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[
     status.
     """
     nx, (here, own_E, moving, of) = len(begun.x), _acting(grid, base, columns)
+    sloped, run = np.flatnonzero(~here.by_run), np.flatnonzero(here.by_run)
     swept = sensitivity.sweep(
-        begun.x[None], np.zeros(1), grid.W, grid.step, float(grid.time[0]), base.P, own_E, here.P, here.E, here.size,
-        here.W_index, topology=base.topology, own=here.own, allowed=ACCURACY,
+        begun.x[None], np.zeros(1), grid.W, grid.step, float(grid.time[0]), base.P, own_E, here.P[sloped],
+        here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology, allowed=ACCURACY,
     )  # fmt: skip
-    if begun.by_all is None and len(here.size) == len(columns.size):
+    if begun.by_all is None and len(sloped) == len(columns.size):
         return swept.X, swept.S, swept.status
+    by_columns = np.empty((*swept.X.shape, len(here.size)))
+    by_columns[:, :, sloped] = swept.S[:, :, nx:]
+    for j in run:
+        by_columns[:, :, j] = _by_run(grid, begun.x, swept.X, here, int(j), base)
     by_first = np.eye(nx, nx + len(columns.size)) if begun.by_all is None else begun.by_all
     S = swept.S[:, :, :nx] @ by_first
-    S[:, :, nx + moving] += swept.S[:, :, nx + of]
+    S[:, :, nx + moving] += by_columns[:, :, of]
     return swept.X, S, swept.status
+
+
+def _by_run(grid: _Grid, x0: np.ndarray, X: np.ndarray, columns: Columns, j: int, base: Model) -> np.ndarray:
+    """Return the difference (n, nx) between a run from x0 of the machine of column j and the base's run X (n, nx), by
+    the column's size; nothing from where it failed.
+    """
+    W = grid.W[columns.W_index[j]]
+    own, status, last, _ = kernel.simulate(
+        x0, W, grid.time, grid.step, columns.P[j], columns.E[j], base.topology, ACCURACY, kernel.MOST_PARTS
+    )
+    if status != 0:
+        own[last + 1 :] = X[last + 1 :]
+    return (own - X) / columns.size[j]
 
 
 def _acting(grid: _Grid, base: Model, columns: Columns) -> tuple[Columns, np.ndarray, np.ndarray, np.ndarray]:
@@ -475,11 +493,11 @@ def _acting(grid: _Grid, base: Model, columns: Columns) -> tuple[Columns, np.nda
     index = np.where(same[columns.W_index], 0, columns.W_index)
     acts = (columns.P != base.P).any(axis=1) | (E != own_E).any(axis=1) | (index != 0)
     moving, known = np.flatnonzero(columns.dynamic & acts), dict[bytes, int]()
-    rows = np.column_stack([columns.P, E, columns.size, index, columns.own])
+    rows = np.column_stack([columns.P, E, columns.size, index, columns.by_run])
     of = [known.setdefault(rows[j].tobytes(), len(known)) for j in moving]
     first = moving[np.unique(of, return_index=True)[1]] if of else moving
     here = replace(columns, P=columns.P[first], E=E[first], size=columns.size[first], W_index=index[first],
-                   own=columns.own[first])  # fmt: skip
+                   by_run=columns.by_run[first])  # fmt: skip
     return here, own_E, moving, np.array(of, np.int64)
 
 

@@ -23,8 +23,8 @@ from .moves import Start, around, starts
 
 #: amplitudes are sought between these, in units of the start's own values
 _SMALLEST, _LARGEST = 0.02, 20.0
-#: hooks by which oil or a mount gets softer, thousandfold perhaps: what follows is seen with the tangent of the softer
-#: machine only, since the one without would take everything back at once
+#: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the softer
+#: machine does, since little of it has the whole effect
 _SOFTENS = {"free_gas", "series_compliance"}
 
 
@@ -58,7 +58,7 @@ def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     def probes(base: Model, data: FitData, recording: int) -> Columns:
         models = [model_of(base.crane.with_effect(s.key, s.values), data, base.late) for s in starts]
         columns = pack(base, models, np.ones(len(models)))
-        return replace(columns, own=columns.own | soft)
+        return replace(columns, by_run=columns.by_run | soft)
 
     found = projected(fit, np.pad(fit.knots, ((0, 0), (0, room))), probes, stiffness)
     if found is None:

@@ -7,9 +7,7 @@ likewise of g:
     (Y1 - h/2 G1) S1 = (Y0 + h/2 G0) S0 + c0 - c1 + h/2 (b0 + b1)
 
 A column is a probe: another P, another E, other inputs, or several at once. Its b and c are one-sided differences from
-the base to the probe, so an effect whose law is not smooth at its neutral value is probed at a finite size. A column
-with `own` tangent uses Y and G of the probe instead of the base: the linear answer of the changed machine, for probes
-that alter its dynamics (a pendulum, a soft spring).
+the base to the probe, so an effect whose law is not smooth at its neutral value is probed at a finite size.
 
 A run may be cut into windows (multiple shooting): at each knot the state is set anew and the sensitivities begin again.
 """
@@ -183,7 +181,6 @@ class Base(NamedTuple):
     P_cols: np.ndarray
     E_cols: np.ndarray
     delta: np.ndarray
-    own: np.ndarray  # number of the probe's own tangent, or -1
     W_all: np.ndarray
     W_index: np.ndarray
     h: float
@@ -193,16 +190,12 @@ class Base(NamedTuple):
 
 
 class Tangents(NamedTuple):
-    """Y (2n, nx), G (nx, nx), c (2n, m), b (nx, m) and the probes' own Y (n_own, 2n, nx), G (n_own, nx, nx) at one
-    instant.
-    """
+    """Y (2n, nx), G (nx, nx), c (2n, m) and b (nx, m) at one instant."""
 
     Y: np.ndarray
     G: np.ndarray
     c: np.ndarray
     b: np.ndarray
-    own_Y: np.ndarray
-    own_G: np.ndarray
 
 
 class Moving(NamedTuple):
@@ -222,21 +215,17 @@ class Moving(NamedTuple):
 
 
 @njit(cache=False)
-def new_tangents(nx, chambers, m, n_own):
-    return Tangents(
-        np.empty((chambers, nx)), np.empty((nx, nx)), np.zeros((chambers, m)), np.zeros((nx, m)),
-        np.empty((n_own, chambers, nx)),
-        np.empty((n_own, nx, nx)),
-    )  # fmt: skip
+def new_tangents(nx, chambers, m):
+    return Tangents(np.empty((chambers, nx)), np.empty((nx, nx)), np.zeros((chambers, m)), np.zeros((nx, m)))
 
 
 @njit(cache=False)
-def new_moving(topology, nx, m, n_own, columns, n_inputs):
+def new_moving(topology, nx, m, columns, n_inputs):
     """Return the arrays of a sweep with `columns` sensitivities, of which the last may be transitions."""
     n = topology[0, CYLINDERS]
     return Moving(
-        sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m, n_own),
-        new_tangents(nx, 2 * n, m, n_own),
+        sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m),
+        new_tangents(nx, 2 * n, m),
         np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx, n), point(nx, n),
         np.empty((3, n_inputs)),
     )  # fmt: skip
@@ -259,8 +248,6 @@ def evaluate(base, v, k, share, t, into):
             into.c[i, j] = (probed.N[i] - now.N[i]) / (base.delta[j] * AMOUNT)
         for i in range(now.x.size):
             into.b[i, j] = in_units(i, now.N.size, probed.g[i] - now.g[i]) / base.delta[j]
-        if base.own[j] >= 0:
-            tangents_at(probed, w, t, P, E, v.sheet, into.own_Y[base.own[j]], into.own_G[base.own[j]], v.moved)
 
 
 @njit(cache=False)
@@ -274,21 +261,6 @@ def add_probe(j, h, v, column):
 
 
 @njit(cache=False)
-def own_column(j, q, h, v):
-    """Write column nx + j of R with the tangent of the probe itself; False if its system is singular."""
-    nx = v.now.x.size
-    column = v.S[:, nx + j : nx + j + 1].copy()
-    moved = np.empty((nx, 1))
-    right_side(column, v.before.own_Y[q], v.before.own_G[q], h, moved)
-    add_probe(j, h, v, moved[:, 0])
-    if not left_factors(v.after.own_Y[q], v.after.own_G[q], h, v.L, v.pivot):
-        return False
-    solve_columns(v.L, v.pivot, moved)
-    v.R[:, nx + j] = moved[:, 0]
-    return True
-
-
-@njit(cache=False)
 def linear_step(base, h, v):
     """Move the sensitivities over one step between the tangents before and after; False if a system is singular."""
     nx, m, R = v.now.x.size, base.delta.size, v.R
@@ -298,9 +270,6 @@ def linear_step(base, h, v):
     if not left_factors(v.after.Y, v.after.G, h, v.L, v.pivot):
         return False
     solve_columns(v.L, v.pivot, R)
-    for j in range(m):
-        if base.own[j] >= 0 and not own_column(j, base.own[j], h, v):
-            return False
     v.S[:] = R
     return True
 
@@ -308,7 +277,6 @@ def linear_step(base, h, v):
 @njit(cache=False)
 def copy_tangents(source, target):
     target.Y[:], target.G[:], target.c[:], target.b[:] = source.Y, source.G, source.c, source.b
-    target.own_Y[:], target.own_G[:] = source.own_Y, source.own_G
 
 
 @njit(cache=False)
@@ -371,11 +339,10 @@ def set_identity(S, first):
 def _sweep(x0_knots, knot_index, base, topology, want_phi):
     N, (K, nx), m = base.W_all.shape[1], x0_knots.shape, base.delta.size
     M = nx + m
-    n_own = base.own.max() + 1 if m > 0 else 0
     X, S = np.full((N, nx), math.nan), np.zeros((N, nx, M))
     X_end, S_end = np.full((K, nx), math.nan), np.zeros((K, nx, M))
     Phi = np.zeros((N if want_phi else 0, nx, nx))
-    v = new_moving(topology, nx, m, n_own, M + (nx if want_phi else 0), base.W_all.shape[2])
+    v = new_moving(topology, nx, m, M + (nx if want_phi else 0), base.W_all.shape[2])
     work = workspace(topology, nx, base.W_all.shape[2])
     work.said[ALLOWED], work.said[PATIENCE] = base.allowed, PATIENT
     status, failed, window, alive = OK, -1, -1, False
@@ -421,7 +388,6 @@ def sweep(
     W_index: np.ndarray | None = None,
     *,
     topology: np.ndarray,
-    own: np.ndarray | None = None,
     substeps: int = 1,
     allowed: float = 1.0,
     want_phi: bool = False,
@@ -440,18 +406,14 @@ def sweep(
         delta: (m,) what each column is divided by: the change in its parameter, or 1.
         W_index: (m,) which input signal a probe has; the base's by default.
         topology: of the machine.
-        own: (m,) bool, which probes use the tangent of their own.
         substeps: steps of the trapezoidal rule per sample interval.
         allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
         want_phi: whether to return the one-sample transition matrices.
     """
     m = len(delta)
     index = np.zeros(m, np.int64) if W_index is None else np.ascontiguousarray(W_index, np.int64)
-    owned = np.full(m, -1, np.int64)
-    if own is not None:
-        owned[np.asarray(own, bool)] = np.arange(np.count_nonzero(own))
     x0, W, P, E, P_cols, E_cols, delta = (
         np.ascontiguousarray(a, float) for a in (x0_knots, W_all, P, E, P_cols, E_cols, delta)
     )
-    base = Base(P, E, P_cols, E_cols, delta, owned, W, index, float(h), float(t0), int(substeps), float(allowed))
+    base = Base(P, E, P_cols, E_cols, delta, W, index, float(h), float(t0), int(substeps), float(allowed))
     return Sweep(*_sweep(x0, np.ascontiguousarray(knot_index, np.int64), base, topology, bool(want_phi)))
