@@ -23,8 +23,8 @@ from .moves import Start, around, starts
 
 #: amplitudes are sought between these, in units of the start's own values
 _SMALLEST, _LARGEST = 0.02, 20.0
-#: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the softer
-#: machine does, since little of it has the whole effect
+#: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the
+#: softer machine, since a little of it has nearly the whole effect
 _SOFTENS = {"free_gas", "series_compliance"}
 
 
