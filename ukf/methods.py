@@ -16,6 +16,9 @@ from .sigma_points import Weights, cubature, merwe, simplex
 
 #: standard deviations of the mean from the trajectory about which a filter is linearised, at most
 _LEASH = 3.0
+#: step of the EKF's slopes in standard deviations of the first belief: far above the engines' solver tolerance, far
+#: below any curvature
+INCREMENT = 1e-3
 METHODS = ("ukf", "sr-ukf", "ckf", "simplex", "ekf")
 
 
@@ -134,6 +137,5 @@ def method_of(name: str, std: np.ndarray, constants: Sequence[int] = ()) -> Meth
     if name == "sr-ukf":
         return SquareRoot(merwe(std.size))
     if name == "ekf":
-        # increments far above the engines' solver tolerance, far below any curvature
-        return Linearised(1e-3 * std, constants)
+        return Linearised(INCREMENT * std, constants)
     raise CraneError(f"There is no filter {name!r}.{nearest(name, list(METHODS))}")

@@ -19,15 +19,13 @@ from typing import Any
 import numpy as np
 
 from .filter import Belief, Points, predict_linearised, update_linearised
+from .methods import INCREMENT
 from .smoother import smooth
 
 #: share of the standard deviation of a constant from which on it is known much better
 _KNOWN = 0.5
 #: passes at most, and the change of the first state, in its standard deviations, at which they end
 _PASSES, _SETTLED = 5, 0.1
-#: step of the slopes in standard deviations of the first belief: far above the engines' solver tolerance, far below any
-#: curvature
-_INCREMENT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class Beginning:
             FilterError, ArithmeticError: a pass left what the model can do.
         """
         trajectory = np.array(self._trajectory)
-        increments = _INCREMENT * np.sqrt(np.diag(self._start.covariance))
+        increments = INCREMENT * np.sqrt(np.diag(self._start.covariance))
         for _ in range(_PASSES):
             mean, covariance, end = _through(self._start, self._steps, trajectory, increments)
             before, trajectory = trajectory[0], np.array([*map(inside, mean, covariance)])
@@ -124,4 +122,4 @@ def _through(
     if not np.isfinite(means).all():
         raise ArithmeticError("the beginning, gone through again, is not finite")
     smoothed, spread = smooth(means, covariances, prior_means, prior_covariances, crosses)
-    return smoothed, spread, Belief(belief.mean, belief.covariance)
+    return smoothed, spread, belief

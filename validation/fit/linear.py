@@ -25,7 +25,7 @@ from crane_exudyn.effects.registry import events
 from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import Measurement, sensing_slots
 
-from ..semi_recursive import kernel, sensitivity
+from ..semi_recursive import sensitivity
 from .data import ACCURACY, Data, FitData, Samples
 from .model import Model, model_of
 from .variables import Variable, acts, lateness, with_variables
@@ -257,9 +257,7 @@ def _ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
     """Return the states (n, nx) of a window's run in the data's own steps, and its status."""
     data = window.data
     W = base.W[window.start : window.start + len(data.time)]
-    X, status, _, _ = kernel.simulate(
-        x0, W, data.time, data.step, base.P, base.E, base.topology, ACCURACY, kernel.MOST_PARTS
-    )
+    X, status, _ = base.run(x0, W, data.time, data.step)
     return X, status
 
 
@@ -473,9 +471,7 @@ def _by_run(grid: _Grid, x0: np.ndarray, X: np.ndarray, columns: Columns, j: int
     the column's size; nothing from where it failed.
     """
     W = grid.W[columns.W_index[j]]
-    own, status, last, _ = kernel.simulate(
-        x0, W, grid.time, grid.step, columns.P[j], columns.E[j], base.topology, ACCURACY, kernel.MOST_PARTS
-    )
+    own, status, last = replace(base, P=columns.P[j], E=columns.E[j]).run(x0, W, grid.time, grid.step)
     if status != 0:
         own[last + 1 :] = X[last + 1 :]
     return (own - X) / columns.size[j]

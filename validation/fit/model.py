@@ -15,7 +15,8 @@ from crane_exudyn.effects.registry import find
 from crane_exudyn.inputs import Valve, valve_of
 from crane_exudyn.measurement import Measurement
 
-from .data import FitData
+from ..semi_recursive import kernel
+from .data import ACCURACY, FitData
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,15 @@ class Model:
     def measurement(self, channels: Sequence[str]) -> Measurement:
         """Return what the crane's sensors of some channels show."""
         return Measurement(channels, self.crane.machine, self.P, self.E)
+
+    def run(self, x0: np.ndarray, W: np.ndarray, time: np.ndarray, step: float) -> tuple[np.ndarray, int, int]:
+        """Return states (n, nx) from x0 at times (n,) with inputs W (n, …), a status, and the sample before the step
+        that failed, as accurate as fits need; a machine that runs away fails.
+        """
+        X, status, last, _ = kernel.simulate(
+            x0, W, time, step, self.P, self.E, self.topology, ACCURACY, kernel.MOST_PARTS
+        )
+        return X, status, last
 
 
 def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None = None) -> Model:

@@ -16,8 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
 
-from ..semi_recursive import kernel
-from .data import ACCURACY, Data, FitData, Joint
+from .data import Data, FitData, Joint
 from .linear import Linear, Window, cost_at, follows, linearised, model_at
 from .model import Model
 from .variables import Variable, acts, alone, lateness, with_variables
@@ -347,9 +346,7 @@ def _states(window: Window, x0: np.ndarray, model: Model, times: np.ndarray) -> 
     """Return states (n, nx) at times in a window that begins with x0; NaN where the run does not reach."""
     data = window.data
     W = model.W[window.start : window.start + len(data.time)]
-    X, _, _, _ = kernel.simulate(
-        x0, W, data.time, data.step, model.P, model.E, model.topology, ACCURACY, kernel.MOST_PARTS
-    )
+    X, _, _ = model.run(x0, W, data.time, data.step)
     index = np.round((times - data.time[0]) / data.step).astype(int)
     inside = index < len(X)
     found = np.full((len(times), len(x0)), math.nan)

@@ -15,7 +15,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 
 from ..semi_recursive import kernel
-from .data import ACCURACY, Data, FitData
+from .data import Data, FitData
 from .linear import Window, cut, with_states
 from .model import Model, model_of
 from .solve import Fit, fit, reduce, reknot
@@ -169,9 +169,7 @@ def _simulated(model: Model, step: float) -> Simulate:
     """Return the semi-recursive engine's run; where it leaves what the crane can do it stands still."""
 
     def simulate(x0: np.ndarray, time: np.ndarray, W: np.ndarray) -> np.ndarray:
-        X, status, last, _ = kernel.simulate(
-            x0, W, time, step, model.P, model.E, model.topology, ACCURACY, kernel.MOST_PARTS
-        )
+        X, status, last = model.run(x0, W, time, step)
         if status != kernel.OK:
             X[last + 1 :] = X[last]
         return np.asarray(X)

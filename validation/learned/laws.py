@@ -15,10 +15,8 @@ from crane_exudyn.effects import registry
 from crane_exudyn.effects.curve import KNOTS, NUMBER, Argument, Table, X, Y, value
 from crane_exudyn.layout import Layout
 
-from ..fit.data import ACCURACY
 from ..fit.model import model_of
 from ..fit.solve import Fit
-from ..semi_recursive import kernel
 from ..semi_recursive.engine import SemiRecursiveEngine
 
 #: knots of a curve, and share of the visited instants beyond its outermost ones
@@ -272,9 +270,7 @@ def trajectory(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         for window, x0 in zip(own.windows, own.knots, strict=True):
             W = model.W[window.start : window.start + len(window.data.time)]
             time = window.data.time
-            X = kernel.simulate(x0, W, time, data.step, model.P, model.E, model.topology, ACCURACY, kernel.MOST_PARTS)[
-                0
-            ]
+            X = model.run(x0, W, time, data.step)[0]
             parts.append((X[:-1:stride], W[:-1:stride], time[:-1:stride]))
     X, W, time = (np.concatenate(p) for p in zip(*parts, strict=True))
     whole = np.isfinite(X).all(axis=1)
