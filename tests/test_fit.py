@@ -15,11 +15,11 @@ from validation.fit.data import ACCURACY, FitData, Samples
 from validation.fit.linear import (
     RATE,
     columns_of,
-    cost_at,
     cut,
     forgotten,
     linearised,
     model_at,
+    near,
     normal_equations,
     pack,
     robust,
@@ -189,7 +189,7 @@ def test_a_lagging_sensors_unknown_first_value_is_integrated_out():
 
 
 @pytest.mark.parametrize("seconds", [0.25, 10.0])
-def test_the_cost_without_derivatives_is_that_with_them(seconds):
+def test_a_run_with_kept_derivatives_is_the_sweep_at_the_same_point(seconds):
     crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.05})
     data = FitData.of(recorded(crane.with_effect("internal_leakage@lift", {"k": 3e-12})), crane)
     variables = effect_variables("sensor_lag@p1", {"tau": 0.03}, crane.layout)
@@ -197,7 +197,26 @@ def test_the_cost_without_derivatives_is_that_with_them(seconds):
     knots = first_knots(crane, data, seconds)
     linear, _ = linearised(crane, data, windows, knots, variables, u, 10.0)
     assert linear.cost > 2.0 * sum(linear.counts.values()), "a point that is far from the best"
-    assert cost_at(crane, data, windows, knots, variables, u, 10.0) == pytest.approx(linear.cost, rel=1e-6)
+    again = near(crane, data, windows, knots, variables, u, 10.0, linear)
+    assert again is not None and again.cost == pytest.approx(linear.cost, rel=1e-6)
+    for name in ("gx", "gu", "Hxx", "Huu"):
+        there, here = getattr(linear, name), getattr(again, name)
+        assert here == pytest.approx(there, rel=1e-5, abs=1e-6 * abs(there).max())
+
+
+def test_derivatives_of_another_point_give_its_cost_and_lead_to_the_same_minimum():
+    crane = Crane.load("patu655")
+    data = FitData.of(recorded(crane.with_effect("internal_leakage@lift", {"k": 3e-12})), crane)
+    variables = effect_variables("internal_leakage@lift", {"k": 1e-12}, crane.layout)
+    windows, knots = cut(data, 0.25), first_knots(crane, data)
+    there, _ = linearised(crane, data, windows, knots, variables, np.array([0.1]), 10.0)
+    here, _ = linearised(crane, data, windows, knots, variables, np.array([0.3]), 10.0)
+    kept = near(crane, data, windows, knots, variables, np.array([0.3]), 10.0, there)
+    assert kept is not None and kept.cost == pytest.approx(here.cost, rel=1e-6)
+    assert kept.gu == pytest.approx(here.gu, rel=0.1), "nearly the gradient, for a step that lowers the cost"
+    fits = [fit(crane, data, windows, knots, variables, np.array([begin])) for begin in (0.0, 1.0)]
+    assert fits[0].u == pytest.approx(fits[1].u, abs=0.1 * fits[0].std(variables[0].name))
+    assert not fits[0].linear.swept, "derivatives of windows are large, and kept only where that is asked for"
 
 
 def test_a_window_swept_in_pieces_is_the_window_swept_at_once():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import multiprocessing
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -38,8 +38,11 @@ _GUESS: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.1, "m/s": 0.1, "
 _GUESS_OF_PENDULUM = 0.3
 THREADS = 2
 T = TypeVar("T")
+V = TypeVar("V")
 #: most grid points that are swept at once: the sensitivities of a piece of a window take some 50 MB
 _LARGE = 30_000
+#: most numbers of derivatives that are kept for other points, 200 MB
+_KEPT = 25_000_000
 #: longest step of the runs that derivatives are taken of, s. What is left is told by a run in the data's own steps, so
 #: that the minimum is theirs; derivatives but for some hundredths lead to it as well
 DERIVED = 2.5e-3
@@ -76,8 +79,8 @@ class Linear:
     Hxx (K, nx, nx), Hxo (K-1, nx, nx) between knot k and k+1, Hxu (K, nx, m), Huu (m, m); gx, gu are the gradients.
     squares, counts: sum of squared residuals in noise units and number of samples, by channel. window_error (K,): RMS
     residual of each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`. weak (nx,):
-    weights of a weak prior that holds the first state near its guess. volume: what lagging sensors' unknown first
-    values add to minus twice the log evidence, see `forgotten`.
+    weights of a weak prior that holds the first state near its guess. swept: the windows that were summed up. volume:
+    what lagging sensors' unknown first values add to minus twice the log evidence, see `forgotten`.
     """
 
     Hxx: np.ndarray
@@ -93,8 +96,14 @@ class Linear:
     jump_cost: np.ndarray
     jump: np.ndarray
     weak: np.ndarray
+    swept: tuple[Swept, ...] = ()
     volume: float = 0.0
     failed: bool = False
+
+    @property
+    def sloped(self) -> bool:
+        """Whether its windows' derivatives are kept, so that they serve at other points as well."""
+        return bool(self.swept) and all(s.J is not None for s in self.swept)
 
     @property
     def error(self) -> float:
@@ -119,12 +128,17 @@ def robust(squares: float, number: int) -> tuple[float, float]:
 
 
 def cut(data: Data, seconds: float) -> list[Window]:
-    """Return windows of about `seconds` each, one recording after the other; none where the commands are unknown."""
+    """Return windows of about `seconds` each, one recording after the other; none where the commands are unknown.
+
+    They are joined where a sample lies, so that windows of other steps are the same.
+    """
     windows = []
     for i, part in enumerate(data.parts):
+        unit = max(1, round(part.interval / part.step))
         for first, last in part.stretches:
             number = max(1, round((last - first) * part.step / seconds))
-            edges = first + np.round(np.linspace(0, last - first, number + 1)).astype(int)
+            inner = first + unit * np.round(np.linspace(0, (last - first) / unit, number + 1)[1:-1]).astype(int)
+            edges = [first, *inner.tolist(), last]
             windows += [Window(int(a), part.part(int(a), int(b)), i) for a, b in pairwise(edges)]
     return windows
 
@@ -132,6 +146,14 @@ def cut(data: Data, seconds: float) -> list[Window]:
 def follows(before: Window, after: Window) -> bool:
     """Whether a window begins where another ends; between them commands may be unknown, and then nothing joins them."""
     return before.recording == after.recording and before.start + len(before.data.time) - 1 == after.start
+
+
+def alike(some: Sequence[Window], others: Sequence[Window]) -> bool:
+    """Whether windows hold the same samples, whatever the steps of their runs."""
+    return len(some) == len(others) and all(
+        a.recording == b.recording and abs(a.data.time[0] - b.data.time[0]) < 1e-9 and a.data.count == b.data.count
+        for a, b in zip(some, others, strict=True)
+    )
 
 
 @dataclass(frozen=True)
@@ -209,7 +231,7 @@ def linearised(
     return joined(found), knots
 
 
-def cost_at(
+def near(
     crane: Crane,
     data: Data,
     windows: Sequence[Window],
@@ -217,40 +239,40 @@ def cost_at(
     variables: Sequence[Variable],
     u: np.ndarray,
     stiffness: float,
-) -> float:
-    """Return the `Linear.cost` of a point by runs without derivatives, in a fraction of the time; infinite where the
-    model fails.
+    before: Linear,
+) -> Linear | None:
+    """Return the fit near a point at which it was linearised, with the derivatives that it had there: runs alone take a
+    fraction of the time. None where the number of states is another one.
+
+    Where derivatives were not kept, its cost is right and its gradient is not.
     """
-    total = 0.0
+    found, swept = [], iter(before.swept)
     for i, part in enumerate(data.parts):
-        mine = [k for k, w in enumerate(windows) if w.recording == i]
         base = model_at(crane, variables, u, part, recording=i)
-        x0, own = with_states(knots, base.nx)[mine], [windows[k] for k in mine]
-        scale = jump_of(base.crane.layout)[: base.nx]
-        for k, ran in enumerate(_each(partial(_run_window, base=base), own, x0)):
-            if ran is None:
-                return math.inf
-            squares, number, end = ran
-            total += robust(squares, number)[0]
-            if k + 1 < len(own) and follows(own[k], own[k + 1]):
-                jump = (end - x0[k + 1]) * stiffness / scale
-                total += robust(float(jump @ jump), len(jump))[0]
-    return total
+        if base.nx != knots.shape[1] or base.nx != len(before.jump):
+            return None
+        mine = [k for k, w in enumerate(windows) if w.recording == i]
+        own = [(windows[k], next(swept)) for k in mine]
+        parts = _each(partial(_run_again, base=base), own, knots[mine])
+        found.append(_summed([windows[k] for k in mine], knots[mine], parts, base, len(u), stiffness))
+    return joined(found)
 
 
-def _run_window(window: Window, x0: np.ndarray, base: Model) -> tuple[float, int, np.ndarray] | None:
-    """Return sum of squared residuals, number of samples and last state of a window; None where the model fails."""
+def _run_again(window_and_kept: tuple[Window, Swept], x0: np.ndarray, base: Model) -> Swept:
+    """Return what a run of a window leaves, with the derivatives of an earlier sweep."""
+    window, kept = window_and_kept
     data, (X, status) = window.data, _ran(window, x0, base)
-    if status != 0 or not np.isfinite(X[-1]).all():
-        return None
+    failed = status != 0 or not np.isfinite(X[-1]).all()
     measurement = base.measurement(data.channels)
-    Z, lags, squares, number = measurement.shown(X, data.time), dict(measurement.lags), 0.0, 0
+    Z, lags, residuals = measurement.shown(X, data.time), dict(measurement.lags), []
     for j, sample in enumerate(data.samples):
         r = sample.residuals(Z[:, j])
         if window.start > 0 and j in lags:
             r = _without_memory(r[:, None], sample, data.step, lags[j], base)[0][:, 0]
-        squares, number = squares + float(r @ r), number + len(r)
-    return (squares, number, X[-1]) if math.isfinite(squares) else None
+        residuals.append(r)
+    squares = [float(r @ r) for r in residuals]
+    Jr = kept.Jr if kept.J is None else kept.J.T @ np.concatenate(residuals)
+    return replace(kept, squares=squares, Jr=Jr, end=X[-1], failed=failed or not math.isfinite(sum(squares)))
 
 
 def _ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
@@ -287,7 +309,7 @@ def joined(parts: Sequence[Linear]) -> Linear:
         Hxo=np.concatenate(apart), jump_cost=np.concatenate(jumps), Huu=np.sum([p.Huu for p in parts], axis=0),
         gu=np.sum([p.gu for p in parts], axis=0),
         squares=dict(squares), counts=dict(counts), jump=parts[0].jump, weak=parts[0].weak,
-        volume=sum(p.volume for p in parts),
+        swept=tuple(s for p in parts for s in p.swept), volume=sum(p.volume for p in parts),
         failed=any(p.failed for p in parts), **together,
     )  # fmt: skip
 
@@ -322,7 +344,7 @@ def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
 @dataclass
 class Swept:
     """One window swept: sums of squared residuals (noise units) and counts by channel; J'J and J'r by first state and
-    variables; end state and its derivative.
+    variables; end state and its derivative; J itself, one channel after the other, where it is kept.
     """
 
     squares: list[float]
@@ -333,6 +355,7 @@ class Swept:
     end_jacobian: np.ndarray
     volume: float
     failed: bool
+    J: np.ndarray | None = None
 
 
 def sweep_window(
@@ -440,7 +463,7 @@ def _sweep_piece(
     failed = status != 0 or not (np.isfinite(X[-1]).all() and np.isfinite(Jr).all())
     return Swept(
         [float(part @ part) for part in residuals], [len(part) for part in residuals], J.T @ J, Jr,
-        end.x, S[-1].copy(), volume, failed,
+        end.x, S[-1].copy(), volume, failed, J,
     ), end  # fmt: skip
 
 
@@ -571,28 +594,46 @@ def normal_equations(
         base, columns: the model and its perturbed kin.
         stiffness: how many times smaller than `jump_of` says a jump between two windows is expected to be.
     """
-    K, nx, m = len(windows), knots.shape[1], len(columns.size)
+    channels = windows[0].data.channels
+    samples = sum(len(s.values) for w in windows for s in w.data.samples)
+    kept = samples * (knots.shape[1] + len(columns.size)) <= _KEPT
+    sweep = partial(_swept, base=base, columns=columns, channels=channels, kept=kept)
+    return _summed(windows, knots, _each(sweep, windows, knots), base, len(columns.size), stiffness)
+
+
+def _swept(
+    window: Window, x0: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...], kept: bool
+) -> Swept:
+    found = sweep_window(window, x0, base, columns, channels)
+    return found if kept else replace(found, J=None)
+
+
+def _summed(
+    windows: Sequence[Window], knots: np.ndarray, parts: Iterable[Swept], base: Model, m: int, stiffness: float
+) -> Linear:
+    """Return the normal equations of swept windows and the jumps between them."""
+    K, nx = len(windows), knots.shape[1]
     scale = jump_of(base.crane.layout)[:nx]
     weak = (scale / _guess_of(base.crane.layout)[:nx]) ** 2
     linear = Linear(
         np.zeros((K, nx, nx)), np.zeros((max(K - 1, 0), nx, nx)), np.zeros((K, nx, m)), np.zeros((m, m)),
         np.zeros((K, nx)), np.zeros(m), {}, {}, np.zeros(K), np.zeros(K), np.zeros(max(K - 1, 0)), scale, weak,
     )  # fmt: skip
-    channels = windows[0].data.channels
-    for k, part in enumerate(
-        _each(partial(sweep_window, base=base, columns=columns, channels=channels), windows, knots)
-    ):
+    swept = []
+    for k, part in enumerate(parts):
         linear.failed |= part.failed
         if linear.failed:
             return linear
+        swept.append(part)
         linear.volume += part.volume
-        _add_data(linear, k, part, channels, scale)
+        _add_data(linear, k, part, windows[0].data.channels, scale)
         if k + 1 < K and follows(windows[k], windows[k + 1]):
             _add_jump(linear, k, part, knots[k + 1], scale, stiffness)
+    linear.swept = tuple(swept)
     return linear
 
 
-def _each(task: Callable[[Window, np.ndarray], T], windows: Sequence[Window], knots: np.ndarray) -> Iterator[T]:
+def _each(task: Callable[[V, np.ndarray], T], windows: Sequence[V], knots: np.ndarray) -> Iterator[T]:
     """Yield a task done with each window and its knot, in order; compiled code lets two threads work side by side."""
     if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
         yield from map(task, windows, knots)

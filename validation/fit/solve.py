@@ -7,7 +7,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from functools import cached_property
+from itertools import count, pairwise
 from typing import Any
 
 import numpy as np
@@ -17,22 +18,31 @@ from threadpoolctl import threadpool_limits
 from crane_exudyn.crane import Crane
 
 from .data import Data, FitData, Joint
-from .linear import Linear, Window, cost_at, follows, linearised, model_at
+from .linear import Linear, Window, alike, follows, linearised, model_at, near
 from .model import Model
 from .variables import Variable, acts, alone, lateness, with_variables
 
 #: lowest pressure of a state, Pa: a void of a few per cent of its chamber is remembered as that
 EMPTIEST = -1e8
+#: how often a step is shortened at most; the same derivatives serve on while a step promises at most this share of
+#: what the one before it brought
+_TRIES, _SERVES = 6, 0.3
+#: how near to what it promised a step must fall for the cost to be the parabola that its derivatives tell: then the
+#: next step leads to the end, and derivatives are not needed there
+_AS_PROMISED = 0.1
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of the variables alone, knots eliminated: H (m, m), g (m,); and how the knots follow."""
+    """Normal equations of the variables alone, knots eliminated: H (m, m), g (m,); how the knots follow, and by how
+    much the cost falls where they alone move.
+    """
 
     H: np.ndarray
     g: np.ndarray
     knots_by_u: np.ndarray  # (K, nx, m)
     knots_step: np.ndarray  # (K, nx)
+    knots_gain: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -125,7 +135,8 @@ def _eliminated(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced
         after = off[k] @ solution[k + 1] if k + 1 < K else 0.0
         solution[k] = cho_solve(factors[k], right[k] - after)
     HB = linear.Hxu.reshape(K * nx, m).T @ solution.reshape(K * nx, m + 1)
-    return Reduced(linear.Huu - HB[:, :m], linear.gu - HB[:, m], -solution[:, :, :m], -solution[:, :, m])
+    gain = 0.5 * float((g * solution[:, :, m]).sum())
+    return Reduced(linear.Huu - HB[:, :m], linear.gu - HB[:, m], -solution[:, :, :m], -solution[:, :, m], gain)
 
 
 def with_prior(reduced: Reduced, variables: Sequence[Variable], u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -158,16 +169,6 @@ def bounded_step(
     return step
 
 
-@dataclass
-class _Point:
-    """Where an iteration stands; tries: how many steps were tried to come here."""
-
-    u: np.ndarray
-    knots: np.ndarray
-    linear: Linear
-    tries: int = 1
-
-
 def fit(
     crane: Crane,
     data: Data,
@@ -179,56 +180,166 @@ def fit(
     stiffness: float = 1.0,
     iterations: int = 8,
     tolerance: float = 0.05,
+    before: Fit | None = None,
+    keep: bool = False,
 ) -> Fit:
     """Return the crane fitted to the windows, from knots (K, nx) and variable values u.
 
     The cost is that of the residuals of every window and of the jumps between them (`linear.robust`), plus priors.
+    Derivatives are taken anew up to so many times, and serve for further steps while these lead on to the end.
+
+    Args:
+        before: a fit by the same variables that ended here, whose derivatives serve if they were kept and the windows
+            are the same.
+        keep: whether the result is to hold the derivatives of its windows, which are large, for the next fit.
     """
-    lower = np.array([v.lower for v in variables])
-    upper = np.array([v.upper for v in variables])
-    u = np.clip(np.zeros(len(variables)) if u is None else np.asarray(u, dtype=float), lower, upper)
-    point = _evaluate(crane, data, windows, knots, variables, u, stiffness)
-    guess = point.knots.copy()
+    task = _Task(crane, data, tuple(windows), tuple(variables), stiffness, tolerance)
+    u = np.clip(np.zeros(len(variables)) if u is None else np.asarray(u, dtype=float), task.lower, task.upper)
+    serves = before is not None and before.linear.sloped and alike(before.windows, windows)
+    point = task.at(u, knots, knots, before.linear if before is not None and serves else None)
     converged = False
-    for _ in range(iterations):
-        if point.linear.failed:
+    for left in reversed(range(iterations + 1)):
+        step = task.step(point) if left else None
+        if step is None:
             break
-        guess = _widened(guess, point.knots)
-        reduced = _reduced(point, guess)
+        moved = task.lowered(point, step)
+        gain = 0.0 if moved is None else point.cost - moved.cost
+        point = moved or point
+        if converged := min(gain, step.promise) < task.enough(point):
+            break
+        point, steps = task.followed(point, gain)
+        if converged := steps == 1 and abs(gain / step.promise - 1.0) < _AS_PROMISED:
+            break
+        fresh = task.at(point.u, point.knots, point.guess)
+        if fresh.linear.failed:
+            break
+        point = fresh
+    if not keep:
+        point.linear.swept = ()
+    return _finish(task, point, converged)
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Values of the variables and first states at which the fit is linear, and their cost; guess: of the first
+    states.
+    """
+
+    u: np.ndarray
+    knots: np.ndarray
+    guess: np.ndarray
+    linear: Linear
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Normal equations at a point, the step that they ask for, and by how much the cost is to fall."""
+
+    reduced: Reduced
+    H: np.ndarray
+    g: np.ndarray
+    du: np.ndarray
+    promise: float
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is to be fitted, and its steps."""
+
+    crane: Crane
+    data: Data
+    windows: tuple[Window, ...]
+    variables: tuple[Variable, ...]
+    stiffness: float
+    tolerance: float
+
+    @cached_property
+    def lower(self) -> np.ndarray:
+        """Bounds of the variables from below, (m,)."""
+        return np.array([v.lower for v in self.variables])
+
+    @cached_property
+    def upper(self) -> np.ndarray:
+        """And from above."""
+        return np.array([v.upper for v in self.variables])
+
+    def at(self, u: np.ndarray, knots: np.ndarray, guess: np.ndarray, before: Linear | None = None) -> _Point:
+        """Return a point with its derivatives; with those of another point, where these have as many states."""
+        where = self.crane, self.data, self.windows, knots, self.variables, u, self.stiffness
+        linear = None if before is None else near(*where, before)
+        if linear is None:
+            linear, knots = linearised(*where)
+        return self._point(u, knots, linear, guess)
+
+    def _point(self, u: np.ndarray, knots: np.ndarray, linear: Linear, guess: np.ndarray) -> _Point:
+        guess = _widened(guess, knots)
+        cost = math.inf if linear.failed else 0.5 * linear.cost + self._priors(u, knots, linear, guess)
+        return _Point(u, knots, guess, linear, cost)
+
+    def _priors(self, u: np.ndarray, knots: np.ndarray, linear: Linear, guess: np.ndarray) -> float:
+        """Return what the priors of variables and first states add to the cost."""
+        away = (knots - guess) / linear.jump
+        return prior_cost(self.variables, u) + 0.5 * float((linear.weak * away**2).sum())
+
+    def enough(self, point: _Point) -> float:
+        """Return the fall of the cost below which a fit is at its end."""
+        return max(self.tolerance, 1e-4 * point.linear.cost)
+
+    def step(self, point: _Point, damping: float = 0.0) -> _Step | None:
+        """Return the step from a point; None where there is none: the model runs away (a negative payload, say)."""
+        reduced = _reduced(point)
         if reduced is None:
-            break
-        H, g = with_prior(reduced, variables, point.u)
-        moved = _step(crane, data, windows, variables, point, reduced, H, g, (lower, upper), stiffness, guess)
-        if moved is None:
-            converged = True
-            break
-        gain = _cost(point, variables, guess) - _cost(moved, variables, guess)
-        point = moved
-        if gain < max(tolerance, 1e-4 * point.linear.cost):
-            converged = True
-            break
-    return _finish(crane, data, variables, windows, point, guess, converged)
+            return None
+        H, g = with_prior(reduced, self.variables, point.u)
+        du = bounded_step(H, g, point.u, self.lower, self.upper, damping) if len(point.u) else np.zeros(0)
+        return _Step(reduced, H, g, du, reduced.knots_gain - float(g @ du + 0.5 * du @ H @ du))
+
+    def taken(self, point: _Point, step: _Step, share: float = 1.0) -> _Point:
+        """Return the point after a share of a step, with the derivatives of the point before."""
+        dx = step.reduced.knots_step + step.reduced.knots_by_u @ step.du
+        knots = point.knots + share * dx * point.linear.jump
+        p = self.crane.layout.pressures
+        knots[:, p] = np.maximum(knots[:, p], EMPTIEST)
+        return self.at(point.u + share * step.du, knots, point.guess, point.linear)
+
+    def lowered(self, point: _Point, step: _Step) -> _Point | None:
+        """Return the next point with a lower cost, by steps that are damped more and more; None if there is none."""
+        damping = 0.0
+        for _ in range(_TRIES):
+            moved = self.taken(point, step, 1.0 / (1.0 + damping))
+            if moved.cost < point.cost:
+                return moved
+            damping = 4.0 * damping if damping else 0.3
+            du = bounded_step(step.H, step.g, point.u, self.lower, self.upper, damping)
+            step = replace(step, du=du)
+        return None
+
+    def followed(self, point: _Point, gain: float) -> tuple[_Point, int]:
+        """Return where further steps lead with the derivatives of an earlier point, whose own step brought `gain`,
+        while each promises far less than the one before brought; and how many of them lead to the end, 0 if they do
+        not.
+        """
+        for steps in count(1):
+            step = self.step(point) if point.linear.sloped else None
+            if step is None or step.promise > _SERVES * gain:
+                break
+            moved = self.taken(point, step)
+            gain = point.cost - moved.cost
+            point = moved if gain > 0.0 else point
+            if step.promise < self.enough(point):
+                return point, steps
+        return point, 0
 
 
-def _evaluate(
-    crane: Crane,
-    data: Data,
-    windows: Sequence[Window],
-    knots: np.ndarray,
-    variables: Sequence[Variable],
-    u: np.ndarray,
-    stiffness: float,
-) -> _Point:
-    linear, knots = linearised(crane, data, windows, knots, variables, u, stiffness)
-    return _Point(u, knots, linear)
-
-
-def _reduced(point: _Point, guess: np.ndarray) -> Reduced | None:
+def _reduced(point: _Point) -> Reduced | None:
     """Return the variables' normal equations; a model that runs away (a negative payload, say) has none: beyond all
     digits.
     """
+    if point.linear.failed:
+        return None
     try:
-        return reduce(point.linear, guess, point.knots)
+        return reduce(point.linear, point.guess, point.knots)
     except LinAlgError:
         point.linear.failed = True
         return None
@@ -246,68 +357,20 @@ def _widened(guess: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return wide
 
 
-def _cost(point: _Point, variables: Sequence[Variable], guess: np.ndarray) -> float:
-    if point.linear.failed:
-        return math.inf
-    return 0.5 * point.linear.cost + _priors(point.u, point.knots, point.linear, variables, guess)
+def prior_cost(variables: Sequence[Variable], u: np.ndarray) -> float:
+    """Return half the sum of squares of what the priors say about values u of variables."""
+    return 0.5 * sum((float(x) / v.prior) ** 2 for x, v in zip(u, variables, strict=True) if math.isfinite(v.prior))
 
 
-def _priors(
-    u: np.ndarray, knots: np.ndarray, linear: Linear, variables: Sequence[Variable], guess: np.ndarray
-) -> float:
-    """Return what the priors of variables and first states add to the cost."""
-    prior = sum((x / v.prior) ** 2 for x, v in zip(u, variables, strict=True) if math.isfinite(v.prior))
-    n = knots.shape[1]
-    away = (knots - _widened(guess, knots)) / linear.jump[:n]
-    return 0.5 * (float((linear.weak[:n] * away**2).sum()) + prior)
-
-
-def _step(crane, data, windows, variables, point, reduced, H, g, bounds, stiffness, guess):  # type: ignore[no-untyped-def]
-    """Return the next point with a lower cost, or None if there is none.
-
-    Derivatives are worked out where the step is likely to be taken: at once where the last one was, else once a run
-    without them has shown the lower cost.
-    """
-    before = _cost(point, variables, guess)
-    damping, at_once = 0.0, point.tries == 1
-    for tries in range(1, 7):
-        du = bounded_step(H, g, point.u, *bounds, damping) if len(point.u) else np.zeros(0)
-        dx = reduced.knots_step + reduced.knots_by_u @ du
-        share = 1.0 / (1.0 + damping)
-        knots = point.knots + share * dx * point.linear.jump
-        p = crane.layout.pressures
-        knots[:, p] = np.maximum(knots[:, p], EMPTIEST)
-        u = point.u + share * du
-        here = crane, data, windows, knots, variables, u, stiffness
-        if at_once or 0.5 * cost_at(*here) + _priors(u, knots, point.linear, variables, guess) < before:
-            trial = replace(_evaluate(*here), tries=tries)
-            if _cost(trial, variables, guess) < before:
-                return trial
-        at_once = False
-        damping = 4.0 * damping if damping else 0.3
-    return None
-
-
-def _finish(
-    crane: Crane,
-    data: Data,
-    variables: Sequence[Variable],
-    windows: Sequence[Window],
-    point: _Point,
-    guess: np.ndarray,
-    converged: bool,
-) -> Fit:
+def _finish(task: _Task, point: _Point, converged: bool) -> Fit:
     linear, m = point.linear, len(point.u)
-    cov = np.full((m, m), math.nan)
-    reduced = None if linear.failed else _reduced(point, _widened(guess, point.knots))
-    if m and reduced is not None:
-        H, _ = with_prior(reduced, variables, point.u)
-        cov = covariance(H)
+    reduced = _reduced(point) if m else None
+    cov = np.full((m, m), math.nan) if reduced is None else covariance(with_prior(reduced, task.variables, point.u)[0])
     errors = {c: math.sqrt(linear.squares[c] / max(1, linear.counts[c])) for c in linear.squares}
-    prior = 0.5 * sum((x / v.prior) ** 2 for x, v in zip(point.u, variables, strict=True) if math.isfinite(v.prior))
     return Fit(
-        with_variables(crane, variables, point.u), tuple(variables), point.u, cov, point.knots, errors,
-        linear.error if not linear.failed else math.inf, prior, converged, tuple(windows), linear, crane, data,
+        with_variables(task.crane, task.variables, point.u), task.variables, point.u, cov, point.knots, errors,
+        linear.error if not linear.failed else math.inf, prior_cost(task.variables, point.u), converged, task.windows,
+        linear, task.crane, task.data,
     )  # fmt: skip
 
 

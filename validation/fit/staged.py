@@ -66,7 +66,9 @@ STAGES = (LOOSE, TIGHT, STIFF)
 WHOLE = Stage(LONG, 1.0, 6, FINE)
 #: a crane as it is, its start alone looked for: what comes later than these seconds says nothing more of where it began
 _BEGINNING = 4.0
-START = (Stage(SHORT, 1.0, 3, reach=_BEGINNING), Stage(SHORT, 100.0, 4, FINE, _BEGINNING), WHOLE)
+START = (
+    Stage(SHORT, 1.0, 3, reach=_BEGINNING), Stage(SHORT, 100.0, 4, FINE, _BEGINNING), replace(WHOLE, iterations=3),
+)  # fmt: skip
 
 
 def staged(
@@ -80,15 +82,31 @@ def staged(
     """Return the fit after all stages, from variable values u and the knots of an earlier fit (or knots for the first
     stage).
     """
-    result: Fit | None = before if isinstance(before, Fit) else None
+    return each_stage(crane, data, variables, u, before, stages)[-1]
+
+
+def each_stage(
+    crane: Crane,
+    data: Data,
+    variables: Sequence[Variable],
+    u: np.ndarray,
+    before: Fit | np.ndarray,
+    stages: Sequence[Stage],
+) -> list[Fit]:
+    """Return the fit after each stage."""
+    found = list[Fit]()
     for stage in stages:
         data = data.stepped(stage.step)
-        windows = stage.windows(data)
-        knots = before if not isinstance(before, Fit) and result is None else reknot(result, windows)  # type: ignore[arg-type]
-        result = fit(crane, data, windows, knots, variables, u, stiffness=stage.stiffness, iterations=stage.iterations)  # type: ignore[arg-type]
-        u = result.u
-    assert result is not None
-    return result
+        windows, last = stage.windows(data), found[-1] if found else before
+        knots = reknot(last, windows) if isinstance(last, Fit) else last
+        found.append(fit(
+            crane, data, windows, knots, variables, found[-1].u if found else u, stiffness=stage.stiffness,
+            iterations=stage.iterations, before=found[-1] if found else None, keep=True,
+        ))  # fmt: skip
+        for earlier in found[:-1]:
+            earlier.linear.swept = ()
+    found[-1].linear.swept = ()
+    return found
 
 
 def first_knots(crane: Crane, data: Data, seconds: float = SHORT) -> np.ndarray:

@@ -24,7 +24,7 @@ from crane_exudyn.recording import Recording
 from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import FINE, WHOLE, Stage, residuals, rms, run_fitted, staged, timing_of
+from ..fit.staged import FINE, WHOLE, Stage, each_stage, residuals, rms, run_fitted, staged, timing_of
 from ..fit.variables import (
     CurveDirection,
     EffectParameter,
@@ -234,9 +234,7 @@ def fitted(crane: Crane, data: Data, model: Model, before: Fit, stages: Sequence
     own = model.own(crane.layout)
     known = values_of(before)
     u = [known.get(v.name, begin(v, before, {} if own else known)) for v in (*model.variables, *own)]
-    fits = [staged(crane, data, [*model.variables, *own], np.array(u), before, stages[:1])]
-    for stage in stages[1:]:
-        fits.append(staged(crane, data, fits[-1].variables, fits[-1].u, fits[-1], (stage,)))
+    fits = each_stage(crane, data, [*model.variables, *own], np.array(u), before, stages)
     return Fitted(model, fits[-1], log_evidence(fits[-1]), fits[0])
 
 

@@ -44,7 +44,7 @@ from .model import (
     with_effects,
 )
 from .moves import scaled, starts
-from .screen import best_starts, likely, screened
+from .screen import Score, best_starts, likely, screened
 
 Progress = Callable[[str, float], None]
 #: effects that are looked for where much is left; `many` looks for more
@@ -266,10 +266,10 @@ def _round(path: Path, most: int) -> Round | None:
     problem, parents = path.problem, _beam(path, most)
     near = _is_near(parents)
     moves = [m for parent in parents for m in _additions(path, parent, near)]
-    if not moves:
-        return None
     # near the end the cost is quadratic at once: no walk from loose to stiff
-    tried = best_of_each(problem.run(moves, (STIFF,)) if near else _raced(path, moves))
+    tried = best_of_each(problem.run(moves, (STIFF,)) if near else _raced(path, parents, moves))
+    if not tried:
+        return None
     done = tried if near else problem.run([Move(w.model, w.fit) for w in _leading(parents, tried)], (TIGHT, STIFF))
     done = _relocated(path, done) if not path.rounds else done
     done = _further(path, done)
@@ -324,32 +324,49 @@ def _is_near(parents: Sequence[Fitted]) -> bool:
 
 
 def _additions(path: Path, parent: Fitted, near: bool) -> list[Move]:
-    """Return the likeliest effects beside a model, as the screen sees them from where it stands, and from the machine
-    as given; beside one that is `near` those that must show.
+    """Return the likeliest effects beside a model, as the screen sees them from where it stands; beside one that is
+    `near` those that must show.
     """
-    problem = path.problem
     fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
     most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
     least = CRITERIA.proof if near or parent.good else CRITERIA.promise
     scores = screened(fit, stiffness)
-    found = [(s, fit) for s in likely(best_starts(scores) if near else scores, most, least)]
-    if not (near or parent.plausible) if parent.keys else path.beyond_uncertainty:
-        effects = {k: parameters_of(fit.crane, k) for k in parent.keys}
-        held = problem.with_effects(effects) if effects else problem.nominal
-        held = problem.unmoved(held, Model(problem.shared, effects))
-        keys = {s.start.key for s, _ in found}
-        more = likely(screened(held, LOOSE.stiffness), CRITERIA.as_given + len(keys), CRITERIA.promise)
-        found += [(s, held) for s in more if s.start.key not in keys][: CRITERIA.as_given]
     own = {k: parameters_of(fit.crane, k) for k in parent.keys}
-    return [
-        Move(Model(problem.shared, own | {s.start.key: scaled(s.start, s.amplitude)}), before, s.gain)
-        for s, before in found
-    ]
+    return _moves(path.problem, own, likely(best_starts(scores) if near else scores, most, least), fit)
 
 
-def _raced(path: Path, moves: Sequence[Move]) -> list[Fitted]:
+def _as_given(path: Path, parent: Fitted, moves: Sequence[Move]) -> list[Move]:
+    """Return the likeliest effects that the machine as given shows beside those of a model, and no move adds yet: where
+    parameters may do an effect's work.
+    """
+    if parent.plausible if parent.keys else not path.beyond_uncertainty:
+        return []
+    problem, own = path.problem, {k: parameters_of(parent.loose.crane, k) for k in parent.keys}
+    held = problem.with_effects(own) if own else problem.nominal
+    held = problem.unmoved(held, Model(problem.shared, own))
+    known = {frozenset(m.model.keys) for m in moves}
+    more = likely(screened(held, LOOSE.stiffness), CRITERIA.as_given + len(moves), CRITERIA.promise)
+    new = [s for s in more if frozenset((*parent.keys, s.start.key)) not in known]
+    return _moves(problem, own, new[: CRITERIA.as_given], held)
+
+
+def _moves(
+    problem: Problem, own: Mapping[str, Mapping[str, float]], scores: Sequence[Score], before: Fit
+) -> list[Move]:
+    """Return the models that add what was screened to the effects of a model, each once: a start of another size may
+    have come to the same.
+    """
+    found = dict[tuple[object, ...], Move]()
+    for s in scores:
+        values = scaled(s.start, s.amplitude)
+        alike = (s.start.key, *(f"{x:.2g}" for x in values.values()))
+        found.setdefault(alike, Move(Model(problem.shared, {**own, s.start.key: values}), before, s.gain))
+    return list(found.values())
+
+
+def _raced(path: Path, parents: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
     """Return the moves fitted loosely, those first that promise most; once one leaves hardly more than noise and has no
-    help from parameters, the others only where they promise about as much.
+    help from parameters, the others only where they promise about as much, else also what the machine as given shows.
     """
     moves = sorted(moves, key=lambda m: -m.promise)
     done = path.problem.run(moves[: CRITERIA.first], (LOOSE,))
@@ -357,6 +374,8 @@ def _raced(path: Path, moves: Sequence[Move]) -> list[Fitted]:
     if done and done[0].good and done[0].move_cost < CRITERIA.helped:
         most = moves[0].promise
         rest = [m for m in rest if m.promise > most - max(CRITERIA.apart, CRITERIA.left * most)]
+    else:
+        rest += [m for parent in parents for m in _as_given(path, parent, moves)]
     return [*done, *path.problem.run(rest, (LOOSE,))]
 
 
