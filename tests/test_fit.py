@@ -219,6 +219,17 @@ def test_derivatives_of_another_point_give_its_cost_and_lead_to_the_same_minimum
     assert not fits[0].linear.swept, "derivatives of windows are large, and kept only where that is asked for"
 
 
+def test_inputs_in_another_order_in_memory_are_not_compiled_anew():
+    crane = Crane.load("patu655")
+    data = FitData.of(recorded(crane, seconds=0.6), crane)
+    model = model_of(crane, data)
+    x0 = np.repeat(first_knots(crane, data, 1.0), 2, axis=1)[0, ::2]
+    usual = model.run(np.ascontiguousarray(x0), model.W, data.time, data.step)[0]
+    compiled = len(kernel.simulate.signatures)
+    assert model.run(x0, np.asfortranarray(model.W), data.time, data.step)[0] == pytest.approx(usual, nan_ok=True)
+    assert len(kernel.simulate.signatures) == compiled
+
+
 def test_a_window_swept_in_pieces_is_the_window_swept_at_once():
     crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.4})
     crane = crane.with_effect("payload_swing", {"length": 0.8, "damping": 3.0})

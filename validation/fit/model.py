@@ -50,6 +50,7 @@ class Model:
         """Return states (n, nx) from x0 at times (n,) with inputs W (n, …), a status, and the sample before the step
         that failed, as accurate as fits need; a machine that runs away fails.
         """
+        x0, W, time = (np.ascontiguousarray(a) for a in (x0, W, time))  # another order in memory is compiled anew
         X, status, last, _ = kernel.simulate(
             x0, W, time, step, self.P, self.E, self.topology, ACCURACY, kernel.MOST_PARTS
         )
