@@ -235,7 +235,8 @@ class SemiRecursiveEngine:
         x, t, w = (np.ascontiguousarray(a, dtype=float) for a in (x0, time, inputs))
         self._check_run(x, t, w)
         h = self.step if step is None else float(step)
-        X, status, k, halved = kernel.simulate(x, w, t, h, self._P, self._E, self._topology, self.accuracy)
+        machine = self._P, self._E, self._topology
+        X, status, k, halved = kernel.simulate(x, w, t, h, *machine, self.accuracy, math.inf)
         self.halved += halved
         self._refuse_stroke_end(X[: k + 1] if status != kernel.OK else X, t)
         if status != kernel.OK:

@@ -521,7 +521,8 @@ def simulate(x0, W, time, step, P, E, topology, allowed=1.0, most=math.inf):
         for i in range(n):
             between(W[k], W[k + 1], i / n, wa)
             between(W[k], W[k + 1], (i + 1) / n, wb)
-            status = advance(now, wa, wb, time[k] + i * h, h, P, E, work, False)
+            last = k + 2 == n_times and i == n - 1
+            status = advance(now, wa, wb, time[k] + i * h, h, P, E, work, last)
             steps += 1
             if status == OK and exhausted(steps, most, work):
                 status = TOO_COARSE
