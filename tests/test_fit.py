@@ -4,6 +4,7 @@ data.
 
 import math
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -215,6 +216,10 @@ def test_derivatives_of_another_point_give_its_cost_and_lead_to_the_same_minimum
     assert kept is not None and kept.cost == pytest.approx(here.cost, rel=1e-6)
     assert kept.gu == pytest.approx(here.gu, rel=0.1), "nearly the gradient, for a step that lowers the cost"
     fits = [fit(crane, data, windows, knots, variables, np.array([begin])) for begin in (0.0, 1.0)]
+    with patch.object(linear, "_KEPT", 0):
+        fits.append(fit(crane, data, windows, knots, variables, np.array([0.0])))
+    assert fits[2].u == pytest.approx(fits[0].u, abs=0.1 * fits[0].std(variables[0].name)), "where they are too large"
+    assert fits[2].cov == pytest.approx(fits[0].cov, rel=0.1)
     assert fits[0].u == pytest.approx(fits[1].u, abs=0.1 * fits[0].std(variables[0].name))
     assert not fits[0].linear.swept, "derivatives of windows are large, and kept only where that is asked for"
 

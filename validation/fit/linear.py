@@ -41,7 +41,7 @@ T = TypeVar("T")
 V = TypeVar("V")
 #: most grid points that are swept at once: the sensitivities of a piece of a window take some 50 MB
 _LARGE = 30_000
-#: most numbers of derivatives that are kept for other points, 200 MB
+#: most numbers that are kept of swept windows, 200 MB
 _KEPT = 25_000_000
 #: longest step of the runs that derivatives are taken of, s. What is left is told by a run in the data's own steps, so
 #: that the minimum is theirs; derivatives but for some hundredths lead to it as well
@@ -79,8 +79,9 @@ class Linear:
     Hxx (K, nx, nx), Hxo (K-1, nx, nx) between knot k and k+1, Hxu (K, nx, m), Huu (m, m); gx, gu are the gradients.
     squares, counts: sum of squared residuals in noise units and number of samples, by channel. window_error (K,): RMS
     residual of each window; window_cost (K,), jump_cost (K-1,): what they add to the cost, see `robust`. weak (nx,):
-    weights of a weak prior that holds the first state near its guess. swept: the windows that were summed up. volume:
-    what lagging sensors' unknown first values add to minus twice the log evidence, see `forgotten`.
+    weights of a weak prior that holds the first state near its guess. swept: the windows that were summed up, where
+    they are not too large to be kept. volume: what lagging sensors' unknown first values add to minus twice the log
+    evidence, see `forgotten`.
     """
 
     Hxx: np.ndarray
@@ -99,11 +100,6 @@ class Linear:
     swept: tuple[Swept, ...] = ()
     volume: float = 0.0
     failed: bool = False
-
-    @property
-    def sloped(self) -> bool:
-        """Whether its windows' derivatives are kept, so that they serve at other points as well."""
-        return bool(self.swept) and all(s.J is not None for s in self.swept)
 
     @property
     def error(self) -> float:
@@ -227,7 +223,9 @@ def linearised(
             columns = join(columns, probes(base, part, i))
         states = base.nx if probes is None else max(base.nx, knots.shape[1])
         knots = with_states(knots, states)
-        found.append(normal_equations([windows[k] for k in mine], knots[mine], base, columns, stiffness))
+        found.append(
+            normal_equations([windows[k] for k in mine], knots[mine], base, columns, stiffness, keep=probes is None)
+        )
     return joined(found), knots
 
 
@@ -244,25 +242,29 @@ def near(
     """Return the fit near a point at which it was linearised, with the derivatives that it had there: runs alone take a
     fraction of the time. None where the number of states is another one.
 
-    Where derivatives were not kept, its cost is right and its gradient is not.
+    Where windows were not kept, only its cost is told.
     """
-    found, swept = [], iter(before.swept)
+    found, swept = [], iter(before.swept or [None] * len(windows))
     for i, part in enumerate(data.parts):
         base = model_at(crane, variables, u, part, recording=i)
         if base.nx != knots.shape[1] or base.nx != len(before.jump):
             return None
         mine = [k for k, w in enumerate(windows) if w.recording == i]
         own = [(windows[k], next(swept)) for k in mine]
-        parts = _each(partial(_run_again, base=base), own, knots[mine])
-        found.append(_summed([windows[k] for k in mine], knots[mine], parts, base, len(u), stiffness))
+        parts = _each(partial(_run_again, base=base, m=len(u)), own, knots[mine])
+        here = [w for w, _ in own]
+        found.append(_summed(here, knots[mine], parts, base, len(u), stiffness))
     return joined(found)
 
 
-def _run_again(window_and_kept: tuple[Window, Swept], x0: np.ndarray, base: Model) -> Swept:
-    """Return what a run of a window leaves, with the derivatives of an earlier sweep."""
+def _run_again(window_and_kept: tuple[Window, Swept | None], x0: np.ndarray, base: Model, m: int) -> Swept:
+    """Return what a run of a window leaves, with the derivatives of an earlier sweep; zeros where it was not kept."""
     window, kept = window_and_kept
-    data, (X, status) = window.data, _ran(window, x0, base)
-    failed = status != 0 or not np.isfinite(X[-1]).all()
+    data, (X, status), nx = window.data, _ran(window, x0, base), len(x0)
+    n, counts = nx + m, [len(s.values) for s in data.samples]
+    none = Swept([math.nan] * len(counts), counts, np.zeros((n, n)), np.zeros(n), X[-1], np.zeros((nx, n)), 0.0, True)
+    if status != 0 or not np.isfinite(X[-1]).all():
+        return none
     measurement = base.measurement(data.channels)
     Z, lags, residuals = measurement.shown(X, data.time), dict(measurement.lags), []
     for j, sample in enumerate(data.samples):
@@ -271,8 +273,11 @@ def _run_again(window_and_kept: tuple[Window, Swept], x0: np.ndarray, base: Mode
             r = _without_memory(r[:, None], sample, data.step, lags[j], base)[0][:, 0]
         residuals.append(r)
     squares = [float(r @ r) for r in residuals]
-    Jr = kept.Jr if kept.J is None else kept.J.T @ np.concatenate(residuals)
-    return replace(kept, squares=squares, Jr=Jr, end=X[-1], failed=failed or not math.isfinite(sum(squares)))
+    if not math.isfinite(sum(squares)):
+        return none
+    if kept is None or kept.J is None:
+        return replace(none, squares=squares, failed=False)
+    return replace(kept, squares=squares, Jr=kept.J.T @ np.concatenate(residuals), end=X[-1])
 
 
 def _ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
@@ -309,7 +314,8 @@ def joined(parts: Sequence[Linear]) -> Linear:
         Hxo=np.concatenate(apart), jump_cost=np.concatenate(jumps), Huu=np.sum([p.Huu for p in parts], axis=0),
         gu=np.sum([p.gu for p in parts], axis=0),
         squares=dict(squares), counts=dict(counts), jump=parts[0].jump, weak=parts[0].weak,
-        swept=tuple(s for p in parts for s in p.swept), volume=sum(p.volume for p in parts),
+        swept=tuple(s for p in parts for s in p.swept) if all(p.swept for p in parts) else (),
+        volume=sum(p.volume for p in parts),
         failed=any(p.failed for p in parts), **together,
     )  # fmt: skip
 
@@ -584,7 +590,7 @@ def _add_own(
 
 
 def normal_equations(
-    windows: Sequence[Window], knots: np.ndarray, base: Model, columns: Columns, stiffness: float
+    windows: Sequence[Window], knots: np.ndarray, base: Model, columns: Columns, stiffness: float, *, keep: bool = False
 ) -> Linear:
     """Return the linearised fit.
 
@@ -593,19 +599,19 @@ def normal_equations(
         knots: first states (K, nx) in SI.
         base, columns: the model and its perturbed kin.
         stiffness: how many times smaller than `jump_of` says a jump between two windows is expected to be.
+        keep: whether the swept windows are kept, unless they are too large.
     """
-    channels = windows[0].data.channels
-    samples = sum(len(s.values) for w in windows for s in w.data.samples)
-    kept = samples * (knots.shape[1] + len(columns.size)) <= _KEPT
-    sweep = partial(_swept, base=base, columns=columns, channels=channels, kept=kept)
+    channels, n = windows[0].data.channels, knots.shape[1] + len(columns.size)
+    keep = keep and n * (sum(w.data.count for w in windows) + n * len(windows)) <= _KEPT
+    sweep = partial(_swept, base=base, columns=columns, channels=channels, keep=keep)
     return _summed(windows, knots, _each(sweep, windows, knots), base, len(columns.size), stiffness)
 
 
 def _swept(
-    window: Window, x0: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...], kept: bool
+    window: Window, x0: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...], keep: bool
 ) -> Swept:
     found = sweep_window(window, x0, base, columns, channels)
-    return found if kept else replace(found, J=None)
+    return found if keep else replace(found, J=None)
 
 
 def _summed(
@@ -624,12 +630,13 @@ def _summed(
         linear.failed |= part.failed
         if linear.failed:
             return linear
-        swept.append(part)
+        if part.J is not None:
+            swept.append(part)
         linear.volume += part.volume
         _add_data(linear, k, part, windows[0].data.channels, scale)
         if k + 1 < K and follows(windows[k], windows[k + 1]):
             _add_jump(linear, k, part, knots[k + 1], scale, stiffness)
-    linear.swept = tuple(swept)
+    linear.swept = tuple(swept) if len(swept) == K else ()
     return linear
 
 

@@ -195,7 +195,7 @@ def fit(
     """
     task = _Task(crane, data, tuple(windows), tuple(variables), stiffness, tolerance)
     u = np.clip(np.zeros(len(variables)) if u is None else np.asarray(u, dtype=float), task.lower, task.upper)
-    serves = before is not None and before.linear.sloped and alike(before.windows, windows)
+    serves = before is not None and bool(before.linear.swept) and alike(before.windows, windows)
     point = task.at(u, knots, knots, before.linear if before is not None and serves else None)
     converged = False
     for left in reversed(range(iterations + 1)):
@@ -286,13 +286,13 @@ class _Task:
         """Return the fall of the cost below which a fit is at its end."""
         return max(self.tolerance, 1e-4 * point.linear.cost)
 
-    def step(self, point: _Point, damping: float = 0.0) -> _Step | None:
+    def step(self, point: _Point) -> _Step | None:
         """Return the step from a point; None where there is none: the model runs away (a negative payload, say)."""
         reduced = _reduced(point)
         if reduced is None:
             return None
         H, g = with_prior(reduced, self.variables, point.u)
-        du = bounded_step(H, g, point.u, self.lower, self.upper, damping) if len(point.u) else np.zeros(0)
+        du = bounded_step(H, g, point.u, self.lower, self.upper, 0.0) if len(point.u) else np.zeros(0)
         return _Step(reduced, H, g, du, reduced.knots_gain - float(g @ du + 0.5 * du @ H @ du))
 
     def taken(self, point: _Point, step: _Step, share: float = 1.0) -> _Point:
@@ -309,7 +309,7 @@ class _Task:
         for _ in range(_TRIES):
             moved = self.taken(point, step, 1.0 / (1.0 + damping))
             if moved.cost < point.cost:
-                return moved
+                return moved if moved.linear.swept else self.at(moved.u, moved.knots, moved.guess)
             damping = 4.0 * damping if damping else 0.3
             du = bounded_step(step.H, step.g, point.u, self.lower, self.upper, damping)
             step = replace(step, du=du)
@@ -321,7 +321,7 @@ class _Task:
         not.
         """
         for steps in count(1):
-            step = self.step(point) if point.linear.sloped else None
+            step = self.step(point) if point.linear.swept else None
             if step is None or step.promise > _SERVES * gain:
                 break
             moved = self.taken(point, step)
