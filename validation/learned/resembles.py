@@ -106,9 +106,9 @@ FORMS = (
     ),
     Form(
         "power",
-        lambda x, p: p[0] * np.sign(x) * np.abs(x) ** p[1],
+        lambda x, p: p[0] * np.sign(x) * np.abs(x) ** abs(p[1]),
         lambda x, y: [[_greatest(y) / float(np.abs(x).max()) ** n, n] for n in (0.5, 1.5, 2.0)],
-        lambda p, s, u, v: f"{p[0]:.3g} {u} times the power {p[1]:.3g}{_of(v)}",
+        lambda p, s, u, v: f"{p[0]:.3g} {u} times the power {abs(p[1]):.3g}{_of(v)}",
     ),
     Form(
         "dead zone",
@@ -192,7 +192,7 @@ def _whitener(cov: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _told(form: Form, p: np.ndarray, words: str, over: Argument) -> str:
     if over.name == "spool" and form.name == "power":
         factor = "" if abs(p[0] - 1.0) < 0.05 else f"{p[0]:.3g} "
-        return f"opening = {factor}U^{p[1]:.3g}"
+        return f"opening = {factor}U^{abs(p[1]):.3g}"
     if form.name == "bump":
         return f"{words} of the {over.name.replace('_', ' ')}"
     name = "exponential" if form.name == "Stribeck" and over.name not in ("speed", "rate") else form.name
