@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -17,15 +17,15 @@ from .compiled import njit
 from .crane import Crane
 from .effects import hooks
 from .effects.base import SENSORS
-from .effects.registry import known, neutral_vector, starts
+from .effects.registry import neutral_vector, slots_of
 from .faulty_laws import check_law
 from .geometry import cylinder_length
 from .hydraulics import vapour_pressure
-from .layout import MOST
 from .machine import Machine
 from .sensors import sensor
 
-_HOOKS = {"measurement", "lag"}
+#: hooks of what a sensor makes of its reading
+SENSING = frozenset({"measurement", "lag"})
 #: step of the difference quotient of a law: shares of a usual sensor's noise and of the reading
 _OF_NOISE, _OF_READING = 1e-3, 1e-6
 
@@ -61,7 +61,7 @@ class Measurement:
     def use(self, P: np.ndarray, E: np.ndarray) -> None:
         self.P, self.E = P, E
         self._floor = np.where(self._is_pressure, vapour_pressure(P), -np.inf)
-        slots = sensing_slots()
+        slots = slots_of(SENSING)
         self.has_laws = bool((E[slots] != np.array(neutral_vector())[slots]).any())
         self._is_plain = not self.has_laws and not (self._cylinder >= 0).any()
         taus = [float(hooks.lag(E, place)) for place in self._place]
@@ -85,7 +85,7 @@ class Measurement:
             other, _ = self._read_on(ends, P[moved], np.tile(self.E, (len(differ), 1)))
             differ |= (other != self.read(ends)[:, :, None])[:, lengths].any(axis=(0, 1))
         moved[moved] = differ
-        slots = sensing_slots()
+        slots = slots_of(SENSING)
         return np.asarray(moved | (E[:, slots] != self.E[slots]).any(axis=1))
 
     def read(self, X: np.ndarray) -> np.ndarray:
@@ -155,18 +155,6 @@ class Measurement:
 
 def _is_number(place: int, true: float, crane: Crane) -> bool:
     return bool(np.isfinite(hooks.measurement(crane.effect_vector(), place, true)))
-
-
-@cache
-def sensing_slots(*, only: bool = False) -> np.ndarray:
-    """Return where the parameters stand in E that may change what sensors show; `only`: that change nothing else."""
-    found = [
-        starts()[effect.name] + i
-        for effect in known()
-        if (set(effect.hooks()) <= _HOOKS if only else set(effect.hooks()) & _HOOKS)
-        for i in range(len(effect.parameters) * MOST[effect.places])
-    ]
-    return np.array(found, np.int64)
 
 
 def lagged(
