@@ -13,7 +13,7 @@ from .description import Description, Initial, Uncertainty, Voltage, check, comp
 from .effects import registry
 from .effects.base import Acting
 from .effects.curve import KNOTS, Curve
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, refuse_unknown
 from .frozen import frozen
 from .layout import Layout
 from .machine import PRISMATIC, Machine
@@ -33,9 +33,7 @@ def from_document(kind: type[D], document: Mapping[str, Any], where: str, text: 
     """Return what a parsed TOML document describes, a `Description` or a crane; `where` names the file in errors,
     `text` is the file's.
     """
-    for key in document:
-        if key not in _SECTIONS:
-            raise CraneError(f"{where}: unknown section {key!r}.{nearest(key, list(_SECTIONS))}")
+    refuse_unknown(where, document, _SECTIONS, "section")
     machine = machine_of(document, where)
     values, lay = _values(document, machine, where), machine.layout
     effects = tuple(_effect(table, lay, where) for table in _tables(document, "effect", where))
@@ -122,9 +120,7 @@ def _flatten(name: str, value: Any, machine: Machine, where: str, values: dict[s
 def _read(table: object, units: Mapping[str, str], where: str) -> dict[str, float]:
     if not isinstance(table, Mapping):
         raise CraneError(f"{where} = {str(table)[:60]} should be a table {{ {', '.join(units)} }}.")
-    for key in table:
-        if key not in units:
-            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, list(units))}")
+    refuse_unknown(where, table, units)
     return {key: to_si(value, units[key], f"{where}.{key}") for key, value in table.items()}
 
 
@@ -187,9 +183,7 @@ def _uncertainties(table: Mapping[str, Any], values: Mapping[str, float], where:
 
 def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty:
     entry = entry if isinstance(entry, Mapping) else {"std": entry}
-    for key in entry:
-        if key not in ("std", "lower", "upper"):
-            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, ['std', 'lower', 'upper'])}")
+    refuse_unknown(where, entry, ("std", "lower", "upper"))
     unit = parameters.unit_of(name)
     std = entry.get("std", math.inf)
     if isinstance(std, str) and std.strip().endswith("%"):
@@ -209,12 +203,7 @@ def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty
 def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
     if "name" not in table:
         raise CraneError(f"{where}: an [[effect]] needs a name. `patu effects` lists them.")
-    for key in table:
-        if key not in ("name", "place", "parameters"):
-            raise CraneError(
-                f"{where}: effect {table['name']!r}: unknown key "
-                f"{key!r}.{nearest(key, ['name', 'place', 'parameters'])}"
-            )
+    refuse_unknown(f"{where}: effect {table['name']!r}", table, ("name", "place", "parameters"))
     place = str(table.get("place", ""))
     try:
         effect, _ = registry.split_key(f"{table['name']}@{place}" if place else str(table["name"]), layout)
@@ -235,9 +224,7 @@ def _curve(curve: Curve, table: object, where: str) -> dict[str, float]:
     if not isinstance(table, Mapping) or "over" not in table:
         names = ", ".join(a.name for a in curve.over)
         raise CraneError(f"{where} need a table with over (one of {names}), x = [...] and y = [...].")
-    for key in table:
-        if key not in _CURVE:
-            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, list(_CURVE))}")
+    refuse_unknown(where, table, _CURVE)
     over, against = curve.argument(table["over"], where), table.get("against_motion")
     if not (against is None or isinstance(against, bool)):
         raise CraneError(f"{where}: against_motion = {against!r} should be true or false.")

@@ -12,7 +12,7 @@ import numpy as np
 from . import parameters
 from .effects import registry
 from .effects.base import Acting
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, refuse_unknown
 from .frozen import frozen
 from .layout import Layout
 from .machine import Machine
@@ -142,9 +142,7 @@ def check(where: str, machine: Machine, values: Mapping[str, float], effects: Se
 
 def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> None:
     """Raise CraneError for a missing, unknown or impossible number: field, value, limit and mend."""
-    for name in values:
-        if name not in machine.index:
-            raise CraneError(f"{where}: unknown parameter {name!r}.{nearest(name, list(machine.names))}")
+    refuse_unknown(where, values, machine.index, "parameter")
     missing = [n for n in machine.names if n not in values]
     if missing:
         raise CraneError(

@@ -105,6 +105,7 @@ class Estimator:
         noise: Any = None,
         method: str = "ukf",
         augment: Iterable[Augment | str] = (),
+        *,
         start: Belief | None = None,
         gate: float | None = 6.0,
         max_step: float = 1e-3,

@@ -216,9 +216,7 @@ def traces_figure(lines: Mapping[str, Series], layout: Layout) -> Figure:
         plots.draw_lines(axes, shown["measured"][0], shown, channel=name, layout=layout)
     with plots.style():
         made.axes[-1].set_title("closer", loc="right", fontsize=9)
-        made.axes[-1].set_xlabel("time / s")
-    made.align_ylabels()
-    plots.legend_above(made)
+    plots.over_time(made)
     return made
 
 

@@ -211,18 +211,25 @@ def searched(
     progress: Progress,
 ) -> tuple[Path, list[str]]:
     """Return the path of the search, and notes on the recordings, after they were looked at."""
-    from .fitness import check_all
-
-    recordings = several(recording)
-    notes = check_all(recordings, check, crane)
-    progress("fitting the nominal parameters", 0.05)
-    problem = Problem.of(crane, recordings, per_recording, jobs)
+    problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
     return search(problem, most, progress), notes
 
 
-def several(recording: Recording | Sequence[Recording]) -> tuple[Recording, ...]:
-    """Return one recording, or several, as a tuple."""
-    return (recording,) if isinstance(recording, Recording) else tuple(recording)
+def looked_at(
+    crane: Crane,
+    recording: Recording | Sequence[Recording],
+    check: Recording | None,
+    per_recording: Sequence[str],
+    jobs: int,
+    progress: Progress,
+) -> tuple[Problem, list[str]]:
+    """Return the problem that one recording or several give, with the crane as it is fitted, and notes on them."""
+    from .fitness import check_all
+
+    recordings = (recording,) if isinstance(recording, Recording) else tuple(recording)
+    notes = check_all(recordings, check, crane)
+    progress("fitting the nominal parameters", 0.05)
+    return Problem.of(crane, recordings, per_recording, jobs), notes
 
 
 def diagnosis_of(path: Path, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:

@@ -14,7 +14,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
-from .diagnosis import several
+from .diagnosis import looked_at
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
 from .fit.staged import LOOSE, STIFF, TIGHT, Stage
@@ -123,13 +123,8 @@ def learn(
     Raises:
         CraneError: the recording cannot support it.
     """
-    from .fitness import check_all
-
     began = time.perf_counter()
-    learned = several(recordings)
-    notes = check_all(learned, check, crane)
-    progress("fitting the nominal parameters", 0.05)
-    problem = Problem.of(crane, learned, per_recording, jobs)
+    problem, notes = looked_at(crane, recordings, check, per_recording, jobs, progress)
     nothing = _explained(problem, [((), problem.base)], (TIGHT, STIFF))
     best, rivals = _searched(problem, nothing[0], progress, notes)
     progress("weighing", 0.85)
