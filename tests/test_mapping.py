@@ -68,7 +68,7 @@ def test_a_minus_turns_the_sign(logged: Path) -> None:
     ("text", "parts"),
     [
         ('[z9]\ncolumn = "Boom"', ["[z9]", "no channel 'z9'", '"z4"']),
-        ('[z1]\ncolum = "Boom"', ["[z1]", "no key 'colum'", '"column"']),
+        ('[z1]\ncolum = "Boom"', ["[z1]", "unknown key 'colum'", '"column"']),
         ('z1 = "Boom"', ["expected a table", "[z1]"]),
         ("[z1", ["not a TOML file"]),
         ("[z1]\ncolumn = 3", ["column = 3", "expected a text"]),
