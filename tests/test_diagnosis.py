@@ -217,6 +217,23 @@ def test_what_acts_on_a_pressure_that_was_recorded_is_not_offered():
         assert ("pump_droop" in keys) is offered and "return_back_pressure" in keys
 
 
+def test_places_of_a_stroke_that_pins_moved_far_leave_out_of_range_are_not_tried():
+    """The first fit of a measured lift put the cylinder's pins so that no length of its chamber was left."""
+    recording = Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0)
+    for crane, offered in ((Crane.load("patu655"), True), (far_pins(), False)):
+        found = [s for s in starts(crane, FitData.of(recording, crane)) if s.key == "stuck_seal@lift"]
+        assert bool(found) is offered
+        for start in found:
+            crane.with_effect(start.key, start.values)
+
+
+def far_pins() -> Crane:
+    """Return the crane with a lift cylinder that is a metre too long for where its pins are."""
+    crane = Crane.load("patu655")
+    longer = crane["cylinders.lift.empty_length"] + 1.0
+    return crane.with_parameters({"cylinders.lift.empty_length": longer})
+
+
 # -- the check recording ---------------------------------------------------------------------------------------------
 
 

@@ -96,7 +96,8 @@ def _values(
     size = first.typical * (0.5 if effect.parameters[0].unit == "channel" else 1.0)
     along = next((p for p in effect.parameters if p.along_stroke), None)
     if along is not None:
-        return [{first.name: size, along.name: length + away} for away in _PLACES]
+        places = (length + away for away in _PLACES)  # a fit may have moved the pins far
+        return [{first.name: size, along.name: x} for x in places if along.lower <= x <= along.upper]
     timed = _moment_of(effect)
     if timed is None:
         return [{first.name: size}]
