@@ -23,7 +23,7 @@ from .fit.solve import Fit
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.model import Fitted, misled, together
-from .selection.search import MOST, Path, Problem, Progress, search, silent
+from .selection.search import Path, Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 
 
@@ -185,7 +185,7 @@ def diagnose(
         CraneError: the recording cannot support a diagnosis.
     """
     began = time.perf_counter()
-    path, notes = searched(crane, recording, check, per_recording, MOST, jobs, progress)
+    path, notes = searched(crane, recording, check, per_recording, CRITERIA.most, jobs, progress)
     progress("predicting", 0.9)
     return replace(diagnosis_of(path, check, notes), seconds=time.perf_counter() - began)
 
@@ -294,14 +294,14 @@ def _candidate(w: Fitted, evidence: float, probability: float) -> Candidate:
 
 
 def moved_parameters(problem: Problem, chosen: Fitted) -> dict[str, dict[str, Any]]:
-    """Return the nominal parameters that moved by more than a tenth of their uncertainty: value, std, nominal, unit."""
+    """Return the nominal parameters that moved by a telling share of their uncertainty: value, std, nominal, unit."""
     found: dict[str, dict[str, Any]] = {}
     known = problem.crane.uncertainty
     prior = {n: (k.std if math.isfinite(k.std) else 0.25 * (k.upper - k.lower)) for n, k in known.items()}
     spread = _posterior(chosen, prior)
     for name, nominal in problem.crane.values.items():
         value = chosen.fit.crane.values[name]
-        if name in prior and abs(value - nominal) > 0.1 * prior[name]:
+        if name in prior and abs(value - nominal) > CRITERIA.moved * prior[name]:
             found[name] = {"value": value, "std": spread[name], "nominal": nominal, "unit": unit_of(name)}
     return dict(sorted(found.items(), key=lambda item: -abs(item[1]["value"] - item[1]["nominal"]) / prior[item[0]]))
 
@@ -349,7 +349,7 @@ def _with_errors(d: Diagnosis, path: Path, check: Recording | None) -> Diagnosis
     problem = path.problem
     recordings = problem.recordings
     best = max((c.evidence for c in d.candidates), default=0.0)
-    near = [c for c in d.candidates if c.evidence > best - 3 * CRITERIA.tie or c.effects == d.effects]
+    near = [c for c in d.candidates if c.evidence > best - CRITERIA.shown or c.effects == d.effects]
     fits = [path.given.fit, *(c.fit for c in near if c.fit is not None)]
     each = problem.errors(fits, check)
     learned = [together(recordings, e[: len(recordings)]) for e in each]

@@ -34,9 +34,6 @@ from .selection.search import Path as SearchPath
 from .selection.search import Progress, silent
 from .selection.verdict import verdict_of
 
-#: the two engines' errors may differ by this share before it is said
-AGREEMENT = 0.05
-
 
 @dataclass(frozen=True)
 class Step:
@@ -275,7 +272,7 @@ class Judge:
 
 def _disagreement(error: float, searched: float) -> str:
     """Return what is to be said where the engines do not agree on an error, else nothing."""
-    if abs(error - searched) <= AGREEMENT * max(error, searched):
+    if abs(error - searched) <= CRITERIA.agreement * max(error, searched):
         return ""
     return f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
 
@@ -348,7 +345,7 @@ def _demanded(found: Many, key: str) -> str:
     errors = ", ".join(
         f"{c} {100 * without[c] / found.ranges[c]:.3g} -> {100 * found.after[c] / found.ranges[c]:.3g} %"
         for c in worse
-        if without[c] > 1.05 * found.after[c]
+        if without[c] > CRITERIA.worse * found.after[c]
     )
     values = ", ".join(
         f"{n} = {x:.3g} ± {found.deviations.get(f'{key}:{n}', math.inf):.2g}"

@@ -51,34 +51,28 @@ from ..fit.variables import (
 )
 from ..workers import in_parallel
 from .criteria import CRITERIA
-from .levels import DRIFT, Errors, Levels, falls, levels_of, likelihoods
+from .levels import Errors, Levels, falls, levels_of, likelihoods
 from .model import Fitted, Model, at_bound, begin, best_of_each, parameters_of, values_of, with_effects
 from .moves import scaled, starts
 from .screen import best_starts, screen
 from .search import Problem, Progress, silent
 
-#: windows in s, how many times smaller than usual their jumps are, and the longest simulation step
-WINDOW, JOINED, STEP = 2.0, 100.0, 5e-3
-#: how often the last fit takes up the error levels that it leaves
-SETTLED = 3
-#: of two numbers that a fit finds for variables the correlation from which on they are said not to be separated
-ALIKE = 0.9
 Judged = tuple[Errors, Errors]
 
 
 def loose(iterations: int) -> tuple[Stage, ...]:
     """Return the stage of short windows that follow the machine."""
-    return (Stage(SHORT, 1.0, iterations, STEP),)
+    return (Stage(SHORT, 1.0, iterations, CRITERIA.step),)
 
 
 def joined(iterations: int) -> tuple[Stage, ...]:
     """Return the stage of windows that are all but joined."""
-    return (Stage(WINDOW, JOINED, iterations, STEP),)
+    return (Stage(CRITERIA.window, CRITERIA.joined, iterations, CRITERIA.step),)
 
 
 def run(iterations: int) -> tuple[Stage, ...]:
     """Return the stage of one open-loop run."""
-    return (Stage(LONG, 1.0, iterations, STEP),)
+    return (Stage(LONG, 1.0, iterations, CRITERIA.step),)
 
 
 @dataclass(frozen=True)
@@ -221,7 +215,7 @@ def _begun(problem: Problem) -> tuple[Problem, Standing]:
     channels found.
     """
     crane = problem.crane
-    problem = replace(problem, data=problem.data.stepped(STEP))
+    problem = replace(problem, data=problem.data.stepped(CRITERIA.step))
     learned = _first_part(problem)
     base = all_parameters(crane, learned, loose(5))
     problem = replace(problem, shared=(*informed_directions(base), *stated_effects(crane)))
@@ -282,7 +276,7 @@ def _carried(
 def _neutral(found: Fit, key: str) -> bool:
     """Whether an effect that a fit moves has gone where it does nothing."""
     return not any(isinstance(v, CurveDirection) and v.key == key for v in found.variables) and all(
-        abs(u - v.neutral) < 1e-3
+        abs(u - v.neutral) < CRITERIA.at_end
         for v, u in zip(found.variables, found.u, strict=True)
         if isinstance(v, EffectParameter) and v.key == key and not v.parameter.shape
     )
@@ -356,7 +350,7 @@ def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]
     machine's stands, so that an effect that changes all from there on (air) is seen at all.
     """
     begins = starts(now.fit.crane, _learned(problem, now))
-    looks = (now.fit, JOINED), (_following(problem, now), 1.0)
+    looks = (now.fit, CRITERIA.joined), (_following(problem, now), 1.0)
     best = [best_starts(screen(f, begins, stiffness)) for f, stiffness in looks]
     chosen: dict[str, Mapping[str, float]] = {}
     for score in (s for pair in zip_longest(*best) for s in pair if s is not None):
@@ -385,7 +379,7 @@ def _added(problem: Problem, moves: Sequence[tuple[Standing, str, Mapping[str, f
     """
     sets = [frozenset((*now.keys, key)) for now, key, _ in moves]
     distinct = dict(zip(reversed(sets), reversed(moves), strict=True))
-    ways = ((WINDOW, joined(12)), (SHORT, (*loose(3), *joined(12))))
+    ways = ((CRITERIA.window, joined(12)), (SHORT, (*loose(3), *joined(12))))
     fits = in_parallel(problem.jobs, [(_anew, problem, *m, *way) for m in distinct.values() for way in ways])
     best = dict[frozenset[str], Fit | None]()
     for k, (keys, (now, key, _)) in enumerate(distinct.items()):
@@ -556,8 +550,10 @@ def _whole_run(problem: Problem, last: Sequence[Standing]) -> tuple[Fit, Standin
         data = standing.levels.raised(problem.data)
         found, keys = _extended(problem, standing, data), standing.keys
         effects = {k: parameters_of(found.crane, k) for k in keys}
-        fresh, windows = _typical(problem.crane, effects), tuple(cut(data, WINDOW))
-        machine = [replace(found, windows=windows, knots=first_knots(c, data, WINDOW)) for c in (found.crane, fresh)]
+        fresh, windows = _typical(problem.crane, effects), tuple(cut(data, CRITERIA.window))
+        machine = [
+            replace(found, windows=windows, knots=first_knots(c, data, CRITERIA.window)) for c in (found.crane, fresh)
+        ]
         begins = [(found, found.crane), (machine[0], found.crane), (machine[1], fresh)]
         tasks += [(_settled, problem, keys, data, f, crane) for f, crane in begins]
         models += [standing] * len(begins)
@@ -580,23 +576,23 @@ def _typical(crane: Crane, effects: Mapping[str, Mapping[str, float]]) -> Crane:
 def _settled(problem: Problem, keys: Sequence[str], data: Data, start: Fit, crane: Crane) -> Fit:
     """Return the open-loop fit from a start, fitted again a few times with the error levels that it leaves."""
     found = _open_loop(problem, keys, data, start, crane, 6)
-    for _ in range(SETTLED):
-        data = levels_of(found, problem.data, apart=DRIFT).raised(problem.data)
+    for _ in range(CRITERIA.settled):
+        data = levels_of(found, problem.data, apart=CRITERIA.drifts).raised(problem.data)
         found = staged(problem.crane, data, found.variables, found.u, found, run(12))
     return found
 
 
 def _extended(problem: Problem, standing: Standing, data: Data) -> Fit:
     """Return the current crane in windows over the whole recordings, of which the fit has seen only the first part."""
-    found, windows = standing.fit, cut(data, WINDOW)
-    guess = first_knots(found.crane, data, WINDOW)
+    found, windows = standing.fit, cut(data, CRITERIA.window)
+    guess = first_knots(found.crane, data, CRITERIA.window)
     near = reknot(found, windows)
-    known = np.array([w.data.time[0] <= _end(problem.data.parts[w.recording]) - WINDOW for w in windows])
+    known = np.array([w.data.time[0] <= _end(problem.data.parts[w.recording]) - CRITERIA.window for w in windows])
     if near.shape == guess.shape:
         guess[known] = near[known]
     kept = [i for i, v in enumerate(found.variables) if isinstance(v, Timing) or v.recording is not None]
     variables = [found.variables[i] for i in kept]
-    return fit(found.crane, data, windows, guess, variables, found.u[kept], stiffness=JOINED)
+    return fit(found.crane, data, windows, guess, variables, found.u[kept], stiffness=CRITERIA.joined)
 
 
 def _best_run(problem: Problem, keys: Sequence[str], final: Fit, without: str) -> Fit:
@@ -606,7 +602,9 @@ def _best_run(problem: Problem, keys: Sequence[str], final: Fit, without: str) -
     """
     crane, data = final.crane.without_effect(without), final.data
     straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
-    measured = replace(final, windows=tuple(cut(data, WINDOW)), knots=first_knots(crane, data, WINDOW))
+    measured = replace(
+        final, windows=tuple(cut(data, CRITERIA.window)), knots=first_knots(crane, data, CRITERIA.window)
+    )
     ways = [straight, *(_open_loop(problem, keys, data, start, crane, 4) for start in (final, measured))]
     return max(ways, key=log_evidence)
 
@@ -628,6 +626,6 @@ def _alike(final: Fit, keys: Sequence[str]) -> dict[tuple[str, str], float]:
         if not (isinstance(v, EffectParameter) and v.key in keys):
             continue
         for j, other in enumerate(final.variables):
-            if abs(R[i, j]) > ALIKE and (j > i or not isinstance(other, EffectParameter)) and i != j:
+            if abs(R[i, j]) > CRITERIA.alike and (j > i or not isinstance(other, EffectParameter)) and i != j:
                 found[v.name, other.name] = float(R[i, j])
     return found

@@ -36,11 +36,6 @@ from ..fit.variables import (
 )
 from .criteria import CRITERIA
 
-#: a standard deviation of that many typical sizes means that the data say nothing
-UNDETERMINED = 1e3
-#: a long run is so many times worse than short windows only if its start went astray
-ASTRAY = 1.3
-
 
 @dataclass(frozen=True)
 class Model:
@@ -184,7 +179,7 @@ def at_bound(fit: Fit, key: str) -> list[str]:
     for v, u in zip(fit.variables, fit.u, strict=True):
         if isinstance(v, EffectParameter) and v.key == key and not v.parameter.shape:
             ends = [e for e in (v.lower, v.upper) if math.isfinite(e) and abs(e - v.neutral) > 1e-12]
-            if any(abs(u - e) < 1e-3 * max(1.0, abs(e)) for e in ends):
+            if any(abs(u - e) < CRITERIA.at_end * max(1.0, abs(e)) for e in ends):
                 hit.append(v.parameter.name)
     return hit
 
@@ -215,13 +210,14 @@ def deviation(variable: EffectParameter, u: float, spread: float) -> float:
     """
     if variable.inverse:
         return variable.parameter.typical / u**2 * spread if u > 2.0 * spread else math.inf
-    return variable.scale * spread if spread < UNDETERMINED else math.inf
+    return variable.scale * spread if spread < CRITERIA.undetermined else math.inf
 
 
 def unexplained(fit: Fit) -> np.ndarray:
-    """Return (K,) whether a window's error is above 1.3, or four standard errors where samples are few."""
+    """Return (K,) whether a window's error is above what noise makes, also where samples are few."""
     counts = np.array([sum(len(s.values) for s in w.data.samples) for w in fit.windows])
-    return fit.linear.window_error > np.maximum(CRITERIA.explained, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(counts, 1)))
+    spread = 1.0 / np.sqrt(2.0 * np.maximum(counts, 1))
+    return fit.linear.window_error > np.maximum(CRITERIA.explained, 1.0 + CRITERIA.explained_errors * spread)
 
 
 def values_of(fit: Fit) -> dict[str, float]:
@@ -306,7 +302,7 @@ def run_error(crane: Crane, recording: Recording, knots: Fit | None, own: Sequen
     start is looked for anew as well.
     """
     error = open_loop_error(crane, recording, knots, own)[0]
-    if knots is None or knots.error > CRITERIA.left_level or error < ASTRAY * knots.error:
+    if knots is None or knots.error > CRITERIA.left_level or error < CRITERIA.astray * knots.error:
         return error
     return min(error, open_loop_error(crane, recording)[0])
 

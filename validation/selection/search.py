@@ -47,8 +47,6 @@ from .moves import scaled, starts
 from .screen import Score, best_starts, likely, screened
 
 Progress = Callable[[str, float], None]
-#: effects that are looked for where much is left; `many` looks for more
-MOST = 2
 #: one run over the whole recording, from which windows begin anew: the first state of one may be caught in a false
 #: minimum, where its errors count by their logarithm only
 _RUN = replace(WHOLE, iterations=2)
@@ -220,13 +218,13 @@ class Problem:
         return best_manoeuvre(first, second, noise, self.data.channels)
 
 
-def search(problem: Problem, most: int = MOST, progress: Progress = silent) -> Path:
+def search(problem: Problem, most: int = CRITERIA.most, progress: Progress = silent) -> Path:
     """Return the path to the best model with one effect, or two; with at most so many where hardly more than noise is
     left.
     """
     path = _begun(problem)
     while True:
-        progress("looking for effects", 0.2 + 0.6 * min(len(path.rounds) / MOST, 1.0))
+        progress("looking for effects", 0.2 + 0.6 * min(len(path.rounds) / CRITERIA.most, 1.0))
         found = _round(path, most)
         if found is None:
             return _judged(path)
@@ -313,7 +311,9 @@ def _beam(path: Path, most: int) -> Sequence[Fitted]:
         return []
     if len(path.rounds) == 1 and not (best.good or path.parameters.good):
         return path.rounds[0].tried[: CRITERIA.beam]
-    return [ahead] if len(ahead.keys) < (most if ahead.near else MOST) and ahead.level < CRITERIA.misled else []
+    return (
+        [ahead] if len(ahead.keys) < (most if ahead.near else CRITERIA.most) and ahead.level < CRITERIA.misled else []
+    )
 
 
 def _is_near(parents: Sequence[Fitted]) -> bool:

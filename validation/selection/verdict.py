@@ -16,8 +16,6 @@ from .model import Fitted, at_bound, excess
 from .search import Path, Problem
 
 Kind = Literal["adequate", "parameters", "effect", "tied", "unknown"]
-#: share of what an effect does to the commands that a shift of their clock may leave, and how finely shifts are tried
-_CLOCK, _SHIFTS = 0.1, 20
 #: hooks that act on commands before the spool follows them
 _BEFORE_THE_SPOOL = {"command", "delay", "backlash", "creep"}
 
@@ -98,7 +96,8 @@ def _is_a_shift(problem: Problem, w: Fitted, recording: int, data: FitData) -> b
     for key in w.keys:
         plain = plain.without_effect(key)
     interval = float(np.median(np.diff(data.command_time)))
+    shares = np.linspace(0.0, 1.0, CRITERIA.shifts + 1)
     acting, without = (spool_path(c, data, fit.late) for c in (fit.crane, plain))
-    shifted = [spool_path(plain, data, fit.late + share * interval) for share in np.linspace(0.0, 1.0, _SHIFTS + 1)]
+    shifted = [spool_path(plain, data, fit.late + share * interval) for share in shares]
     left = np.min([np.square(acting - s).sum(axis=0) for s in shifted], axis=0)
-    return bool(np.all(left <= _CLOCK**2 * np.square(acting - without).sum(axis=0)))
+    return bool(np.all(left <= CRITERIA.clock**2 * np.square(acting - without).sum(axis=0)))
