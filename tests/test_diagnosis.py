@@ -14,9 +14,9 @@ from validation.diagnosis import Diagnosis, diagnose, held_to_check, sentence
 from validation.fit.data import FitData
 from validation.fitness import check_check
 from validation.selection.moves import Start, around, starts
-from validation.selection.search import Path as SearchPath
 from validation.selection.search import Round
 from validation.selection.verdict import verdict_of, within_clocks
+from validation.selection.white import WhitePath
 
 DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
@@ -189,7 +189,7 @@ def test_several_weak_effects_are_justified_together_where_none_of_them_is_alone
         level = 1.03 - 0.01 * (n - 1)
         w = model(" ".join(effects[:n]), -6000.0 * level**2, level=level, near=True)
         rounds.append(Round((w,), (w,), {frozenset(effects[:n]): level}))
-        grown = SearchPath(SimpleNamespace(), nothing, nothing, nothing, tuple(rounds))
+        grown = WhitePath(SimpleNamespace(), nothing, tuple(rounds), given=nothing, fewest=nothing)
         assert grown.ahead is w
         assert [len(v.keys) for v in grown.weighed] == {1: [1], 2: [1], 3: [3, 1], 4: [4, 3, 1]}[n]
 

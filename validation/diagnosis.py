@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,11 @@ from .fit.solve import Fit
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.model import Fitted, misled, together
-from .selection.search import Path, Problem, Progress, search, silent
+from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
+from .selection.white import WHITE, WhitePath
+
+ERRORS = ("error_before", "error_after", "check_error_before", "check_error_after")
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Candidate:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON of diagnose."""
-        keys = ("evidence", "probability", "error_before", "error_after", "check_error_before", "check_error_after")
+        keys = ("evidence", "probability", *ERRORS)
         return {"effect": self.name, "parameters": self.parameters} | {k: getattr(self, k) for k in keys}
 
 
@@ -93,20 +96,10 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of diagnose."""
-        result: dict[str, Any] = {
-            "verdict": self.verdict,
-            "parameters": self.parameters,
-            "candidates": [c.to_dict() for c in self.candidates],
-            "effects": list(self.effects),
-            "tied_with": list(self.tied_with),
-            "next_manoeuvre": self.next_manoeuvre,
-            "error_before": self.error_before,
-            "error_after": self.error_after,
-            "check_error_before": self.check_error_before,
-            "check_error_after": self.check_error_after,
-            "notes": list(self.notes),
-            "seconds": self.seconds,
-        }
+        result: dict[str, Any] = {"verdict": self.verdict, "parameters": self.parameters}
+        result |= {"candidates": [c.to_dict() for c in self.candidates], "next_manoeuvre": self.next_manoeuvre}
+        result |= {k: list(getattr(self, k)) for k in ("effects", "tied_with", "notes")}
+        result |= {k: getattr(self, k) for k in (*ERRORS, "seconds")}
         result |= {"where": list(self.where)} if self.verdict == "unknown" else {}
         return result | ({"recordings": list(self.recordings)} if self.recordings else {})
 
@@ -119,11 +112,11 @@ class Diagnosis:
 
         return diagnosis_figure(self)
 
-    def save(self, path: str | FilePath) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the candidates, best first, to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""
         from crane_exudyn.formats import write_table
 
-        keys = ("evidence", "probability", "error_before", "error_after", "check_error_before", "check_error_after")
+        keys = ("evidence", "probability", *ERRORS)
         numbers = {key: np.array([getattr(c, key) for c in self.candidates]) for key in keys}
         write_table(path, {"effect": np.array([c.name for c in self.candidates], dtype=str)} | numbers)
 
@@ -198,7 +191,7 @@ def searched(
     most: int,
     jobs: int,
     progress: Progress,
-) -> tuple[Path, list[str]]:
+) -> tuple[WhitePath, list[str]]:
     """Return the path of the search, and notes on the recordings, after they were looked at."""
     from .fitness import check_all
 
@@ -206,7 +199,7 @@ def searched(
     notes = check_all(recordings, check, crane)
     progress("fitting the nominal parameters", 0.05)
     problem = Problem.of(crane, recordings, per_recording, jobs)
-    return search(problem, most, progress), notes
+    return search(WHITE, problem, most, progress), notes
 
 
 def several(recording: Recording | Sequence[Recording]) -> tuple[Recording, ...]:
@@ -214,7 +207,7 @@ def several(recording: Recording | Sequence[Recording]) -> tuple[Recording, ...]
     return (recording,) if isinstance(recording, Recording) else tuple(recording)
 
 
-def diagnosis_of(path: Path, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:
+def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:
     """Return the diagnosis that a path gives, with the errors that it leaves; the check recording is predicted, and
     chooses nothing.
     """
@@ -270,7 +263,7 @@ def _where(problem: Problem) -> tuple[Mapping[str, Any], ...]:
     return tuple(sorted(found, key=lambda f: -f["score"]))
 
 
-def _candidates(path: Path, verdict: Verdict, lean: Fitted) -> tuple[Candidate, ...]:
+def _candidates(path: WhitePath, verdict: Verdict, lean: Fitted) -> tuple[Candidate, ...]:
     """Return all that was weighed, best first, by the evidence of fits to the same point; what was chosen with its
     fewest moved parameters.
     """
@@ -342,7 +335,7 @@ def left_over(w: Fitted) -> tuple[Mapping[str, Any], ...]:
     return tuple(sorted(found, key=lambda e: -e["score"]))
 
 
-def _with_errors(d: Diagnosis, path: Path, check: Recording | None) -> Diagnosis:
+def _with_errors(d: Diagnosis, path: WhitePath, check: Recording | None) -> Diagnosis:
     """Add open-loop errors on all recordings: of the crane as given, of the candidates that came near, of the
     choice.
     """

@@ -60,13 +60,9 @@ def _forward(H: np.ndarray, g: np.ndarray, m: int, most: int, offered: Sequence[
     chosen: list[int] = []
     while len(chosen) < most:
         fixed = [*range(m), *(m + j for j in chosen)]
-        solved = (
-            np.linalg.lstsq(H[np.ix_(fixed, fixed)], np.column_stack([H[fixed], g[fixed]]), rcond=None)[0]
-            if fixed
-            else None
-        )
-        slope = g - (H[:, fixed] @ solved[:, -1] if solved is not None else 0.0)
-        bend = np.diag(H) - (np.einsum("ij,ji->i", H[:, fixed], solved[:, :-1]) if solved is not None else 0.0)
+        solved = np.linalg.lstsq(H[np.ix_(fixed, fixed)], np.column_stack([H[fixed], g[fixed]]), rcond=None)[0]
+        slope = g - H[:, fixed] @ solved[:, -1]
+        bend = np.diag(H) - np.einsum("ij,ji->i", H[:, fixed], solved[:, :-1])
         gains = {}
         for j, variable in enumerate(offered):
             if j in chosen or not bend[m + j] > 1e-9:

@@ -9,7 +9,7 @@ anything. When only noise is left, the levels are one, and so is the factor.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,13 +33,16 @@ class Levels:
 
     def raised(self, data: Data) -> Data:
         """Return data with sensors' noise with these levels instead."""
-        if isinstance(data, FitData):
-            return self._raised(data)
-        return replace(data, parts=tuple(self._raised(p) for p in data.parts))
+        return each_part(data, self._raised)
 
     def _raised(self, part: FitData) -> FitData:
         samples = (replace(s, noise=s.noise * self.factor * self.of[s.channel]) for s in part.samples)
         return replace(part, samples=tuple(samples))
+
+
+def each_part(data: Data, change: Callable[[FitData], FitData]) -> Data:
+    """Return data with each recording's changed."""
+    return change(data) if isinstance(data, FitData) else replace(data, parts=tuple(map(change, data.parts)))
 
 
 def independent(r: np.ndarray) -> float:

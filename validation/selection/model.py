@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -63,18 +63,26 @@ class Fitted:
     Attributes:
         fit: the last stage of the fit; loose: the first one, from which further effects are looked for where much is
             left.
-        evidence: log marginal likelihood, up to a constant of the recordings and the stage.
     """
 
     model: Model
     fit: Fit
-    evidence: float
     loose: Fit = field(repr=False)
 
     @property
     def keys(self) -> tuple[str, ...]:
         """Its effects."""
         return self.model.keys
+
+    @property
+    def effects(self) -> dict[str, dict[str, float]]:
+        """Its effects with their fitted parameters (SI)."""
+        return effects_of(self.fit.crane, self.keys)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log marginal likelihood, up to a constant of the recordings and the stage."""
+        return log_evidence(self.fit)
 
     @cached_property
     def level(self) -> float:
@@ -160,6 +168,9 @@ class Fitted:
         return found | {n: float(s) for n, s in zip(names, spread, strict=True)}
 
 
+F = TypeVar("F", bound=Fitted)
+
+
 def _moves(fit: Fit) -> np.ndarray:
     pairs = zip(fit.variables, fit.u, strict=True)
     return np.array([u / v.prior for v, u in pairs if math.isfinite(v.prior) and not isinstance(v, EffectVariable)])
@@ -190,6 +201,11 @@ def parameters_of(crane: Crane, key: str) -> dict[str, float]:
     if acting is None:
         raise CraneError(f"{crane.name} has no effect {key!r}.")
     return dict(acting.parameters)
+
+
+def effects_of(crane: Crane, keys: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return effects that a crane has with their parameters (SI)."""
+    return {key: parameters_of(crane, key) for key in keys}
 
 
 def curve_of(fit: Fit, key: str) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -225,16 +241,18 @@ def values_of(fit: Fit) -> dict[str, float]:
     return {v.name: float(x) for v, x in zip(fit.variables, fit.u, strict=True)}
 
 
-def fitted(crane: Crane, data: Data, model: Model, before: Fit, stages: Sequence[Stage]) -> Fitted:
-    """Return a model fitted through the stages, from the knots (and where it has them the values) of an earlier fit."""
+def fitted(crane: Crane, data: Data, model: Model, before: Fit | np.ndarray, stages: Sequence[Stage]) -> Fitted:
+    """Return a model fitted through the stages, from the knots (and where it has them the values) of an earlier fit, or
+    from knots (K, nx) of the first stage's windows.
+    """
     own = model.own(crane.layout)
-    known = values_of(before)
+    known = values_of(before) if isinstance(before, Fit) else {}
     u = [known.get(v.name, begin(v, before, {} if own else known)) for v in (*model.variables, *own)]
     fits = each_stage(crane, data, [*model.variables, *own], np.array(u), before, stages)
-    return Fitted(model, fits[-1], log_evidence(fits[-1]), fits[0])
+    return Fitted(model, fits[-1], fits[0])
 
 
-def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
+def begin(variable: Variable, before: Fit | np.ndarray, known: Mapping[str, float]) -> float:
     """Return where a variable begins that an earlier fit did not have: a joint direction of parameters where that fit
     moved them one by one.
 
@@ -242,7 +260,11 @@ def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
     """
     if isinstance(variable, EffectVariable):
         return variable.begin
-    if not isinstance(variable, NominalDirection) or not set(variable.weights) <= set(known):
+    if (
+        not isinstance(variable, NominalDirection)
+        or isinstance(before, np.ndarray)
+        or not set(variable.weights) <= set(known)
+    ):
         return 0.0
     scale = {
         v.name: v.weights[v.name] for v in before.variables if isinstance(v, NominalDirection) and v.name in v.weights
@@ -250,21 +272,9 @@ def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
     return sum(weight / scale[name] * known[name] for name, weight in variable.weights.items())
 
 
-class Weighed(Protocol):
-    """A model that was fitted: its effects and its log evidence."""
-
-    @property
-    def keys(self) -> tuple[str, ...]: ...
-    @property
-    def evidence(self) -> float: ...
-
-
-W = TypeVar("W", bound=Weighed)
-
-
-def best_of_each(found: Sequence[W]) -> list[W]:
+def best_of_each(found: Sequence[F]) -> list[F]:
     """Return the fits, best first, only the best of those with the same effects."""
-    seen: dict[frozenset[str], W] = {}
+    seen: dict[frozenset[str], F] = {}
     for w in sorted(found, key=lambda w: -w.evidence):
         seen.setdefault(frozenset(w.keys), w)
     return list(seen.values())
