@@ -14,9 +14,9 @@ from validation.diagnosis import Diagnosis, diagnose, held_to_check, sentence
 from validation.fit.data import FitData
 from validation.fitness import check_check
 from validation.selection.moves import Start, around, starts
-from validation.selection.search import Path as SearchPath
 from validation.selection.search import Round
 from validation.selection.verdict import verdict_of, within_clocks
+from validation.selection.white import WhitePath
 
 DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
@@ -189,7 +189,7 @@ def test_several_weak_effects_are_justified_together_where_none_of_them_is_alone
         level = 1.03 - 0.01 * (n - 1)
         w = model(" ".join(effects[:n]), -6000.0 * level**2, level=level, near=True)
         rounds.append(Round((w,), (w,), {frozenset(effects[:n]): level}))
-        grown = SearchPath(SimpleNamespace(), nothing, nothing, nothing, tuple(rounds))
+        grown = WhitePath(SimpleNamespace(), nothing, tuple(rounds), given=nothing, fewest=nothing)
         assert grown.ahead is w
         assert [len(v.keys) for v in grown.weighed] == {1: [1], 2: [1], 3: [3, 1], 4: [4, 3, 1]}[n]
 
@@ -215,6 +215,23 @@ def test_what_acts_on_a_pressure_that_was_recorded_is_not_offered():
     for recording, offered in ((case, True), (Recording("pump", {**case.channels, "pp": pump}), False)):
         keys = {s.key for s in starts(crane, FitData.of(recording, crane))}
         assert ("pump_droop" in keys) is offered and "return_back_pressure" in keys
+
+
+def test_places_of_a_stroke_that_pins_moved_far_leave_out_of_range_are_not_tried():
+    """The first fit of a measured lift put the cylinder's pins so that no length of its chamber was left."""
+    recording = Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0)
+    for crane, offered in ((Crane.load("patu655"), True), (far_pins(), False)):
+        found = [s for s in starts(crane, FitData.of(recording, crane)) if s.key == "stuck_seal@lift"]
+        assert bool(found) is offered
+        for start in found:
+            crane.with_effect(start.key, start.values)
+
+
+def far_pins() -> Crane:
+    """Return the crane with a lift cylinder that is a metre too long for where its pins are."""
+    crane = Crane.load("patu655")
+    longer = crane["cylinders.lift.empty_length"] + 1.0
+    return crane.with_parameters({"cylinders.lift.empty_length": longer})
 
 
 # -- the check recording ---------------------------------------------------------------------------------------------

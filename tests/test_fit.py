@@ -30,7 +30,7 @@ from validation.fit.model import model_of
 from validation.fit.solve import bounded_step, covariance, fit, reduce, reknot
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
-from validation.selection.model import UNDETERMINED
+from validation.selection.criteria import CRITERIA
 from validation.semi_recursive import kernel, sensitivity
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -263,9 +263,9 @@ def test_what_the_data_do_not_determine_has_a_huge_variance():
     a = np.array([1.0, 2.0, 0.0])
     cov = covariance(np.outer(a, a) + np.diag([0.0, 0.0, 4.0]))
     assert math.sqrt(cov[2, 2]) == pytest.approx(0.5)
-    assert min(cov[0, 0], cov[1, 1]) > UNDETERMINED**2
+    assert min(cov[0, 0], cov[1, 1]) > CRITERIA.undetermined**2
     assert a[:2] @ cov[:2, :2] @ a[:2] == pytest.approx(1.0, rel=1e-2)  # their sum is known all the same
-    assert math.sqrt(covariance(np.diag([0.0, 1.0]))[0, 0]) > UNDETERMINED
+    assert math.sqrt(covariance(np.diag([0.0, 1.0]))[0, 0]) > CRITERIA.undetermined
 
 
 def test_windows_that_begin_within_a_run_begin_on_it(nominal):

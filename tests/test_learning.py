@@ -305,7 +305,7 @@ def stubbed(monkeypatch):
 
         for name, stub in (("searched", searched), ("diagnosis_of", diagnosis_of), ("learn_laws", learn_from)):
             monkeypatch.setattr(improvement, name, stub)
-        monkeypatch.setattr(improvement, "search_many", lambda *_: None)
+        monkeypatch.setattr(improvement, "search", lambda *_: SimpleNamespace(proven=None))
         monkeypatch.setattr(improvement, "verdict_of", lambda path: SimpleNamespace(kind=verdict))
         monkeypatch.setattr(improvement.Judge, "step", step)
 

@@ -13,9 +13,10 @@ from crane_exudyn.inputs import SpoolPath
 from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_parameters
 from validation.improvement import explained
 from validation.selection.criteria import CRITERIA
+from validation.selection.drifting import DRIFTING
 from validation.selection.levels import Levels, falls, independent, likelihoods
-from validation.selection.many import Many, Taken, believable, search_many
-from validation.selection.search import Problem
+from validation.selection.search import Problem, search
+from validation.selection.whole_runs import Proven, Taken, believable
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 NOISE = {"z1": 1e-3, "z4": 1e-3, "p1": 3e4, "p2": 2e4, "p3": 2e4, "p4": 2e4}
@@ -80,8 +81,8 @@ def test_priors_hold_an_effect_near_what_the_file_says_or_near_what_is_met_in_pr
     assert free.to_value(free.to_u(0.3)) == pytest.approx(0.3)
 
 
-def many(crane: Crane, recording: Recording, most: int) -> Many | None:
-    return search_many(Problem.of(crane, [recording], (), 1), most)
+def many(crane: Crane, recording: Recording, most: int) -> Proven | None:
+    return search(DRIFTING, Problem.of(crane, [recording], (), 1), most).proven
 
 
 def test_real_sensors_alone_ask_for_no_effect(crane):
@@ -89,7 +90,7 @@ def test_real_sensors_alone_ask_for_no_effect(crane):
 
 
 def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monkeypatch):
-    monkeypatch.setattr("validation.selection.many.CRITERIA", replace(CRITERIA, tried=4))  # half of the time
+    monkeypatch.setattr("validation.selection.drifting.CRITERIA", replace(CRITERIA, tried=4))  # half of the time
     truth = crane.with_effect("pressure_compensation@lift", {"dpc": 7e5}).with_effect(
         "seal_friction@lift", {"dFc": 5000.0, "dFs": 5000.0, "vs": 5e-3}
     )
@@ -113,13 +114,13 @@ def test_what_shows_in_the_last_part_alone_is_learned_from_all_of_the_recording(
     assert {e.key: e.parameters["dm"] for e in found.crane.effects} == {"payload_change": pytest.approx(60.0, rel=0.05)}
 
 
-def grown(crane: Crane, predicted: float) -> Many:
+def grown(crane: Crane, predicted: float) -> Proven:
     """Return a search that took in one effect and leaves that error where the model before leaves 20 times the noise;
     the range is 100.
     """
     with_effect = crane.with_effect("dead_band@lift", {"upper": 0.1})
     errors = {"p1": predicted}
-    return Many(
+    return Proven(
         with_effect, (Taken("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}),), {"p1": 30.0},
         errors,
         {"dead_band@lift": 40.0}, {"dead_band@lift": {"p1": 25.0}}, {"p1": 20.0}, errors,

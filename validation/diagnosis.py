@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,11 @@ from .fit.solve import Fit
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.model import Fitted, misled, together
-from .selection.search import MOST, Path, Problem, Progress, search, silent
+from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
+from .selection.white import WHITE, WhitePath
+
+ERRORS = ("error_before", "error_after", "check_error_before", "check_error_after")
 
 #: so many candidates are drawn
 _DRAWN = 8
@@ -53,7 +56,7 @@ class Candidate:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON of diagnose."""
-        keys = ("evidence", "probability", "error_before", "error_after", "check_error_before", "check_error_after")
+        keys = ("evidence", "probability", *ERRORS)
         return {"effect": self.name, "parameters": self.parameters} | {k: getattr(self, k) for k in keys}
 
 
@@ -96,20 +99,10 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of diagnose."""
-        result: dict[str, Any] = {
-            "verdict": self.verdict,
-            "parameters": self.parameters,
-            "candidates": [c.to_dict() for c in self.candidates],
-            "effects": list(self.effects),
-            "tied_with": list(self.tied_with),
-            "next_manoeuvre": self.next_manoeuvre,
-            "error_before": self.error_before,
-            "error_after": self.error_after,
-            "check_error_before": self.check_error_before,
-            "check_error_after": self.check_error_after,
-            "notes": list(self.notes),
-            "seconds": self.seconds,
-        }
+        result: dict[str, Any] = {"verdict": self.verdict, "parameters": self.parameters}
+        result |= {"candidates": [c.to_dict() for c in self.candidates], "next_manoeuvre": self.next_manoeuvre}
+        result |= {k: list(getattr(self, k)) for k in ("effects", "tied_with", "notes")}
+        result |= {k: getattr(self, k) for k in (*ERRORS, "seconds")}
         result |= {"where": list(self.where)} if self.verdict == "unknown" else {}
         return result | ({"recordings": list(self.recordings)} if self.recordings else {})
 
@@ -130,11 +123,11 @@ class Diagnosis:
         }
         return diagnosis_figure(gains, " + ".join(self.effects) or "parameters", errors)
 
-    def save(self, path: str | FilePath) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the candidates, best first, to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""
         from crane_exudyn.formats import write_table
 
-        keys = ("evidence", "probability", "error_before", "error_after", "check_error_before", "check_error_after")
+        keys = ("evidence", "probability", *ERRORS)
         numbers = {key: np.array([getattr(c, key) for c in self.candidates]) for key in keys}
         write_table(path, {"effect": np.array([c.name for c in self.candidates], dtype=str)} | numbers)
 
@@ -196,7 +189,7 @@ def diagnose(
         CraneError: the recording cannot support a diagnosis.
     """
     began = time.perf_counter()
-    path, notes = searched(crane, recording, check, per_recording, MOST, jobs, progress)
+    path, notes = searched(crane, recording, check, per_recording, CRITERIA.most, jobs, progress)
     progress("predicting", 0.9)
     return replace(diagnosis_of(path, check, notes), seconds=time.perf_counter() - began)
 
@@ -209,10 +202,10 @@ def searched(
     most: int,
     jobs: int,
     progress: Progress,
-) -> tuple[Path, list[str]]:
+) -> tuple[WhitePath, list[str]]:
     """Return the path of the search, and notes on the recordings, after they were looked at."""
     problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
-    return search(problem, most, progress), notes
+    return search(WHITE, problem, most, progress), notes
 
 
 def looked_at(
@@ -232,7 +225,7 @@ def looked_at(
     return Problem.of(crane, recordings, per_recording, jobs), notes
 
 
-def diagnosis_of(path: Path, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:
+def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:
     """Return the diagnosis that a path gives, with the errors that it leaves; the check recording is predicted, and
     chooses nothing.
     """
@@ -288,7 +281,7 @@ def _where(problem: Problem) -> tuple[Mapping[str, Any], ...]:
     return tuple(sorted(found, key=lambda f: -f["score"]))
 
 
-def _candidates(path: Path, verdict: Verdict, lean: Fitted) -> tuple[Candidate, ...]:
+def _candidates(path: WhitePath, verdict: Verdict, lean: Fitted) -> tuple[Candidate, ...]:
     """Return all that was weighed, best first, by the evidence of fits to the same point; what was chosen with its
     fewest moved parameters.
     """
@@ -312,14 +305,14 @@ def _candidate(w: Fitted, evidence: float, probability: float) -> Candidate:
 
 
 def moved_parameters(problem: Problem, chosen: Fitted) -> dict[str, dict[str, Any]]:
-    """Return the nominal parameters that moved by more than a tenth of their uncertainty: value, std, nominal, unit."""
+    """Return the nominal parameters that moved by a telling share of their uncertainty: value, std, nominal, unit."""
     found: dict[str, dict[str, Any]] = {}
     known = problem.crane.uncertainty
     prior = {n: (k.std if math.isfinite(k.std) else 0.25 * (k.upper - k.lower)) for n, k in known.items()}
     spread = _posterior(chosen, prior)
     for name, nominal in problem.crane.values.items():
         value = chosen.fit.crane.values[name]
-        if name in prior and abs(value - nominal) > 0.1 * prior[name]:
+        if name in prior and abs(value - nominal) > CRITERIA.moved * prior[name]:
             found[name] = {"value": value, "std": spread[name], "nominal": nominal, "unit": unit_of(name)}
     return dict(sorted(found.items(), key=lambda item: -abs(item[1]["value"] - item[1]["nominal"]) / prior[item[0]]))
 
@@ -360,14 +353,14 @@ def left_over(w: Fitted) -> tuple[Mapping[str, Any], ...]:
     return tuple(sorted(found, key=lambda e: -e["score"]))
 
 
-def _with_errors(d: Diagnosis, path: Path, check: Recording | None) -> Diagnosis:
+def _with_errors(d: Diagnosis, path: WhitePath, check: Recording | None) -> Diagnosis:
     """Add open-loop errors on all recordings: of the crane as given, of the candidates that came near, of the
     choice.
     """
     problem = path.problem
     recordings = problem.recordings
     best = max((c.evidence for c in d.candidates), default=0.0)
-    near = [c for c in d.candidates if c.evidence > best - 3 * CRITERIA.tie or c.effects == d.effects]
+    near = [c for c in d.candidates if c.evidence > best - CRITERIA.shown or c.effects == d.effects]
     fits = [path.given.fit, *(c.fit for c in near if c.fit is not None)]
     each = problem.errors(fits, check)
     learned = [together(recordings, e[: len(recordings)]) for e in each]

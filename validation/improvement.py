@@ -1,12 +1,12 @@
 """The search to many effects, confirmed on the Exudyn engine; where these leave errors that drift, one after the other
-by what they do to whole runs (`selection.many`).
+by what they do to whole runs (`selection.drifting`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +27,13 @@ from .learning import Learned
 from .learning import learn as learn_laws
 from .learning import sentence as learned_sentence
 from .selection.criteria import CRITERIA
+from .selection.drifting import DRIFTING
 from .selection.levels import Errors
-from .selection.many import Many, search_many
 from .selection.model import open_loop_error, parameters_of, together
-from .selection.search import Path as SearchPath
-from .selection.search import Progress, silent
+from .selection.search import Progress, search, silent
 from .selection.verdict import verdict_of
-
-#: the two engines' errors may differ by this share before it is said
-AGREEMENT = 0.05
+from .selection.white import WhitePath
+from .selection.whole_runs import Proven
 
 
 @dataclass(frozen=True)
@@ -56,17 +54,14 @@ class Step:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON of improve."""
-        return {
-            k: getattr(self, k)
-            for k in ("added", "error", "check_error", "nis_mean", "verdict", "search_error", "text")
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True)
 class Improvement:
     """The steps from the crane as given to the one that explains the recording as far as effects are justified.
 
-    `many`: what was found where no single effect explained the recording, with the evidence for each effect; None
+    `proven`: what was found where no single effect explained the recording, with the evidence for each effect; None
     otherwise. `learned`: what was learned where named effects did not do; None where that was not asked for, or needed.
     """
 
@@ -75,7 +70,7 @@ class Improvement:
     crane: Crane
     verdict: str
     diagnoses: tuple[Diagnosis, ...]
-    many: Many | None = None
+    proven: Proven | None = None
     learned: Learned | None = None
 
     @property
@@ -84,7 +79,7 @@ class Improvement:
         and leave; and what was said of learning.
         """
         about = self.diagnoses[0].notes if self.diagnoses else ()
-        several = () if self.many is None else explained(self.many)
+        several = () if self.proven is None else explained(self.proven)
         laws = () if self.learned is None else (n for n in self.learned.notes if n not in about)
         return (*about, *several, *laws)
 
@@ -151,13 +146,13 @@ def improve(
         progress: called with a text and the share that is done.
     """
 
-    def search(given: Crane) -> tuple[SearchPath, list[str]]:
+    def path_of(given: Crane) -> tuple[WhitePath, list[str]]:
         return searched(given, recording, check, per_recording, most, jobs, progress)
 
-    path, notes = search(crane)
+    path, notes = path_of(crane)
     replaced = learned(crane)
     if replaced:
-        named, _ = search(without_learned(crane))
+        named, _ = path_of(without_learned(crane))
         path, replaced = (named, replaced) if _as_well(named, path) else (path, ())
     d = replace(diagnosis_of(path, check, notes), given=crane)
     judge = Judge(path.problem.recordings, check, path.problem.data.own)
@@ -183,7 +178,7 @@ def improve(
     return result
 
 
-def _as_well(named: SearchPath, lawful: SearchPath) -> bool:
+def _as_well(named: WhitePath, lawful: WhitePath) -> bool:
     """Whether named effects explain recordings as well as the laws that a crane learned: a law must bring the proof
     against them, whatever is found beside it.
     """
@@ -194,18 +189,18 @@ def _as_well(named: SearchPath, lawful: SearchPath) -> bool:
 
 
 def _named(
-    result: Improvement, path: SearchPath, replaced: Sequence[str], judge: Judge, most: int, progress: Progress
+    result: Improvement, path: WhitePath, replaced: Sequence[str], judge: Judge, most: int, progress: Progress
 ) -> Improvement:
     """Return the improvement with the named effects that a path justifies, instead of the laws that they replace."""
     (d,), crane = result.diagnoses, result.crane
-    many, chosen = None, _chosen(d)
+    proven, chosen = None, _chosen(d)
     if d.verdict == "unknown" and not d.misses_check:
-        many = search_many(path.problem, most, progress)
-        many = many if many is not None and many.predicts_better else None
-    if many is not None:
-        name, improved, evidence = " + ".join(many.needed), many.crane, sum(many.needed.values())
+        proven = search(DRIFTING, path.problem, most, progress).proven
+        proven = proven if proven is not None and proven.predicts_better else None
+    if proven is not None:
+        name, improved, evidence = " + ".join(proven.needed), proven.crane, sum(proven.needed.values())
         text = "no effect alone explains the recording, nor do two; these together do"
-        text += "" if many.explains else " what can be done"
+        text += "" if proven.explains else " what can be done"
     elif chosen is not None:
         name, improved, evidence, text = chosen.name, chosen.crane, chosen.evidence, ""
     else:
@@ -220,12 +215,14 @@ def _named(
         entry = entry | {"replaced": list(replaced)}
     best = added(crane, replace(improved, history=crane.history), **entry)
     step = judge.step(name, best, d.verdict)
-    good = step.search_error < CRITERIA.level or (many is None and chosen is not None and chosen.level < CRITERIA.level)
+    good = step.search_error < CRITERIA.level or (
+        proven is None and chosen is not None and chosen.level < CRITERIA.level
+    )
     text = text or ("nothing but noise is left" if good else "more than noise is left")
     if replaced:
         text += f"; it replaces {' and '.join(replaced)}"
     step, left = replace(step, text=text + step.text), "adequate" if good else "unknown"
-    return replace(result, steps=(*result.steps, step), crane=best, verdict=left, many=many)
+    return replace(result, steps=(*result.steps, step), crane=best, verdict=left, proven=proven)
 
 
 def _with_laws(result: Improvement, found: Learned, judge: Judge) -> Improvement:
@@ -276,7 +273,7 @@ class Judge:
 
 def _disagreement(error: float, searched: float) -> str:
     """Return what is to be said where the engines do not agree on an error, else nothing."""
-    if abs(error - searched) <= AGREEMENT * max(error, searched):
+    if abs(error - searched) <= CRITERIA.agreement * max(error, searched):
         return ""
     return f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
 
@@ -301,7 +298,7 @@ def nis_mean(start: Fit, recording: Recording) -> float:
     return filtered(start.crane, data, "semi-recursive").nis_mean
 
 
-def explained(found: Many) -> list[str]:
+def explained(found: Proven) -> list[str]:
     """Return in plain words what the data demand, what they cannot separate, and what is left."""
     texts = [_demanded(found, key) for key in sorted(found.needed, key=lambda k: -found.needed[k])]
     for step in found.taken:
@@ -322,7 +319,7 @@ def explained(found: Many) -> list[str]:
     return texts
 
 
-def _identified(found: Many) -> list[str]:
+def _identified(found: Proven) -> list[str]:
     """Return the sentences on the nominal parameters: the furthest moved with their intervals, and those not to be
     believed.
     """
@@ -342,14 +339,14 @@ def _identified(found: Many) -> list[str]:
     return texts
 
 
-def _demanded(found: Many, key: str) -> str:
+def _demanded(found: Proven, key: str) -> str:
     """Return the sentence on one effect: evidence, the errors that it mends, its values."""
     without = found.without[key]
     worse = sorted(found.after, key=lambda c: (found.after[c] - without[c]) / found.ranges[c])[:3]
     errors = ", ".join(
         f"{c} {100 * without[c] / found.ranges[c]:.3g} -> {100 * found.after[c] / found.ranges[c]:.3g} %"
         for c in worse
-        if without[c] > 1.05 * found.after[c]
+        if without[c] > CRITERIA.worse * found.after[c]
     )
     values = ", ".join(
         f"{n} = {x:.3g} ± {found.deviations.get(f'{key}:{n}', math.inf):.2g}"
@@ -360,6 +357,6 @@ def _demanded(found: Many, key: str) -> str:
     )
 
 
-def percent(found: Many, errors: Errors) -> str:
+def percent(found: Proven, errors: Errors) -> str:
     """Return errors by channel as text, in per cent of the channel's range."""
     return ", ".join(f"{c} {100 * e / found.ranges[c]:.3g}" for c, e in errors.items())

@@ -316,7 +316,7 @@ def _lean(problem: Problem, best: Explained) -> Explained:
     """Return the explanation with the fewest moved parameters, or the one with all where that is better supported."""
     held: list[Variable] = [v for v in problem.shared if not isinstance(v, NominalDirection)]
     bare = explain(problem.crane, problem.data, held, best.fit, best.parts, (STIFF,))
-    tried, let_go = [best, bare], needed(problem.crane, bare.fit)
+    tried, let_go = [best, bare], needed(problem.crane, bare.fit, CRITERIA.freed)
     if let_go:
         tried.append(explain(problem.crane, problem.data, [*held, *let_go], best.fit, best.parts, (STIFF,)))
     return max(tried, key=lambda e: e.evidence)

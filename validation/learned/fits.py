@@ -10,7 +10,6 @@ import numpy as np
 from crane_exudyn.crane import Crane
 
 from ..fit.data import Data
-from ..fit.evidence import log_evidence
 from ..fit.linear import Window, cut
 from ..fit.solve import Fit, fit, reknot
 from ..fit.staged import LOOSE, Stage, staged
@@ -104,7 +103,7 @@ def explain(
         Model(tuple(shared), {part.key: {} for part in parts}),
         staged(crane, data, variables, np.array(u), before, stages),
     )
-    return Explained(tuple(parts), Fitted(model, found, log_evidence(found), found))
+    return Explained(tuple(parts), Fitted(model, found, found))
 
 
 def kept(windows: Sequence[Window], block: float, out: int, number: int) -> np.ndarray:

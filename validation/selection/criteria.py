@@ -13,70 +13,89 @@ class Criteria:
 
     # what is said of a model
     level: float = 1.04  # below it hardly more than noise is left: noise that is estimated is itself wrong by 2 %
-    share: float = (
-        0.03  # of short windows stay unexplained by such a model; noise alone makes fewer than one in a hundred
-    )
-    explained: float = (
-        1.3  # error up to which a window counts as explained; four standard errors where its samples are few
-    )
-    implausible: float = (
-        1e-9  # chance of all moves of parameters together; stated uncertainties are rough, this no roughness makes
-    )
+    share: float = 0.03  # of short windows such a model may leave unexplained; noise makes fewer than one in a hundred
+    explained: float = 1.3  # error up to which a window counts as explained, or
+    explained_errors: float = 4.0  # so many standard errors where its samples are few
+    # chance of all moves of parameters together: stated uncertainties are rough, this no roughness makes
+    implausible: float = 1e-9
     far: float = 2.0  # moves beyond this, and so many of them, are too many for parameters to be the whole explanation
     several: int = 2
-    helped: float = (
-        5.0  # log prior of moved parameters from which on they do an effect's work; right effects rarely cost that
-    )
+    helped: float = 5.0  # log prior of moves from which on they do an effect's work; right effects rarely cost that
     told_apart: float = 3.0  # standard deviations from neutral; below, the model is fitted without the effect as well
+    undetermined: float = 1e3  # standard deviation in typical sizes from which on the data say nothing
+    at_end: float = 1e-3  # typical sizes from an end of its range, or from neutral, within which a parameter is there
+    astray: float = 1.3  # a run is so many times worse than its short windows only if its start went astray
+    clock: float = 0.1  # share of what an effect does to commands that a shift of their clock may leave,
+    shifts: int = 20  # so many of which are tried within a sampling interval
+    moved: float = 0.1  # standard uncertainties from which on a parameter is listed as moved
 
     # what a move must bring
     proof: float = 12.0  # log evidence over the best model with fewer effects: 1 in 150 000 by chance
     tie: float = 6.0  # log evidence within which two models are not told apart: 400 to 1
-    promise: float = (
-        1.0  # fall of the cost that the screen must expect where much is left; where little is left it is `proof`
-    )
-    # share of the excess squared error that a further effect may leave: many make good a little of a law that is nearly
-    # right
+    shown: float = 18.0  # and within which a candidate's open-loop errors are computed: three times that
+    promise: float = 1.0  # fall of the cost that the screen must expect where much is left, `proof` where little is
+    # share of the excess squared error that a further effect may leave: many make good a little of a nearly right law
     left: float = 0.5
     repaired: float = 0.8  # what leaves something explains all the same if it repairs this share of the windows
-    left_level: float = 1.3  # and leaves this level
-    left_of_rest: float = (
-        0.05  # or this share of the excess on blocks left out: a chamber that boils spoils the stretch where it boils
-    )
+    left_level: float = 1.3  # and leaves this level,
+    left_of_rest: float = 0.05  # or this of the excess on blocks left out: where a chamber boils a stretch is spoilt
     misled: float = 2.0  # error on the check recording from which on it was not predicted, and level of lost cases
+    let_go: float = 2.0  # log evidence that a nominal parameter must bring to move in the lean explanation: 7 to 1;
+    freed: int = 10  # so many may at first,
+    freed_again: int = 4  # and once more, where these have found their places
 
     # how far is searched
+    most: int = 2  # effects that are looked for where much is left: for three there are too many combinations
     beam: int = 3  # models that a round goes on from
     # effects that are fitted to the crane without effects, beside each model of a beam, beside one that leaves hardly
     singles: int = 7
     others: int = 5  # more than noise, and, where parameters may do an effect's work, from the machine as given
     nearly: int = 2
     as_given: int = 3
-    finished: int = (
-        2  # fits that are carried to the end, one more if it lacks no more than `near` of the best one's gain
-    )
+    finished: int = 2  # fits carried to the end, one more if it lacks no more than `near` of the best one's gain
     near: float = 0.3
     apart: float = 100.0  # log evidence within which rivals are always fitted, and carried to the end
     first: int = 2  # moves that are fitted before the others, if they promise most
-    hopeless: float = 0.02  # share of the best promise below which a start is not fitted
+    hopeless: float = 0.02  # share of the best promise below which a start is not fitted,
+    sure: int = 3  # but so many are
+    twice: float = 0.5  # and above which an effect is fitted from two starts: its values may have two minima
+    smallest: float = (
+        0.02  # amplitudes of the screen, in sizes that are met in practice: below, an effect is not there,
+    )
+    largest: float = 20.0  # and far beyond, the linear look says nothing
+    moments: float = 0.5  # s between the moments at which an effect with a time of its own is tried,
+    closer: float = 0.035  # and around the best of them: a quarter of the period of a ring of 7 Hz
+    moments_at_most: float = 120.0  # in a long recording, which would take minutes to screen
     further: int = 2  # leading fits that are taken further where they are not at their end
     learned: float = 0.625  # share of each recording that is learned from where a choice is judged on the rest
 
     # where errors drift and levels follow the model
+    window: float = 2.0  # s: a ring dies out, and a metering law shows; in a quarter of a second they do not
+    joined: float = 100.0  # how many times smaller than usual the jumps between them are
+    step: float = 5e-3  # s, longest simulation step: its error is far below what such a model leaves
+    independent: float = 0.25  # s after which errors are taken as independent at the latest, in windows,
+    drifts: float = 1.0  # and in a run over the whole recording
+    settled: int = 3  # how often the last fit takes up the error levels that it leaves: they hardly change after that
     demanded: float = 5.0  # log evidence of independent samples that an effect must bring
     serious: float = 0.5  # share of the best one's from which on others are run over whole recordings
     # log by which open-loop errors must fall, learned and left out together: less is a surrogate's, and two falls that
     gained: float = 0.1  # differ by less are alike
     part: float = 0.25  # or by this share of the log that is left: of four effects that are missing the best takes that
     tolerated: float = 0.1  # log by which those left out may rise
-    mended: float = (
-        1.5  # an effect stays, for all its evidence, if some channel's error is so many times as large without it
-    )
+    mended: float = 1.5  # an effect stays if some channel's error is so many times as large without it
+    worse: float = 1.05  # and from this on that is told
     believed: float = 3.0  # parameters are held within this at last,
     doubted: float = 2.9  # doubted from this on
     told: float = 1.0  # and told from this on
+    alike: float = 0.9  # correlation from which on two variables are said not to be separated
     tried: int = 9  # effects that are fitted in a round
     worth: float = 0.1  # share by which what was not fitted must be predicted better
 
+    # what an improvement says of its steps
+    agreement: float = 0.05  # share by which the two engines' errors may differ before it is said
+
 
 CRITERIA = Criteria()
+#: m from where a cylinder stands at first at which a place of its stroke is tried: within what a seal deforms, and far
+#: beyond
+PLACES = (-0.05, -1e-3, -3e-4, 0.0, 3e-4, 1e-3, 0.05)

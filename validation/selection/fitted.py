@@ -13,14 +13,13 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.vetting import vetted
 
-from ..fit.data import FitData
-from ..fit.staged import LOOSE, STIFF, TIGHT, all_parameters, informed_directions
-from ..fit.variables import stated_effects
+from ..fit.staged import LOOSE, STIFF, TIGHT
 from ..history import added
 from .criteria import CRITERIA
 from .model import Model, at_bound, fitted, open_loop_error
 from .moves import scaled, starts
 from .screen import screen
+from .search import Problem
 
 
 def helped(document: Mapping[str, Any]) -> bool:
@@ -48,18 +47,15 @@ def fitted_effect(
             f"{crane.name} has {key!r} already. Remove it first, or fit everything anew with `patu improve`."
         )
     recording = vetted(recording, crane)
-    data = FitData.of(recording, crane)
-    base = all_parameters(crane, data)
-    shared = (*informed_directions(base), *stated_effects(crane))
-    begins = [
-        scaled(s.start, s.amplitude) for s in screen(base, [s for s in starts(crane, data) if s.key == key], 1.0)[:2]
-    ]
+    problem = Problem.of(crane, [recording], (), jobs=1)
+    offered = [s for s in starts(crane, problem.data) if s.key == key]
+    begins = [scaled(s.start, s.amplitude) for s in screen(problem.base, offered, LOOSE.stiffness)[:2]]
     begins = [dict(values)] if values else begins
-    loose = [fitted(crane, data, Model(shared, {key: b}), base, (LOOSE,)) for b in begins]
+    loose = [fitted(crane, problem.data, Model(problem.shared, {key: b}), problem.base, (LOOSE,)) for b in begins]
     if not loose:
         raise CraneError(f"{recording.name} says nothing about {key!r}: no channel shows it.")
     best = max(loose, key=lambda w: w.evidence)
-    done = fitted(crane, data, best.model, best.fit, (TIGHT, STIFF))
+    done = fitted(crane, problem.data, best.model, best.fit, (TIGHT, STIFF))
     before, _ = open_loop_error(crane, recording)
     after, _ = open_loop_error(done.fit.crane, recording)
     without, _ = open_loop_error(done.fit.crane.without_effect(key), recording)

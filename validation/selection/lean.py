@@ -18,10 +18,8 @@ from ..fit.linear import linearised
 from ..fit.solve import Fit, reduce, with_prior
 from ..fit.staged import STIFF, timings
 from ..fit.variables import Variable, stated_effects, uncertain_parameters
+from .criteria import CRITERIA
 from .model import Fitted, Model, fitted
-
-#: log evidence that a parameter must bring to be let go, and at most so many of them at first, and once more
-_WORTH, _MOST, _MORE = 2.0, 10, 4
 
 
 def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
@@ -30,12 +28,12 @@ def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
     """
     held: list[Variable] = [*timings(data), *stated_effects(crane)]
     tried = [full, _with(crane, data, full, full.fit, held)]
-    for most in (_MOST, _MORE):
+    for again, most in enumerate((CRITERIA.freed, CRITERIA.freed_again)):
         let_go = needed(crane, tried[-1].fit, most)
         if not let_go:
             break
         held = [*held, *let_go]
-        tried.append(_with(crane, data, full, tried[-1].fit if most == _MORE else full.fit, held))
+        tried.append(_with(crane, data, full, tried[-1].fit if again else full.fit, held))
     return max(tried, key=lambda w: w.evidence)
 
 
@@ -43,7 +41,7 @@ def _with(crane: Crane, data: Data, full: Fitted, before: Fit, variables: Sequen
     return fitted(crane, data, Model(tuple(variables), full.model.effects), before, (STIFF,))
 
 
-def needed(crane: Crane, fit: Fit, most: int = _MOST) -> list[Variable]:
+def needed(crane: Crane, fit: Fit, most: int) -> list[Variable]:
     """Return the nominal parameters whose freedom the linearised fit supports, the most telling first."""
     names = {v.name for v in fit.variables}
     every = uncertain_parameters(crane, fit.data.own, len(fit.data.parts))
@@ -62,13 +60,9 @@ def _forward(H: np.ndarray, g: np.ndarray, m: int, most: int, offered: Sequence[
     chosen: list[int] = []
     while len(chosen) < most:
         fixed = [*range(m), *(m + j for j in chosen)]
-        solved = (
-            np.linalg.lstsq(H[np.ix_(fixed, fixed)], np.column_stack([H[fixed], g[fixed]]), rcond=None)[0]
-            if fixed
-            else None
-        )
-        slope = g - (H[:, fixed] @ solved[:, -1] if solved is not None else 0.0)
-        bend = np.diag(H) - (np.einsum("ij,ji->i", H[:, fixed], solved[:, :-1]) if solved is not None else 0.0)
+        solved = np.linalg.lstsq(H[np.ix_(fixed, fixed)], np.column_stack([H[fixed], g[fixed]]), rcond=None)[0]
+        slope = g - H[:, fixed] @ solved[:, -1]
+        bend = np.diag(H) - np.einsum("ij,ji->i", H[:, fixed], solved[:, :-1])
         gains = {}
         for j, variable in enumerate(offered):
             if j in chosen or not bend[m + j] > 1e-9:
@@ -77,7 +71,7 @@ def _forward(H: np.ndarray, g: np.ndarray, m: int, most: int, offered: Sequence[
             total = bend[m + j] + (0.0 if np.isfinite(variable.prior) else prior)
             gains[j] = 0.5 * slope[m + j] ** 2 / total - 0.5 * np.log(max(total / prior, 1.0))
         best = max(gains, key=lambda j: gains[j], default=None)
-        if best is None or gains[best] < _WORTH:
+        if best is None or gains[best] < CRITERIA.let_go:
             break
         chosen.append(best)
     return chosen

@@ -9,7 +9,7 @@ anything. When only noise is left, the levels are one, and so is the factor.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +17,8 @@ import numpy as np
 from ..fit.data import Data, FitData
 from ..fit.solve import Fit
 from ..fit.staged import residuals
+from .criteria import CRITERIA
 
-#: errors are taken as independent at the latest after so many seconds, in windows, and in a run over the whole
-#: recording, which drifts
-APART, DRIFT = 0.25, 1.0
 Errors = Mapping[str, float]
 
 
@@ -35,13 +33,16 @@ class Levels:
 
     def raised(self, data: Data) -> Data:
         """Return data with sensors' noise with these levels instead."""
-        if isinstance(data, FitData):
-            return self._raised(data)
-        return replace(data, parts=tuple(self._raised(p) for p in data.parts))
+        return each_part(data, self._raised)
 
     def _raised(self, part: FitData) -> FitData:
         samples = (replace(s, noise=s.noise * self.factor * self.of[s.channel]) for s in part.samples)
         return replace(part, samples=tuple(samples))
+
+
+def each_part(data: Data, change: Callable[[FitData], FitData]) -> Data:
+    """Return data with each recording's changed."""
+    return change(data) if isinstance(data, FitData) else replace(data, parts=tuple(map(change, data.parts)))
 
 
 def independent(r: np.ndarray) -> float:
@@ -58,7 +59,7 @@ def independent(r: np.ndarray) -> float:
     return n / (1.0 + 2.0 * float(rho[1 : int(ends[0]) if len(ends) else n].sum()))
 
 
-def levels_of(found: Fit, data: Data, most: Errors | None = None, apart: float = APART) -> Levels:
+def levels_of(found: Fit, data: Data, most: Errors | None = None, apart: float | None = None) -> Levels:
     """Return the error levels that a fit leaves.
 
     A level is the channel's RMS error, at least its sensor's noise and at most `most` where that is given: a channel
@@ -70,8 +71,9 @@ def levels_of(found: Fit, data: Data, most: Errors | None = None, apart: float =
         found: a fit to the data, whatever levels it was fitted with.
         data: the same data with the sensors' noise.
         most: levels of the model before.
-        apart: samples so many seconds from one another are independent.
+        apart: samples so many seconds from one another are independent; by default those of short windows.
     """
+    apart = CRITERIA.independent if apart is None else apart
     errors = window_errors(found, data)
     levels = {c: max(1.0, float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))) for c, parts in errors.items()}
     if most is not None:
@@ -115,7 +117,7 @@ def likelihoods(fits: Sequence[Fit], data: Data) -> list[float]:
     """
     costs = []
     for found in fits:
-        levels, cost = levels_of(found, data, apart=DRIFT), 0.0
+        levels, cost = levels_of(found, data, apart=CRITERIA.drifts), 0.0
         for c, parts in window_errors(found, data).items():
             r, level = np.concatenate(parts), levels.of[c]
             cost += len(r) * math.log(level) + 0.5 * float(r @ r) / level**2

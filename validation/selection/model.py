@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -35,11 +35,6 @@ from ..fit.variables import (
     uncertain_parameters,
 )
 from .criteria import CRITERIA
-
-#: a standard deviation of that many typical sizes means that the data say nothing
-UNDETERMINED = 1e3
-#: a long run is so many times worse than short windows only if its start went astray
-ASTRAY = 1.3
 
 
 @dataclass(frozen=True)
@@ -68,18 +63,26 @@ class Fitted:
     Attributes:
         fit: the last stage of the fit; loose: the first one, from which further effects are looked for where much is
             left.
-        evidence: log marginal likelihood, up to a constant of the recordings and the stage.
     """
 
     model: Model
     fit: Fit
-    evidence: float
     loose: Fit = field(repr=False)
 
     @property
     def keys(self) -> tuple[str, ...]:
         """Its effects."""
         return self.model.keys
+
+    @property
+    def effects(self) -> dict[str, dict[str, float]]:
+        """Its effects with their fitted parameters (SI)."""
+        return effects_of(self.fit.crane, self.keys)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log marginal likelihood, up to a constant of the recordings and the stage."""
+        return log_evidence(self.fit)
 
     @cached_property
     def level(self) -> float:
@@ -165,6 +168,9 @@ class Fitted:
         return found | {n: float(s) for n, s in zip(names, spread, strict=True)}
 
 
+F = TypeVar("F", bound=Fitted)
+
+
 def _moves(fit: Fit) -> np.ndarray:
     pairs = zip(fit.variables, fit.u, strict=True)
     return np.array([u / v.prior for v, u in pairs if math.isfinite(v.prior) and not isinstance(v, EffectVariable)])
@@ -184,7 +190,7 @@ def at_bound(fit: Fit, key: str) -> list[str]:
     for v, u in zip(fit.variables, fit.u, strict=True):
         if isinstance(v, EffectParameter) and v.key == key and not v.parameter.shape:
             ends = [e for e in (v.lower, v.upper) if math.isfinite(e) and abs(e - v.neutral) > 1e-12]
-            if any(abs(u - e) < 1e-3 * max(1.0, abs(e)) for e in ends):
+            if any(abs(u - e) < CRITERIA.at_end * max(1.0, abs(e)) for e in ends):
                 hit.append(v.parameter.name)
     return hit
 
@@ -195,6 +201,11 @@ def parameters_of(crane: Crane, key: str) -> dict[str, float]:
     if acting is None:
         raise CraneError(f"{crane.name} has no effect {key!r}.")
     return dict(acting.parameters)
+
+
+def effects_of(crane: Crane, keys: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return effects that a crane has with their parameters (SI)."""
+    return {key: parameters_of(crane, key) for key in keys}
 
 
 def curve_of(fit: Fit, key: str) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -215,13 +226,14 @@ def deviation(variable: EffectParameter, u: float, spread: float) -> float:
     """
     if variable.inverse:
         return variable.parameter.typical / u**2 * spread if u > 2.0 * spread else math.inf
-    return variable.scale * spread if spread < UNDETERMINED else math.inf
+    return variable.scale * spread if spread < CRITERIA.undetermined else math.inf
 
 
 def unexplained(fit: Fit) -> np.ndarray:
-    """Return (K,) whether a window's error is above 1.3, or four standard errors where samples are few."""
+    """Return (K,) whether a window's error is above what noise makes, also where samples are few."""
     counts = np.array([sum(len(s.values) for s in w.data.samples) for w in fit.windows])
-    return fit.linear.window_error > np.maximum(CRITERIA.explained, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(counts, 1)))
+    spread = 1.0 / np.sqrt(2.0 * np.maximum(counts, 1))
+    return fit.linear.window_error > np.maximum(CRITERIA.explained, 1.0 + CRITERIA.explained_errors * spread)
 
 
 def values_of(fit: Fit) -> dict[str, float]:
@@ -229,16 +241,18 @@ def values_of(fit: Fit) -> dict[str, float]:
     return {v.name: float(x) for v, x in zip(fit.variables, fit.u, strict=True)}
 
 
-def fitted(crane: Crane, data: Data, model: Model, before: Fit, stages: Sequence[Stage]) -> Fitted:
-    """Return a model fitted through the stages, from the knots (and where it has them the values) of an earlier fit."""
+def fitted(crane: Crane, data: Data, model: Model, before: Fit | np.ndarray, stages: Sequence[Stage]) -> Fitted:
+    """Return a model fitted through the stages, from the knots (and where it has them the values) of an earlier fit, or
+    from knots (K, nx) of the first stage's windows.
+    """
     own = model.own(crane.layout)
-    known = values_of(before)
+    known = values_of(before) if isinstance(before, Fit) else {}
     u = [known.get(v.name, begin(v, before, {} if own else known)) for v in (*model.variables, *own)]
     fits = each_stage(crane, data, [*model.variables, *own], np.array(u), before, stages)
-    return Fitted(model, fits[-1], log_evidence(fits[-1]), fits[0])
+    return Fitted(model, fits[-1], fits[0])
 
 
-def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
+def begin(variable: Variable, before: Fit | np.ndarray, known: Mapping[str, float]) -> float:
     """Return where a variable begins that an earlier fit did not have: a joint direction of parameters where that fit
     moved them one by one.
 
@@ -246,7 +260,11 @@ def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
     """
     if isinstance(variable, EffectVariable):
         return variable.begin
-    if not isinstance(variable, NominalDirection) or not set(variable.weights) <= set(known):
+    if (
+        not isinstance(variable, NominalDirection)
+        or isinstance(before, np.ndarray)
+        or not set(variable.weights) <= set(known)
+    ):
         return 0.0
     scale = {
         v.name: v.weights[v.name] for v in before.variables if isinstance(v, NominalDirection) and v.name in v.weights
@@ -254,21 +272,9 @@ def begin(variable: Variable, before: Fit, known: Mapping[str, float]) -> float:
     return sum(weight / scale[name] * known[name] for name, weight in variable.weights.items())
 
 
-class Weighed(Protocol):
-    """A model that was fitted: its effects and its log evidence."""
-
-    @property
-    def keys(self) -> tuple[str, ...]: ...
-    @property
-    def evidence(self) -> float: ...
-
-
-W = TypeVar("W", bound=Weighed)
-
-
-def best_of_each(found: Sequence[W]) -> list[W]:
+def best_of_each(found: Sequence[F]) -> list[F]:
     """Return the fits, best first, only the best of those with the same effects."""
-    seen: dict[frozenset[str], W] = {}
+    seen: dict[frozenset[str], F] = {}
     for w in sorted(found, key=lambda w: -w.evidence):
         seen.setdefault(frozenset(w.keys), w)
     return list(seen.values())
@@ -306,7 +312,7 @@ def run_error(crane: Crane, recording: Recording, knots: Fit | None, own: Sequen
     start is looked for anew as well.
     """
     error = open_loop_error(crane, recording, knots, own)[0]
-    if knots is None or knots.error > CRITERIA.left_level or error < ASTRAY * knots.error:
+    if knots is None or knots.error > CRITERIA.left_level or error < CRITERIA.astray * knots.error:
         return error
     return min(error, open_loop_error(crane, recording)[0])
 

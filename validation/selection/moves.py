@@ -18,14 +18,7 @@ from ..fit.data import Data
 from ..fit.linear import Window
 from ..fit.start import knots_of
 from ..fit.variables import at_place
-
-#: seconds between the moments at which an effect with a time of its own is tried
-_MOMENTS = 0.5
-#: and around the best of them: a quarter of the period of a ring of 7 Hz
-_CLOSER = 0.035
-#: m from where a cylinder stands at first at which a place of its stroke is tried: within what a seal deforms, and far
-#: beyond
-_PLACES = (-0.05, -1e-3, -3e-4, 0.0, 3e-4, 1e-3, 0.05)
+from .criteria import CRITERIA, PLACES
 
 
 @dataclass(frozen=True)
@@ -37,7 +30,7 @@ class Start:
     two_sided: bool = False
 
 
-def starts(crane: Crane, data: Data, *, moments: float = _MOMENTS) -> list[Start]:
+def starts(crane: Crane, data: Data) -> list[Start]:
     """Return the starts of every effect at every place that the recording could show and the crane does not have
     yet.
     """
@@ -48,7 +41,7 @@ def starts(crane: Crane, data: Data, *, moments: float = _MOMENTS) -> list[Start
         for key, place in zip(effect.keys(lay), effect.on(lay), strict=True):
             if effect.curve is None and crane.effect(key) is None and _can_show(effect, place, data, lay):
                 first = at_place(effect.parameters[0], place, lay)
-                values = _values(effect, first, data, moments, lengths.get(place, 0.0))
+                values = _values(effect, first, data, lengths.get(place, 0.0))
                 found += [Start(key, each, _two_sided(effect)) for each in values]
     return found
 
@@ -85,9 +78,7 @@ def _two_sided(effect: type[Effect]) -> bool:
     return math.isfinite(first.neutral) and first.lower < first.neutral
 
 
-def _values(
-    effect: type[Effect], first: Parameter, data: Data, moments: float, length: float
-) -> list[dict[str, float]]:
+def _values(effect: type[Effect], first: Parameter, data: Data, length: float) -> list[dict[str, float]]:
     """Return the values to begin from; `first` is the effect's first parameter at its place, `length` (m) the chamber's
     there.
     """
@@ -96,12 +87,13 @@ def _values(
     size = first.typical * (0.5 if effect.parameters[0].unit == "channel" else 1.0)
     along = next((p for p in effect.parameters if p.along_stroke), None)
     if along is not None:
-        return [{first.name: size, along.name: length + away} for away in _PLACES]
+        places = (length + away for away in PLACES)  # a fit may have moved the pins far
+        return [{first.name: size, along.name: x} for x in places if along.lower <= x <= along.upper]
     timed = _moment_of(effect)
     if timed is None:
         return [{first.name: size}]
-    begin, end = float(data.time[0]), float(data.time[-1])
-    times = np.arange(begin + moments, end - moments, max(moments, (end - begin) / 120.0))
+    begin, end, apart = float(data.time[0]), float(data.time[-1]), CRITERIA.moments
+    times = np.arange(begin + apart, end - apart, max(apart, (end - begin) / CRITERIA.moments_at_most))
     return [{first.name: size, timed.name: float(t)} for t in (begin, *times)]
 
 
@@ -116,8 +108,8 @@ def around(start: Start) -> list[Start]:
     timed = _moment_of(registry.split_key(start.key)[0])
     if timed is None or timed.name not in start.values:
         return []
-    steps = round(_MOMENTS / 2 / _CLOSER)
-    moments = [start.values[timed.name] + k * _CLOSER for k in range(-steps, steps + 1) if k]
+    steps = round(CRITERIA.moments / 2 / CRITERIA.closer)
+    moments = [start.values[timed.name] + k * CRITERIA.closer for k in range(-steps, steps + 1) if k]
     return [Start(start.key, {**start.values, timed.name: t}, start.two_sided) for t in moments if t >= timed.lower]
 
 

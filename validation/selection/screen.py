@@ -21,8 +21,6 @@ from ..fit.solve import Fit, Reduced, reduce, with_prior
 from .criteria import CRITERIA
 from .moves import Start, around, starts
 
-#: amplitudes are sought between these, in units of the start's own values
-_SMALLEST, _LARGEST = 0.02, 20.0
 #: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the
 #: softer machine, since a little of it has nearly the whole effect
 _SOFTENS = {"free_gas", "series_compliance"}
@@ -93,10 +91,11 @@ def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
     """
     chosen: list[Score] = []
     for score in scores:
-        hopeless = len(chosen) >= 3 and score.gain < CRITERIA.hopeless * scores[0].gain
+        hopeless = len(chosen) >= CRITERIA.sure and score.gain < CRITERIA.hopeless * scores[0].gain
         if score.gain < least or len(chosen) == most or hopeless:
             break
-        if sum(c.start.key == score.start.key for c in chosen) < (2 if score.gain > 0.5 * scores[0].gain else 1):
+        most_of_one = 2 if score.gain > CRITERIA.twice * scores[0].gain else 1
+        if sum(c.start.key == score.start.key for c in chosen) < most_of_one:
             chosen.append(score)
     return chosen
 
@@ -123,8 +122,8 @@ def _score(start: Start, slope: float, bend: float, alone: float) -> Score:
     if not bend > 1e-9 * max(alone, 1e-12) or not np.isfinite(slope):
         return Score(start, 0.0, 0.0)
     amplitude = -slope / bend
-    limited = np.clip(abs(amplitude), _SMALLEST, _LARGEST) * np.sign(amplitude)
+    limited = np.clip(abs(amplitude), CRITERIA.smallest, CRITERIA.largest) * np.sign(amplitude)
     if limited < 0.0 and not start.two_sided:
-        return Score(start, 0.0, _SMALLEST)
+        return Score(start, 0.0, CRITERIA.smallest)
     gain = -(slope * limited + 0.5 * bend * limited**2)
     return Score(start, float(max(gain, 0.0)), float(limited))

@@ -13,11 +13,10 @@ from ..fit.data import FitData
 from ..fit.model import spool_path
 from .criteria import CRITERIA
 from .model import Fitted, at_bound, excess
-from .search import Path, Problem
+from .search import Problem
+from .white import WhitePath
 
 Kind = Literal["adequate", "parameters", "effect", "tied", "unknown"]
-#: share of what an effect does to the commands that a shift of their clock may leave, and how finely shifts are tried
-_CLOCK, _SHIFTS = 0.1, 20
 #: hooks that act on commands before the spool follows them
 _BEFORE_THE_SPOOL = {"command", "delay", "backlash", "creep"}
 
@@ -32,7 +31,7 @@ class Verdict:
     notes: tuple[str, ...] = ()
 
 
-def verdict_of(path: Path) -> Verdict:
+def verdict_of(path: WhitePath) -> Verdict:
     """Return the verdict on a path."""
     best, moved = path.best, path.parameters
     enough = path.given.good or moved.good
@@ -54,7 +53,7 @@ def verdict_of(path: Path) -> Verdict:
     return Verdict("tied" if ties else "effect", best, ties, (*notes, *_bounds(best)))
 
 
-def explains(path: Path, w: Fitted) -> bool:
+def explains(path: WhitePath, w: Fitted) -> bool:
     """Whether effects explain the recordings: hardly more than noise left, or nearly all that was wrong repaired, here
     or where they were not fitted.
     """
@@ -63,17 +62,17 @@ def explains(path: Path, w: Fitted) -> bool:
     return w.good or _repairs(path, w) or _predicts(path, w)
 
 
-def _repairs(path: Path, w: Fitted) -> bool:
+def _repairs(path: WhitePath, w: Fitted) -> bool:
     wrong = max(1, int(path.parameters.bad.sum()))
     return w.level < CRITERIA.left_level and 1.0 - w.bad.sum() / wrong >= CRITERIA.repaired
 
 
-def _predicts(path: Path, w: Fitted) -> bool:
+def _predicts(path: WhitePath, w: Fitted) -> bool:
     before, after = path.left_out.get(frozenset(w.keys), (1.0, np.inf))
     return after < CRITERIA.left_level and excess(after) < CRITERIA.left_of_rest * excess(before)
 
 
-def _at_once(path: Path) -> Fitted | None:
+def _at_once(path: WhitePath) -> Fitted | None:
     """Return the best effect that explains at once what parameters explain only by several far moves."""
     single = (w for w in path.weighed if len(w.keys) == 1 and w.good and len(w.far) < CRITERIA.several)
     return next((w for w in single if not w.inactive and w.evidence > path.parameters.evidence - CRITERIA.tie), None)
@@ -98,7 +97,8 @@ def _is_a_shift(problem: Problem, w: Fitted, recording: int, data: FitData) -> b
     for key in w.keys:
         plain = plain.without_effect(key)
     interval = float(np.median(np.diff(data.command_time)))
+    shares = np.linspace(0.0, 1.0, CRITERIA.shifts + 1)
     acting, without = (spool_path(c, data, fit.late) for c in (fit.crane, plain))
-    shifted = [spool_path(plain, data, fit.late + share * interval) for share in np.linspace(0.0, 1.0, _SHIFTS + 1)]
+    shifted = [spool_path(plain, data, fit.late + share * interval) for share in shares]
     left = np.min([np.square(acting - s).sum(axis=0) for s in shifted], axis=0)
-    return bool(np.all(left <= _CLOCK**2 * np.square(acting - without).sum(axis=0)))
+    return bool(np.all(left <= CRITERIA.clock**2 * np.square(acting - without).sum(axis=0)))

@@ -1,0 +1,372 @@
+"""The search where errors are white noise, but for stretches that no model explains: to one effect or two, and on where
+hardly more than noise is left.
+
+A round fits the likeliest moves in loosely joined windows and carries the leading ones to stiffly joined ones; looks at
+what came in beside others alone, and for what parameters help at its other places.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+from crane_exudyn.effects import registry
+
+from ..fit.evidence import log_evidence
+from ..fit.solve import Fit
+from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
+from ..workers import in_parallel
+from .criteria import CRITERIA
+from .lean import leaner
+from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, run_error, together
+from .moves import scaled, starts
+from .screen import Score, best_starts, likely, screened
+from .search import Move, Path, Problem, Progress, Regime, Round, Stages
+from .whole_runs import end_of_learned, first_part
+
+#: one run over the whole recording, from which windows begin anew: the first state of one may be caught in a false
+#: minimum, where its errors count by their logarithm only
+_RUN = replace(WHOLE, iterations=2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WhitePath(Path[Fitted]):
+    """The path of a search.
+
+    Attributes:
+        given: the crane as it is; fewest: with the fewest moved parameters that do, where that was needed.
+        left_out: errors on blocks that were left out, before and after, of a model that leaves something, by its
+            effects.
+    """
+
+    given: Fitted
+    fewest: Fitted
+    left_out: Mapping[frozenset[str], tuple[float, float]] = field(default_factory=dict)
+
+    @cached_property
+    def bare(self) -> float:
+        """Evidence of the better model without effects."""
+        return max(self.given.evidence, self.parameters.evidence)
+
+    @property
+    def beyond_uncertainty(self) -> bool:
+        """Whether parameters without effects have moved so far that they may do an effect's work, in short windows, or
+        as the whole explanation.
+        """
+        return not plausible(self.problem.base) or (self.parameters.good and self.fewest.beyond_uncertainty)
+
+    @cached_property
+    def done(self) -> list[Fitted]:
+        """All models with effects that were fitted to the end, best first, the best of each set of effects."""
+        return best_of_each([w for r in self.rounds for w in r.done])
+
+    @cached_property
+    def weighed(self) -> tuple[Fitted, ...]:
+        """Models with effects that were fitted to the end and justify each of their effects, best first."""
+        weighed = list[Fitted]()
+        for w in sorted(self.done, key=lambda w: len(w.keys)):
+            if len(w.keys) == 1 or self._justified(w, [v for v in weighed if len(v.keys) < len(w.keys)]):
+                weighed.append(w)
+        return tuple(sorted(weighed, key=lambda w: -w.evidence))
+
+    def _justified(self, w: Fitted, fewer: Sequence[Fitted]) -> bool:
+        """Whether each effect of several brings evidence, and together they take away most of what the best justified
+        model with fewer leaves.
+        """
+        least = max([self.bare, *(v.evidence for v in self.done if set(v.keys) < set(w.keys))])
+        if w.evidence < least + CRITERIA.proof:
+            return False
+        best = max(fewer, key=lambda v: v.evidence, default=self.parameters)
+        if best.good:
+            errors = {keys: e for r in self.rounds for keys, e in r.errors.items()}
+            after, before = (errors.get(frozenset(v.keys), math.inf) for v in (w, best))
+            return math.isfinite(after) and excess(after) < CRITERIA.left * excess(before)
+        return w.good or w.level**2 - 1.0 < CRITERIA.left * (best.level**2 - 1.0)
+
+    @property
+    def best(self) -> Fitted | None:
+        """The best model with effects."""
+        return self.weighed[0] if self.weighed else None
+
+    @cached_property
+    def ahead(self) -> Fitted | None:
+        """The model that the search goes on from: the best one, or the one with the most evidence if it leaves hardly
+        more than noise: of several that are still missing perhaps none takes away most of what is left.
+        """
+        return self.done[0] if self.done and self.done[0].near else self.best
+
+
+def _begun(problem: Problem) -> WhitePath:
+    """Return the path before its first round: the crane as it is, and with its parameters moved."""
+    crane, data = problem.crane, problem.data
+    given = fitted(crane, data, Model(tuple(timings(data))), problem.nominal, (TIGHT, STIFF))
+    given = replace(given, loose=problem.nominal)
+    parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
+    if parameters.plausible and parameters.level < CRITERIA.left_level and (stages := _still_to_do(parameters)):
+        parameters = max(parameters, _on(problem, parameters, stages), key=lambda w: w.evidence)
+    return _with_parameters(WhitePath(problem, parameters, given=given, fewest=parameters), parameters)
+
+
+def _with_parameters(path: WhitePath, parameters: Fitted) -> WhitePath:
+    """Return the path with another fit of the machine without effects."""
+    parameters = replace(parameters, loose=path.problem.base)
+    enough = parameters.good and not path.given.good
+    fewest = leaner(path.problem.crane, path.problem.data, parameters) if enough else parameters
+    return replace(path, parameters=parameters, fewest=fewest)
+
+
+def _beam(path: WhitePath, most: int) -> Sequence[Fitted]:
+    """Return the models that a round goes on from, the leading one first: the best alone if it leaves hardly more than
+    noise.
+    """
+    best, ahead = path.best, path.ahead
+    if not path.rounds:
+        return [path.parameters]
+    if best is None or ahead is None or (path.parameters.good and best.evidence < path.bare + CRITERIA.proof):
+        return []
+    if len(path.rounds) == 1 and not (best.good or path.parameters.good):
+        return path.rounds[0].tried[: CRITERIA.beam]
+    most = most if ahead.near else CRITERIA.most
+    return [ahead] if len(ahead.keys) < most and ahead.level < CRITERIA.misled else []
+
+
+def _is_near(parents: Sequence[Fitted]) -> bool:
+    """Whether a round goes on from one model that leaves hardly more than noise: what little is missing beside it shows
+    in stiffly joined windows only.
+    """
+    return len(parents) == 1 and parents[0].near
+
+
+def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
+    """Return the likeliest effects beside each model of a beam, as the screen sees them from where it stands; beside
+    one that is near those that must show.
+    """
+    near, moves = _is_near(beam), list[Move]()
+    for parent in beam:
+        fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
+        most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
+        least = CRITERIA.proof if near or parent.good else CRITERIA.promise
+        scores = screened(fit, stiffness)
+        offered = likely(best_starts(scores) if near else scores, most, least)
+        moves += _moves(path.problem, effects_of(fit.crane, parent.keys), offered, fit)
+    return moves
+
+
+def _moves(
+    problem: Problem, own: Mapping[str, Mapping[str, float]], scores: Sequence[Score], before: Fit
+) -> list[Move]:
+    """Return the models that add what was screened to the effects of a model, each once: a start of another size may
+    have come to the same.
+    """
+    found = dict[tuple[object, ...], Move]()
+    for s in scores:
+        values = scaled(s.start, s.amplitude)
+        alike = (s.start.key, *(f"{x:.2g}" for x in values.values()))
+        found.setdefault(alike, Move(Model(problem.shared, {**own, s.start.key: values}), before, s.gain))
+    return list(found.values())
+
+
+def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
+    """Return the moves fitted, the best of each; near the end the cost is quadratic at once: no walk from loose to
+    stiff.
+    """
+    return best_of_each(path.problem.run(moves, (STIFF,)) if _is_near(beam) else _raced(path, beam, moves))
+
+
+def _raced(path: WhitePath, parents: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
+    """Return the moves fitted loosely, those first that promise most; once one leaves hardly more than noise and has no
+    help from parameters, the others only where they promise about as much, else also what the machine as given shows.
+    """
+    moves = sorted(moves, key=lambda m: -m.promise)
+    done = path.problem.run(moves[: CRITERIA.first], (LOOSE,))
+    rest = moves[CRITERIA.first :]
+    if done and done[0].good and done[0].move_cost < CRITERIA.helped:
+        most = moves[0].promise
+        rest = [m for m in rest if m.promise > most - max(CRITERIA.apart, CRITERIA.left * most)]
+    else:
+        rest += [m for parent in parents for m in _as_given(path, parent, moves)]
+    return [*done, *path.problem.run(rest, (LOOSE,))]
+
+
+def _as_given(path: WhitePath, parent: Fitted, moves: Sequence[Move]) -> list[Move]:
+    """Return the likeliest effects that the machine as given shows beside those of a model, and no move adds yet: where
+    parameters may do an effect's work.
+    """
+    if parent.plausible if parent.keys else not path.beyond_uncertainty:
+        return []
+    problem, own = path.problem, effects_of(parent.loose.crane, parent.keys)
+    held = problem.with_effects(own) if own else problem.nominal
+    held = problem.unmoved(held, Model(problem.shared, own))
+    known = {frozenset(m.model.keys) for m in moves}
+    more = likely(screened(held, LOOSE.stiffness), CRITERIA.as_given + len(moves), CRITERIA.promise)
+    new = [s for s in more if frozenset((*parent.keys, s.start.key)) not in known]
+    return _moves(problem, own, new[: CRITERIA.as_given], held)
+
+
+def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) -> Round[Fitted]:
+    """Return the round, the leading models carried to the end."""
+    near = _is_near(beam)
+    done = list(tried) if near else _carried(path, _leading(beam, tried))
+    done = _relocated(path, done) if not path.rounds else done
+    done = _further(path, done)
+    done = best_of_each([*done, *_dropped(path, done, near)])
+    acting = tuple(w for w in done if w.keys)
+    return Round(tuple(tried), acting, _deciding(path, acting), next((w for w in done if not w.keys), None))
+
+
+def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]:
+    """Return the fits to be carried to the end: the best two, or one if it leaves hardly more than noise; one more that
+    is near; and the one that parameters help least if they help the best too much.
+    """
+    if not tried:
+        return []
+    best = tried[0].evidence
+    near = max(CRITERIA.apart, CRITERIA.near * (best - log_evidence(parents[0].loose)))
+    most = 1 if tried[0].good else CRITERIA.finished
+    leading = list(tried[:most])
+    if not parents[0].keys:
+        leading += [w for w in tried[most : CRITERIA.finished + 1] if w.evidence > best - near]
+    elif not leading[0].plausible:
+        calmest = min(
+            (w for w in tried if set(parents[0].keys) <= set(w.keys)), key=lambda w: w.move_cost, default=leading[0]
+        )
+        leading += [calmest] if all(calmest is not w for w in leading) else []
+    return leading
+
+
+def _carried(path: WhitePath, leading: Sequence[Fitted]) -> list[Fitted]:
+    return path.problem.run([Move(w.model, w.fit) for w in leading], (TIGHT, STIFF))
+
+
+def _relocated(path: WhitePath, done: list[Fitted]) -> list[Fitted]:
+    """Return the fits with the leading effect at its other places added, where moved parameters help it.
+
+    An effect at the wrong place explains much of a recording if parameters may help, and they can hide the right place
+    from the screen.
+    """
+    if not done or done[0].move_cost < CRITERIA.helped:
+        return done
+    problem, tried = path.problem, {key for w in done for key in w.keys}
+    effect, _ = registry.split_key(done[0].keys[0])
+    lay = problem.crane.layout
+    found = [s for s in starts(problem.crane, problem.data) if s.key in set(effect.keys(lay)) - tried]
+    moves = [Move(Model(problem.shared, {s.key: s.values}), problem.base) for s in found]
+    leading = best_of_each(problem.run(moves, (LOOSE,)))[:1]
+    return best_of_each([*done, *_carried(path, leading)])
+
+
+def _further(path: WhitePath, done: Sequence[Fitted]) -> list[Fitted]:
+    """Return the fits, the leading ones taken further where they are not at their end.
+
+    Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given
+    with the effects as they were found, and as one long run: what is slow does not show in short windows.
+    """
+    problem, tasks = path.problem, list[tuple[Any, ...]]()
+    best = min(done, key=lambda w: w.level, default=path.parameters)
+    for w in sorted(done, key=lambda w: w.move_cost - w.evidence)[: CRITERIA.further]:  # rather those helped less
+        beaten = len(w.keys) > 1 or best.level < CRITERIA.left_level
+        hopeless = beaten and w.level > CRITERIA.left_level
+        if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
+            continue
+        if not w.plausible:
+            tasks.append((_anew, problem, Model(w.model.variables, w.effects)))
+        elif stages := _still_to_do(w):
+            tasks.append((_on, problem, w, stages))
+    return best_of_each([*done, *(w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))])
+
+
+def _still_to_do(w: Fitted) -> Stages:
+    """Return the stages that take a fit to its end: windows that begin anew on its own run, where little is left that
+    is more than noise; more iterations, where it had not converged.
+    """
+    if w.level < CRITERIA.left_level and not w.good:
+        return _RUN, STIFF
+    return () if w.fit.converged else (STIFF, STIFF)
+
+
+def _on(problem: Problem, w: Fitted, stages: Stages) -> Fitted:
+    """Return a model fitted further."""
+    return replace(fitted(problem.crane, problem.data, w.model, w.fit, stages), loose=w.loose)
+
+
+def _anew(problem: Problem, model: Model) -> Fitted:
+    return fitted(problem.crane, problem.data, model, problem.with_effects(model.effects), (WHOLE, STIFF))
+
+
+def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[Fitted]:
+    """Return models fitted without one of their effects: one that does nothing, or beside which the others have not
+    been seen alone.
+
+    What came in beside another may be the one that is missing, and the first a surrogate; or have only led the fit to
+    the better minimum.
+    """
+    known = {frozenset(w.keys) for r in path.rounds for w in r.done} | {frozenset(w.keys) for w in done}
+    moves: dict[frozenset[str], Move] = {}
+    for w in (w for w in done if w.evidence > path.bare):
+        for key in w.keys:
+            rest = {k: values for k, values in w.effects.items() if k != key}
+            if key in w.inactive or not (near or not rest or frozenset(rest) in known):
+                moves.setdefault(frozenset(rest), Move(Model(w.model.variables, rest), w.fit))
+    return path.problem.run(list(moves.values()), (TIGHT, STIFF))
+
+
+def _deciding(path: WhitePath, done: Sequence[Fitted]) -> dict[frozenset[str], float]:
+    """Return open-loop errors where a model leaves hardly more than noise and further effects bring evidence: they must
+    show there as well.
+
+    Moved parameters can make up for a further effect, but not for nothing: their prior charges for it, and the screen
+    knows that.
+    """
+    known = best_of_each([*path.done, *done])
+    leading = {len(w.keys): w for w in reversed(known)}  # of each number of effects the best
+    first = next((leading[n] for n in sorted(leading) if leading[n].good), None)
+    if first is None:
+        return {}
+    least = first.evidence + CRITERIA.proof
+    more = [w for w in done if len(w.keys) > len(first.keys) and w.evidence > least]
+    weighed = [first, *more] if more else []
+    errors = path.problem.errors([w.fit for w in weighed])
+    return {frozenset(w.keys): together(path.problem.recordings, e) for w, e in zip(weighed, errors, strict=True)}
+
+
+def _after(path: WhitePath, found: Round[Fitted]) -> WhitePath:
+    """Return the path with a round; with a better fit without effects, where the round came upon one."""
+    if found.bare is not None and found.bare.evidence > path.parameters.evidence:
+        path = _with_parameters(path, found.bare)
+    return replace(path, rounds=(*path.rounds, found))
+
+
+def _gained(path: WhitePath) -> bool:
+    """Whether the last round brought a model that has the proof against the one before it."""
+    before, after = replace(path, rounds=path.rounds[:-1]).ahead, path.ahead
+    return after is not None and (before is None or after.evidence >= before.evidence + CRITERIA.proof)
+
+
+def _finished(path: WhitePath, progress: Progress) -> WhitePath:
+    """Return the path with errors on blocks that were left out, where the best model repairs something and leaves
+    something.
+    """
+    best = path.best
+    if best is None or best.good or not best.plausible or best.evidence < path.bare + CRITERIA.proof:
+        return path
+    if best.level > CRITERIA.misled:
+        return path
+    return replace(path, left_out={frozenset(best.keys): _left_out(path.problem, best)})
+
+
+def _left_out(problem: Problem, w: Fitted) -> tuple[float, float]:
+    """Return the errors, of the crane as given and of a model fitted to the first part of each recording, on the
+    rest.
+    """
+    ends = [(end_of_learned(p), float(p.time[-1])) for p in problem.data.parts]
+    rest = [r.window(*span) for r, span in zip(problem.recordings, ends, strict=True)]
+    found = fitted(problem.crane, first_part(problem.data), Model(w.model.variables, w.effects), w.fit, (STIFF,))
+    cranes = [problem.crane] * len(rest) + [found.fit.of(i).crane for i in range(len(rest))]
+    errors = in_parallel(problem.jobs, [(run_error, c, rest[k % len(rest)], None) for k, c in enumerate(cranes)])
+    return together(rest, errors[: len(rest)]), together(rest, errors[len(rest) :])
+
+
+WHITE = Regime(_begun, _beam, _likely, _tried, _judged, _after, _gained, _finished)
