@@ -99,12 +99,11 @@ def test_a_stop_that_no_step_can_follow_ends_the_run(make):
 
 
 @pytest.mark.xfail(
-    reason="1.6e-5 and 2.2e-5 rad instead of 1e-5: a stop without damping makes differences larger; `patu simulate` "
-    "says so"
+    strict=True,
+    reason="1.6e-5 rad instead of 1e-5: a stop without damping makes differences larger; `patu simulate` says so",
 )
-@pytest.mark.parametrize("stiffness", [1e7, 1e8])
-def test_a_boom_that_bounces_on_a_stop_that_does_not_damp_is_followed(stiffness):
-    crane = crane_with({"end_stop@tilt": {"stiffness": stiffness, "damping": 0.0}})
+def test_a_boom_that_bounces_on_a_stop_that_does_not_damp_is_followed():
+    crane = crane_with({"end_stop@tilt": {"stiffness": 1e7, "damping": 0.0}})
     time, w = crosscheck_cases.exciting(crane, "tilt")
     rough, fine = SemiRecursiveEngine(crane), SemiRecursiveEngine(crane, accuracy=0.05)
     start = initial_state(crane, fine)

@@ -140,7 +140,7 @@ def test_derivatives_are_those_of_the_rule_through_voids_and_gas(gas):
     assert (swept.X[:, 5] < 0.0).any() or gas not in ("oil", "spring")
 
     def run(p):
-        return kernel.simulate(start, W, np.arange(n) * h, h, p, E, crane.machine.topology, math.inf)[0]
+        return kernel.simulate(start, W, np.arange(n) * h, h, p, E, crane.machine.topology, math.inf, math.inf)[0]
 
     for j in range(3):
         difference = (run(P_cols[j]) - run(P)) / delta[j]

@@ -333,7 +333,7 @@ def test_what_no_slope_tells_is_answered_by_a_run_of_the_changed_machine(nominal
     x0 = np.pad(first_knots(crane, data, 1.0)[2], (0, 2))
     jacobian = sweep_window(window, x0, base, columns, data.channels).end_jacobian[:, len(x0) :]
     W = base.W[begin : begin + len(own)]
-    ends = [kernel.simulate(x0, W, own, data.step, m.P, m.E, m.topology, ACCURACY)[0][-1] for m in (base, *models)]
+    ends = [m.run(x0, W, own, data.step)[0][-1] for m in (base, *models)]
     for j in (0, 2):
         assert jacobian[:, j] == pytest.approx(ends[1 + j] - ends[0], rel=1e-6, abs=1e-9)
     scale = np.abs(ends[2] - ends[0]).max()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,15 @@ from validation import hidden, hidden_plant, study
 from validation.json_lines import read_lines
 
 CRANE = Crane.load("patu655")
+#: seconds of the cases that are made whole here
+SHORT = 6.0
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let manoeuvres and runs of hidden cases end after 6 s in place of 25 s."""
+    monkeypatch.setattr(hidden, "DURATION", SHORT)
+    monkeypatch.setattr(hidden, "_GRID", np.arange(round(SHORT / 1e-3) + 1) * 1e-3)
 
 
 # -- manoeuvres and sensors ------------------------------------------------------------------------------------------
@@ -88,12 +96,12 @@ def test_small_errors_stay_within_what_is_known_about_the_parameters() -> None:
 # -- whole cases -----------------------------------------------------------------------------------------------------
 
 
-def test_a_clean_case_is_the_nominal_crane_and_noise_of_the_size_said() -> None:
+def test_a_clean_case_is_the_nominal_crane_and_noise_of_the_size_said(short: None) -> None:
     """The other engine, started where the answer says and driven by the recorded commands, leaves white noise."""
     from crane_exudyn.simulation import simulate
     from validation.semi_recursive import SemiRecursiveEngine
 
-    case = hidden.make_case(1201, kind="none", noise=0, rate=100, sensors=0)
+    case = hidden.make_case(1201, kind="none", noise=0, rate=500, sensors=0)
     assert case.answer["verdict"] == "adequate"
     engine, start = SemiRecursiveEngine(CRANE), case.answer["learn_start"]
     x0 = engine.static_start(start["z1"], start["z4"], start["less_loaded"])
@@ -105,7 +113,7 @@ def test_a_clean_case_is_the_nominal_crane_and_noise_of_the_size_said() -> None:
         assert abs(np.mean(residual[1:] * residual[:-1])) < 5.0 / math.sqrt(n), name
 
 
-def test_the_same_seed_gives_the_same_case_and_effects_are_as_visible_as_asked() -> None:
+def test_the_same_seed_gives_the_same_case_and_effects_are_as_visible_as_asked(short: None) -> None:
     wanted: dict[str, Any] = {"kind": "effect", "keys": ["sensor_bias@p1"], "rate": 100, "visible": (5.0, 40.0)}
     a, b = (hidden.make_case(1202, **wanted) for _ in range(2))
     assert a.answer == b.answer
@@ -116,7 +124,7 @@ def test_the_same_seed_gives_the_same_case_and_effects_are_as_visible_as_asked()
     assert 5.0 <= shift <= 40.0
 
 
-def test_a_swapped_machine_runs_on_the_other_engine_and_agrees_far_below_the_noise() -> None:
+def test_a_swapped_machine_runs_on_the_other_engine_and_agrees_far_below_the_noise(short: None) -> None:
     a, b = (hidden.make_case(1203, kind="none", rate=100, sensors=0, swapped=swapped) for swapped in (False, True))
     for name, std in a.answer["noise"].items():
         apart = np.abs(a.learn[name].values - b.learn[name].values).max()
@@ -253,26 +261,17 @@ def test_plans_hide_every_effect_and_every_kind() -> None:
     assert first == set(hidden.SEVERITIES), "each effect once before any comes again"
 
 
-#: one machine without a secret, one with an effect, one with a law that the library lacks; the seeds were fixed before
-#: looking
-FIXED_SEEDS = (7001, 7004, 7007)
-#: seconds of each that are learned from: the suite has no time for all 25
-LEARNED = 10.0
+def test_a_hidden_law_that_the_library_lacks_is_not_given_a_name(short: None) -> None:
+    """The plant runs on the Exudyn engine, the diagnosis searches on the other; the seed was fixed before looking.
 
-
-@pytest.mark.parametrize("seed", FIXED_SEEDS)
-def test_hidden_case_is_diagnosed(seed: int) -> None:
-    """The plant runs on the Exudyn engine, the diagnosis searches on the other; no seed was tried before it was written
-    here.
+    Effects that the library has, and none, are found in the open cases of tests/test_diagnosis.py, and on an Exudyn
+    plant in tests/test_commands_on_machines.py.
     """
-    plain = {"noise": 0, "sensors": 0, "rate": 100, "visible": (10.0, math.inf)}
+    seed, plain = 7007, {"noise": 0, "sensors": 0, "rate": 100, "visible": (10.0, math.inf)}
     case = hidden.make_case(seed, **(study.planned(seed) | plain))
-    case = replace(case, learn=case.learn.window(0.0, LEARNED))
-    line = study.run_one(case, f"case_{seed}", jobs=2)
+    line = study.run_one(case, f"case_{seed}")
     assert "judged" in line, line.get("trace")
-    assert line["judged"]["right"], study.told(line)
-    if case.answer["effects"]:
-        assert line["diagnosis"]["check_error_after"] < 1.2
+    assert case.answer["verdict"] == "unknown" and line["judged"]["right"], study.told(line)
 
 
 def _line(name: str, kind: str, effects: list[str], found: dict[str, Any]) -> dict[str, Any]:

@@ -164,8 +164,8 @@ def test_a_curve_ends_where_it_is_known():
 
 
 def _recorded(name, crane, seed):
-    """Return 8 s of both cylinders at 100 Hz, with noise."""
-    rng, time = np.random.default_rng(seed), np.arange(0.0, 8.0, 2.5e-3)
+    """Return 5 s of both cylinders at 100 Hz, with noise: each goes to and fro."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 5.0, 2.5e-3)
     turns = (
         0.3 * np.clip(2.0 * np.sin(0.7 * seed + 1.6 * time), -1.0, 1.0),
         0.25 * np.clip(2.0 * np.sin(2.1 * time), -1.0, 1.0),

@@ -46,6 +46,7 @@ def run(crane: Crane, x0: np.ndarray, W: np.ndarray) -> np.ndarray:
         crane.effect_vector(),
         crane.machine.topology,
         math.inf,
+        math.inf,
     )
     assert status == kernel.OK
     return X
@@ -242,5 +243,5 @@ def test_a_machine_that_runs_away_ends_a_run_of_a_fit_but_no_other(crane: Crane)
     machine = (crane.parameter_vector(), crane.effect_vector(), crane.machine.topology)
     fitting = kernel.simulate(away, W, np.arange(101) * H, H, *machine, 10.0, kernel.MOST_PARTS)
     assert fitting[1] == kernel.TOO_COARSE and fitting[2] < 100
-    short = kernel.simulate(away, W[:2], np.arange(2) * H, H, *machine, 10.0)
+    short = kernel.simulate(away, W[:2], np.arange(2) * H, H, *machine, 10.0, math.inf)
     assert short[1] == kernel.OK
