@@ -7,8 +7,9 @@ Names are imported when they are first asked for, so that `import crane_exudyn` 
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .lazily import lazily
 
 if TYPE_CHECKING:
     from .crane import Crane as Crane
@@ -27,9 +28,4 @@ _WHERE = {
     "simulate": ".simulation",
 }
 __all__ = ["Crane", "CraneError", "ExudynEngine", "Recording", "simulate"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module 'crane_exudyn' has no attribute {name!r}")
-    return getattr(importlib.import_module(_WHERE[name], __name__), name)
+__getattr__ = lazily(__name__, _WHERE)

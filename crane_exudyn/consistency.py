@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .crane import Crane, Uncertainty
+from .crane import Crane
+from .description import Uncertainty
 from .errors import CraneError
 from .geometry import cylinder_lengths
 from .inputs import SpoolPath

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -12,94 +12,29 @@ from typing import Any
 
 import numpy as np
 
-from . import crane_toml, parameters
+from . import crane_toml
+from .description import Description, complete
 from .effects import registry
 from .effects.base import Acting
 from .effects.curve import X, Y
 from .errors import CraneError, nearest
 from .files import write_text
 from .frozen import frozen
-from .layout import Layout
-from .machine import Machine
 
 _DATA = "crane_exudyn.data"
 
 
 @dataclass(frozen=True)
-class Uncertainty:
-    """How well a nominal parameter is known.
-
-    Attributes:
-        std: standard uncertainty in the parameter's SI unit; infinite where only a range is known.
-        lower, upper: hard limits in SI.
-    """
-
-    std: float
-    lower: float = -math.inf
-    upper: float = math.inf
-
-
-@dataclass(frozen=True)
-class Voltage:
-    """Calibration of one valve: the voltages at which its spool command is -1, 0 and +1.
-
-    The command is linear on either side of `neutral`; voltages beyond the ends are taken as the ends.
-    """
-
-    neutral: float
-    extend: float
-    retract: float
-
-    def command(self, volts: np.ndarray) -> np.ndarray:
-        """Return spool commands in [-1, 1], same shape as `volts`."""
-        off = np.asarray(volts, dtype=float) - self.neutral
-        up, down = self.extend - self.neutral, self.retract - self.neutral
-        return np.clip(np.where(off * np.sign(up) >= 0.0, off / up, -off / down), -1.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Initial:
-    """The crane file's start: at rest, valves closed, the less loaded chamber of each cylinder at a pressure.
-
-    Attributes:
-        pose: independent coordinates in the order of the state, rad or m.
-        less_loaded_pressure: Pa, one a cylinder, or one for all.
-    """
-
-    pose: tuple[float, ...]
-    less_loaded_pressure: tuple[float, ...] = (20e5,)
-
-
-@dataclass(frozen=True)
-class Crane:
-    """A crane: its machine, numbers by name in SI, valve calibration, start, sensors, uncertainties, effects, and what
-    was done to it.
+class Crane(Description):
+    """A crane: what its file says (`Description`), read and written, as vectors for compiled code, and with changes.
 
     Immutable; `with_parameters`, `with_effect` and their kin return changed copies. `crane["payload.mass"]` gives a
     number.
     """
 
-    name: str
-    machine: Machine
-    values: Mapping[str, float]
-    initial: Initial
-    description: str = ""
-    voltage: Mapping[str, Voltage] = field(default_factory=dict)
-    sensors: Mapping[str, float] = field(default_factory=dict)
-    uncertainty: Mapping[str, Uncertainty] = field(default_factory=dict)
-    sources: Mapping[str, str] = field(default_factory=dict)
-    effects: tuple[Acting, ...] = ()
-    history: tuple[Mapping[str, Any], ...] = ()
     #: functions f(mbs, plant, number) that add Exudyn objects of one's own to machine `number` of a plant; see
     #: `with_objects`
     objects: tuple[Callable[..., None], ...] = field(default=(), repr=False)
-    #: of the file that it was read from; what is written keeps its comments and units
-    text: str = field(default="", repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        for name in ("values", "voltage", "sensors", "uncertainty", "sources"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        check(self.name, self.machine, self.values, self.effects)
 
     # -- reading and writing -------------------------------------------------------------------------------------
 
@@ -117,7 +52,14 @@ class Crane:
             raise CraneError(f"{where}: not a whole TOML file: {problem}.") from problem
         except RecursionError:
             raise CraneError(f"{where}: not a crane file: its lists or tables are nested too deep.") from None
-        return crane_toml.from_document(document, where, text)
+        return cls.from_document(document, where, text)
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any], where: str, text: str = "") -> Crane:
+        """Return the crane that a parsed TOML document describes; `where` names the file in errors, `text` is the
+        file's.
+        """
+        return crane_toml.from_document(cls, document, where, text)
 
     def save(self, path: str | Path) -> None:
         """Write the crane as TOML, whole or not at all; reading it again gives an equal crane."""
@@ -125,12 +67,9 @@ class Crane:
 
     def to_toml(self) -> str:
         """Return the crane as TOML text, values in SI at full precision."""
-        return crane_toml.to_text(self)
+        from .crane_edit import to_text
 
-    @property
-    def layout(self) -> Layout:
-        """Where its coordinates, chambers and valves stand in states and inputs."""
-        return self.machine.layout
+        return to_text(self)
 
     # -- numbers -------------------------------------------------------------------------------------------------
 
@@ -138,15 +77,6 @@ class Crane:
         """Return the areas in m² of a cylinder's piston side and rod side."""
         bore, rod = self[f"cylinders.{cylinder}.bore"], self[f"cylinders.{cylinder}.rod"]
         return 0.25 * math.pi * bore**2, 0.25 * math.pi * (bore**2 - rod**2)
-
-    def __getitem__(self, name: str) -> float:
-        """Return a nominal parameter in SI by its name, such as "payload.mass"."""
-        try:
-            return self.values[name]
-        except KeyError:
-            raise CraneError(
-                f"{self.name}: there is no parameter {name!r}.{nearest(name, list(self.machine.names))}"
-            ) from None
 
     def parameter_vector(self) -> np.ndarray:
         """Return P, shape (len(machine.names),): all nominal parameters in SI."""
@@ -246,106 +176,3 @@ def _read(name_or_path: str | Path) -> tuple[str, str]:
         return data.decode(marked), str(path)
     except UnicodeDecodeError as problem:
         raise CraneError(f"{path}: not a text file in UTF-8 ({problem.reason}). A crane file is TOML.") from problem
-
-
-def complete(effect: type[registry.Effect], values: Mapping[str, float]) -> dict[str, float]:
-    """Return all parameters of an effect: those given, and the neutral (or shaping) value of the others."""
-    return {p.name: float(values.get(p.name, p.neutral)) for p in effect.parameters} | {
-        n: float(v) for n, v in values.items() if n not in {p.name for p in effect.parameters}
-    }
-
-
-# -- what is possible ------------------------------------------------------------------------------------------------
-
-#: last part of a name -> (smallest value, whether that value itself is allowed)
-_LIMITS = {
-    "air_pressure": (0.0, True),
-    "mass": (0.0, False), "inertia": (0.0, False), "width": (0.0, True), "height": (0.0, True), "bore": (0.0, False),
-    "rod": (0.0, True), "empty_length": (0.0, True), "chamber_range": (0.0, False), "hose_volume_piston": (0.0, False),
-    "hose_volume_rod": (0.0, False), "coulomb_friction": (0.0, True), "static_friction": (0.0, True),
-    "stribeck_speed": (0.0, False), "viscous_friction": (0.0, True), "flow_coefficient": (0.0, False),
-    "time_constant": (0.0, True), "oil_bulk_modulus": (0.0, False), "cylinder_bulk_modulus": (0.0, False),
-    "hose_bulk_modulus": (0.0, False), "vapour_pressure": (0.0, True), "laminar_pressure": (0.0, False),
-    "pump_pressure": (0.0, False), "tank_pressure": (0.0, True), "gravity": (0.0, True),
-    **dict.fromkeys(parameters.EDGES, (0.0, False)),
-}  # fmt: skip
-#: last part of a name -> the only values that it may have, with what they stand for
-_CHOICES = {"pressure_reference": {0.0: "absolute", 1.0: "gauge"}}
-
-
-def check(where: str, machine: Machine, values: Mapping[str, float], effects: Sequence[Acting]) -> None:
-    """Raise CraneError for numbers and effects that no crane can have; `where` begins the message."""
-    check_values(where, machine, values)
-    for acting in effects:
-        check_effect(where, machine.layout, acting)
-    keys = [e.key for e in effects]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise CraneError(f"{where}: effect {key!r} stands twice. Remove one of them.")
-
-
-def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> None:
-    """Raise CraneError for a missing, unknown or impossible number: field, value, limit and mend."""
-    for name in values:
-        if name not in machine.index:
-            raise CraneError(f"{where}: unknown parameter {name!r}.{nearest(name, list(machine.names))}")
-    missing = [n for n in machine.names if n not in values]
-    if missing:
-        raise CraneError(
-            f"{where}: {missing[0]} is missing ({len(missing)} in all). Give it, in {parameters.unit_of(missing[0])}."
-        )
-    for name, value in values.items():
-        _check_one(where, name, value)
-    for c in machine.layout.cylinders:
-        bore, rod = values[f"cylinders.{c}.bore"], values[f"cylinders.{c}.rod"]
-        if rod >= bore:
-            raise CraneError(
-                f"{where}: cylinders.{c}.rod = {rod:g} m is not thinner than the bore of {bore:g} m. Swap or mend them."
-            )
-    if values["supply.pump_pressure"] <= values["supply.tank_pressure"]:
-        raise CraneError(
-            f"{where}: supply.pump_pressure = {values['supply.pump_pressure']:g} Pa is not above the tank's "
-            f"{values['supply.tank_pressure']:g} Pa. Nothing could move; mend one of them."
-        )
-
-
-def _check_one(where: str, name: str, value: float) -> None:
-    if not math.isfinite(value):
-        raise CraneError(f"{where}: {name} = {value} is not finite. Give a number in {parameters.unit_of(name)}.")
-    last = name.rsplit(".", 1)[-1]
-    if value not in _CHOICES.get(last, (value,)):
-        known = " or ".join(f"{number:g} ({meaning})" for number, meaning in _CHOICES[last].items())
-        raise CraneError(f"{where}: {name} = {value:g} is impossible: it must be {known}.")
-    limit = _LIMITS.get(last)
-    if limit is None:
-        return
-    least, allowed = limit if name != "payload.mass" else (0.0, True)
-    if value < least or (value == least and not allowed):
-        sign = ">=" if allowed else ">"
-        raise CraneError(
-            f"{where}: {name} = {value:g} {parameters.unit_of(name)} is impossible: it must be {sign} {least:g}."
-        )
-
-
-def check_effect(where: str, layout: Layout, acting: Acting) -> None:
-    """Raise CraneError for an unknown effect, place or parameter, or a value outside its range."""
-    effect, _ = registry.split_key(acting.key, layout)
-    ranges = {p.name: p for p in effect.parameters}
-    for name, value in acting.parameters.items():
-        if name not in ranges:
-            raise CraneError(f"{where}: effect {acting.key!r} has no parameter {name!r}.{nearest(name, list(ranges))}")
-        p = ranges[name]
-        if not p.lower <= value <= p.upper:
-            raise CraneError(
-                f"{where}: effect {acting.key!r}: {name} = {value:g} {p.unit} is outside {p.lower:g} … {p.upper:g}. "
-                f"The neutral value is {p.neutral:g}."
-            )
-    if effect.curve is not None:
-        effect.curve.check(f"{where}: effect {acting.key!r}", acting.parameters)
-
-
-def names_matching(pattern: str, names: Iterable[str]) -> list[str]:
-    """Return the parameters among `names` that a name or a pattern with * stands for."""
-    from fnmatch import fnmatchcase
-
-    return [n for n in names if fnmatchcase(n, pattern)]

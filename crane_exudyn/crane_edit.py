@@ -1,30 +1,40 @@
-"""A crane written into the text of the file that it was read from: comments, units and order stay, only what differs is
-changed.
+"""A crane written as text: into that of the file that it was read from, where comments, units and order stay and only
+what differs is changed; or anew.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import tomlkit
 from tomlkit.items import AoT, Table
 
 from . import parameters
-from .crane_toml import REFERENCES, as_written, from_document
+from .crane_toml import REFERENCES, as_written, from_document, whole_text
+from .description import Description, Uncertainty
 from .effects.base import Acting
 from .units import factor_to_si, to_si
-
-if TYPE_CHECKING:
-    from .crane import Crane, Uncertainty
 
 #: a plain number with its unit; anything else is an expression
 _PLAIN = re.compile(r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*(.*)", re.DOTALL)
 
 
-def edited(text: str, before: Crane, crane: Crane) -> str:
+def to_text(crane: Description) -> str:
+    """Return a crane as TOML text: the text that it was read from with what differs, or one section after the other, in
+    SI.
+    """
+    if crane.text:
+        before = from_document(Description, tomllib.loads(crane.text), crane.name)
+        if before.machine == crane.machine and before.voltage == crane.voltage and before.sources == crane.sources:
+            return edited(crane.text, before, crane)
+    return whole_text(crane)
+
+
+def edited(text: str, before: Description, crane: Description) -> str:
     """Return the text of a crane file that was read as `before`, changed so that it reads as `crane`, whose machine is
     the same.
     """
@@ -37,7 +47,8 @@ def edited(text: str, before: Crane, crane: Crane) -> str:
             _set_value(document, name, value)
     _set_all(document, "sensors", before.sensors, crane.sensors)
     # shares of values that have changed are others now
-    _set_uncertainties(document, from_document(document.unwrap(), crane.name).uncertainty, crane.uncertainty)
+    now = from_document(Description, document.unwrap(), crane.name)
+    _set_uncertainties(document, now.uncertainty, crane.uncertainty)
     if crane.initial != before.initial:
         pose = dict(zip(crane.layout.coordinates, crane.initial.pose, strict=True))
         _set_all(document, "initial", {}, pose | {"less_loaded_pressure": list(crane.initial.less_loaded_pressure)})

@@ -1,26 +1,26 @@
-"""Crane files: TOML in, TOML out. Only the form is known here; what the numbers mean stands in crane.py."""
+"""Crane files: TOML in, TOML out. Only the form is known here; what the numbers mean stands in description.py."""
 
 from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from fnmatch import fnmatchcase
+from typing import Any, TypeVar
 
 from . import parameters
+from .description import Description, Initial, Uncertainty, Voltage, check, complete
 from .effects import registry
 from .effects.base import Acting
 from .effects.curve import KNOTS, Curve
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, refuse_unknown
 from .frozen import frozen
 from .layout import Layout
 from .machine import PRISMATIC, Machine
 from .machine_toml import OF_CYLINDER, OF_PAYLOAD, machine_of
 from .units import factor_to_si, to_si
 
-if TYPE_CHECKING:
-    from .crane import Crane, Initial, Uncertainty, Voltage
+D = TypeVar("D", bound=Description)
 
 _SECTIONS = (
     "name", "description", "gravity", "independent", "bodies", "payload", "joint", "joints", "cylinders", "valves",
@@ -29,20 +29,16 @@ _SECTIONS = (
 )  # fmt: skip
 
 
-def from_document(document: Mapping[str, Any], where: str, text: str = "") -> Crane:
-    """Return the crane that a parsed TOML document describes; `where` names the file in errors, `text` is the
-    file's.
+def from_document(kind: type[D], document: Mapping[str, Any], where: str, text: str = "") -> D:
+    """Return what a parsed TOML document describes, a `Description` or a crane; `where` names the file in errors,
+    `text` is the file's.
     """
-    from .crane import Crane, check
-
-    for key in document:
-        if key not in _SECTIONS:
-            raise CraneError(f"{where}: unknown section {key!r}.{nearest(key, list(_SECTIONS))}")
+    refuse_unknown(where, document, _SECTIONS, "section")
     machine = machine_of(document, where)
     values, lay = _values(document, machine, where), machine.layout
     effects = tuple(_effect(table, lay, where) for table in _tables(document, "effect", where))
     check(where, machine, values, effects)  # as every crane does, but here the message can name the file
-    return Crane(
+    return kind(
         name=str(document.get("name", where)),
         machine=machine,
         description=str(document.get("description", "")),
@@ -124,15 +120,11 @@ def _flatten(name: str, value: Any, machine: Machine, where: str, values: dict[s
 def _read(table: object, units: Mapping[str, str], where: str) -> dict[str, float]:
     if not isinstance(table, Mapping):
         raise CraneError(f"{where} = {str(table)[:60]} should be a table {{ {', '.join(units)} }}.")
-    for key in table:
-        if key not in units:
-            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, list(units))}")
+    refuse_unknown(where, table, units)
     return {key: to_si(value, units[key], f"{where}.{key}") for key, value in table.items()}
 
 
 def _initial(table: Mapping[str, Any], layout: Layout, where: str) -> Initial:
-    from .crane import Initial
-
     table = dict(table)
     pressure = table.pop("less_loaded_pressure", 20e5)
     each = pressure if isinstance(pressure, list) else [pressure] * len(layout.cylinders)
@@ -152,8 +144,6 @@ def _initial(table: Mapping[str, Any], layout: Layout, where: str) -> Initial:
 
 
 def _voltages(valves: Mapping[str, Any], layout: Layout, where: str) -> dict[str, Voltage]:
-    from .crane import Voltage
-
     found = {}
     for valve in layout.cylinders:
         table = valves.get(valve, {}).get("voltage") if isinstance(valves.get(valve, {}), Mapping) else None
@@ -181,11 +171,9 @@ def _sensors(table: Mapping[str, Any], layout: Layout, where: str) -> dict[str, 
 
 
 def _uncertainties(table: Mapping[str, Any], values: Mapping[str, float], where: str) -> dict[str, Uncertainty]:
-    from .crane import names_matching
-
     found: dict[str, Uncertainty] = {}
     for pattern, entry in table.items():
-        names = names_matching(pattern, values)
+        names = [n for n in values if fnmatchcase(n, pattern)]  # a name, or a pattern with *
         if not names:
             raise CraneError(f"{where}: uncertainty {pattern!r} fits no parameter.{nearest(pattern, list(values))}")
         for name in names:
@@ -194,12 +182,8 @@ def _uncertainties(table: Mapping[str, Any], values: Mapping[str, float], where:
 
 
 def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty:
-    from .crane import Uncertainty
-
     entry = entry if isinstance(entry, Mapping) else {"std": entry}
-    for key in entry:
-        if key not in ("std", "lower", "upper"):
-            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, ['std', 'lower', 'upper'])}")
+    refuse_unknown(where, entry, ("std", "lower", "upper"))
     unit = parameters.unit_of(name)
     std = entry.get("std", math.inf)
     if isinstance(std, str) and std.strip().endswith("%"):
@@ -217,16 +201,9 @@ def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty
 
 
 def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
-    from .crane import complete
-
     if "name" not in table:
         raise CraneError(f"{where}: an [[effect]] needs a name. `patu effects` lists them.")
-    for key in table:
-        if key not in ("name", "place", "parameters"):
-            raise CraneError(
-                f"{where}: effect {table['name']!r}: unknown key "
-                f"{key!r}.{nearest(key, ['name', 'place', 'parameters'])}"
-            )
+    refuse_unknown(f"{where}: effect {table['name']!r}", table, ("name", "place", "parameters"))
     place = str(table.get("place", ""))
     try:
         effect, _ = registry.split_key(f"{table['name']}@{place}" if place else str(table["name"]), layout)
@@ -247,9 +224,7 @@ def _curve(curve: Curve, table: object, where: str) -> dict[str, float]:
     if not isinstance(table, Mapping) or "over" not in table:
         names = ", ".join(a.name for a in curve.over)
         raise CraneError(f"{where} need a table with over (one of {names}), x = [...] and y = [...].")
-    for key in table:
-        if key not in _CURVE:
-            raise CraneError(f"{where}: unknown key {key!r}.{nearest(key, list(_CURVE))}")
+    refuse_unknown(where, table, _CURVE)
     over, against = curve.argument(table["over"], where), table.get("against_motion")
     if not (against is None or isinstance(against, bool)):
         raise CraneError(f"{where}: against_motion = {against!r} should be true or false.")
@@ -291,20 +266,7 @@ def unit_at(unit: str, place: str, layout: Layout) -> str:
 # -- writing ---------------------------------------------------------------------------------------------------------
 
 
-def to_text(crane: Crane) -> str:
-    """Return a crane as TOML text: the text that it was read from with what differs, or one section after the other, in
-    SI.
-    """
-    if crane.text:
-        from .crane_edit import edited
-
-        before = from_document(tomllib.loads(crane.text), crane.name)
-        if before.machine == crane.machine and before.voltage == crane.voltage and before.sources == crane.sources:
-            return edited(crane.text, before, crane)
-    return _whole_text(crane)
-
-
-def _whole_text(crane: Crane) -> str:
+def whole_text(crane: Description) -> str:
     """Return a crane as TOML text: SI numbers at full precision, one section after the other."""
     lines = [f"name = {_text(crane.name)}"]
     if crane.description:
@@ -327,7 +289,7 @@ def _whole_text(crane: Crane) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _joint_lines(crane: Crane) -> list[str]:
+def _joint_lines(crane: Description) -> list[str]:
     lines = []
     for joint in crane.machine.joints:
         lines += ["[[joint]]", f"name = {_text(joint.name)}", f"bodies = {_any((joint.carrier, joint.body))}"]
@@ -345,7 +307,7 @@ def _joint_lines(crane: Crane) -> list[str]:
     return lines
 
 
-def _value_lines(crane: Crane) -> list[str]:
+def _value_lines(crane: Description) -> list[str]:
     sections: dict[str, list[str]] = {f"bodies.{body}": [] for body in crane.machine.bodies}
     for name in crane.machine.names:
         if name == "gravity" or name.endswith((".y", ".direction")) or (".edges." in name and crane[name] == 1.0):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 
 
@@ -26,6 +26,13 @@ def doing(what: str) -> Iterator[None]:
 def listed(names: Iterable[str], values: Iterable[float], form: str) -> str:
     """Return names with their values, such as "z1 = 10.00 deg, z4 = -40.00 deg" for the form "{:.2f} deg"."""
     return ", ".join(f"{name} = {form.format(value)}" for name, value in zip(names, values, strict=True))
+
+
+def refuse_unknown(where: str, keys: Iterable[str], known: Collection[str], what: str = "key") -> None:
+    """Raise CraneError for the first of some keys that is not known; `where` begins the message."""
+    for key in keys:
+        if key not in known:
+            raise CraneError(f"{where}: unknown {what} {key!r}.{nearest(str(key), list(known))}")
 
 
 def nearest(word: str, known: list[str]) -> str:

@@ -10,7 +10,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, refuse_unknown
 from .layout import MOST_COORDINATES, Layout
 from .machine import GROUND, PRISMATIC, REVOLUTE, Cylinder, Joint, Machine
 
@@ -100,9 +100,7 @@ def _joint(table: Mapping[str, Any], bodies: Sequence[str], where: str) -> Joint
     if not isinstance(name, str) or not name.isidentifier():
         raise CraneError(f"{where}: a [[joint]] needs a name in letters, digits and underscores, found {name!r}.")
     place = f"{where}: joint {name!r}"
-    for key in table:
-        if key not in OF_JOINT:
-            raise CraneError(f"{place}: unknown key {key!r}.{nearest(key, list(OF_JOINT))}")
+    refuse_unknown(place, table, OF_JOINT)
     carrier, body = _known(f"{place}: bodies", table.get("bodies"), (GROUND, *bodies), several=2)
     kind = _known(f"{place}: kind", table.get("kind", REVOLUTE), (REVOLUTE, PRISMATIC))
     side = _BENDS[_known(f"{place}: bend", table.get("bend", "left"), tuple(_BENDS))]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from . import channels
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, refuse_unknown
 from .layout import Layout
 from .tables import split_header
 from .units import factor_to_si, to_si
@@ -138,9 +138,7 @@ def _column(where: str, name: str, table: Any, layout: Layout) -> Column:
         raise CraneError(
             f"{where}: found {table!r}, expected a table. Write [{name}] and below it column = {str(table)!r}."
         )
-    for key in table:
-        if key not in _KEYS:
-            raise CraneError(f"{where}: there is no key {key!r}.{nearest(key, list(_KEYS))}")
+    refuse_unknown(where, table, _KEYS)
     si = units[name]
     column, unit = table.get("column", name), table.get("unit")
     for key, value in (("column", column), ("unit", unit)):

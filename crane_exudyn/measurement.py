@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,17 +18,34 @@ from .compiled import njit
 from .crane import Crane
 from .effects import hooks
 from .effects.base import SENSORS
-from .effects.registry import known, neutral_vector, starts
+from .effects.registry import neutral_vector, slots_of
 from .faulty_laws import check_law
 from .geometry import cylinder_length
 from .hydraulics import vapour_pressure
-from .layout import MOST
 from .machine import Machine
 from .sensors import sensor
 
-_HOOKS = {"measurement", "lag"}
+#: hooks of what a sensor makes of its reading
+SENSING = frozenset({"measurement", "lag"})
 #: step of the difference quotient of a law: shares of a usual sensor's noise and of the reading
 _OF_NOISE, _OF_READING = 1e-3, 1e-6
+
+
+class _Reads(NamedTuple):
+    """What m sensors read, as compiled code takes it, which gets it as a tuple in this order.
+
+    Attributes:
+        summed: (m, most) states whose sum each shows, -1 for no more; is_pressure: (m,), not below vapour pressure.
+        cylinder: (m,) of which each shows the length, -1 for none.
+        place: (m,) number of the effects' place, -1 for none.
+        step: (m,) for the derivative of an effect's law.
+    """
+
+    summed: np.ndarray
+    is_pressure: np.ndarray
+    cylinder: np.ndarray
+    place: np.ndarray
+    step: np.ndarray
 
 
 class Measurement:
@@ -45,11 +63,13 @@ class Measurement:
         self.names, chosen = tuple(names), [sensor(n, lay.sensors) for n in names]
         most = max(1, *(len(c.shows) for c in chosen))
         summed = [[lay.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
-        self._summed = np.array(summed, np.int64).reshape(-1, most)
-        self._cylinder = np.array([-1 if c.shows else c.cylinder for c in chosen], np.int64)
-        self._place = np.array([lay.place_number(SENSORS, c.place) if c.place else -1 for c in chosen], np.int64)
-        self._is_pressure = np.array([c.unit == "Pa" for c in chosen], bool)
-        self._step = np.array([_OF_NOISE * c.sizes.noise for c in chosen])
+        self._reads = _Reads(
+            np.array(summed, np.int64).reshape(-1, most),
+            np.array([c.unit == "Pa" for c in chosen], bool),
+            np.array([-1 if c.shows else c.cylinder for c in chosen], np.int64),
+            np.array([lay.place_number(SENSORS, c.place) if c.place else -1 for c in chosen], np.int64),
+            np.array([_OF_NOISE * c.sizes.noise for c in chosen]),
+        )
         self.use(P, E)
 
     @classmethod
@@ -60,11 +80,11 @@ class Measurement:
 
     def use(self, P: np.ndarray, E: np.ndarray) -> None:
         self.P, self.E = P, E
-        self._floor = np.where(self._is_pressure, vapour_pressure(P), -np.inf)
-        slots = sensing_slots()
+        self._floor = np.where(self._reads.is_pressure, vapour_pressure(P), -np.inf)
+        slots = slots_of(SENSING)
         self.has_laws = bool((E[slots] != np.array(neutral_vector())[slots]).any())
-        self._is_plain = not self.has_laws and not (self._cylinder >= 0).any()
-        taus = [float(hooks.lag(E, place)) for place in self._place]
+        self._is_plain = not self.has_laws and not (self._reads.cylinder >= 0).any()
+        taus = [float(hooks.lag(E, place)) for place in self._reads.place]
         self.lags = tuple((j, tau) for j, tau in enumerate(taus) if tau > 0.0)
 
     def beside(self, P: np.ndarray, E: np.ndarray) -> Measurement:
@@ -78,28 +98,27 @@ class Measurement:
         parameters P (k, …) and effects E (k, …).
         """
         moved = (P != self.P).any(axis=1)
-        lengths = self._cylinder >= 0
+        lengths = self._reads.cylinder >= 0
         differ = np.array([vapour_pressure(p) != vapour_pressure(self.P) for p in P[moved]], bool)
         if lengths.any():  # a parameter that changes a length does so almost everywhere
             ends = X[[0, -1]]
             other, _ = self._read_on(ends, P[moved], np.tile(self.E, (len(differ), 1)))
             differ |= (other != self.read(ends)[:, :, None])[:, lengths].any(axis=(0, 1))
         moved[moved] = differ
-        slots = sensing_slots()
+        slots = slots_of(SENSING)
         return np.asarray(moved | (E[:, slots] != self.E[slots]).any(axis=1))
 
     def read(self, X: np.ndarray) -> np.ndarray:
         """Return what the sensors would show (n, m) of states X (n, nx) without lag."""
-        Y: np.ndarray = _sums(X, self._summed, self._floor)
+        Y: np.ndarray = _sums(X, self._reads.summed, self._floor)
         if not self._is_plain:
-            _read(self._machine.topology, X, self._cylinder, self._place, self.P, self.E, Y)
+            _read(self._machine.topology, tuple(self._reads), X, self.P, self.E, Y)
         return Y
 
     def rows(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what the sensors would show without lag (n, m), and its derivative (n, m, nx), at states X (n, nx)."""
-        Y, C = _sums(X, self._summed, self._floor), np.zeros((len(X), len(self.names), X.shape[1]))
-        reads = self._summed, self._floor, self._cylinder, self._place, self._step
-        _rows(self._machine.topology, X, *reads, self.P, self.E, Y, C)
+        Y, C = _sums(X, self._reads.summed, self._floor), np.zeros((len(X), len(self.names), X.shape[1]))
+        _rows(self._machine.topology, tuple(self._reads), self._floor, X, self.P, self.E, Y, C)
         return Y, C
 
     def shown(
@@ -126,8 +145,7 @@ class Measurement:
 
     def _read_on(self, X: np.ndarray, P: np.ndarray, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         Y, taus = np.empty((len(X), len(self.names), len(P))), np.empty((len(P), len(self.names)))
-        reads = self._summed, self._is_pressure, self._cylinder, self._place
-        _read_on(self._machine.topology, X, *reads, P, E, Y, taus)
+        _read_on(self._machine.topology, tuple(self._reads), X, P, E, Y, taus)
         return Y, taus
 
     def shown_rows(
@@ -150,23 +168,11 @@ class Measurement:
         for k, j in np.argwhere(~np.isfinite(Y)):
             true = float(self.beside(self.P, crane.nominal().effect_vector()).read(X[k : k + 1])[0, j])
             if np.isfinite(true):
-                check_law(crane, partial(_is_number, self._place[j], true), f"{self.names[j]} = {true:g}")
+                check_law(crane, partial(_is_number, self._reads.place[j], true), f"{self.names[j]} = {true:g}")
 
 
 def _is_number(place: int, true: float, crane: Crane) -> bool:
     return bool(np.isfinite(hooks.measurement(crane.effect_vector(), place, true)))
-
-
-@cache
-def sensing_slots(*, only: bool = False) -> np.ndarray:
-    """Return where the parameters stand in E that may change what sensors show; `only`: that change nothing else."""
-    found = [
-        starts()[effect.name] + i
-        for effect in known()
-        if (set(effect.hooks()) <= _HOOKS if only else set(effect.hooks()) & _HOOKS)
-        for i in range(len(effect.parameters) * MOST[effect.places])
-    ]
-    return np.array(found, np.int64)
 
 
 def lagged(
@@ -209,9 +215,9 @@ def _sums(X, summed, floor):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _read(topology, X, cylinder, place, P, E, Y):  # type: ignore[no-untyped-def]
+def _read(topology, reads, X, P, E, Y):  # type: ignore[no-untyped-def]
     """Write lengths into Y (n, m), which holds the sums, and make of all that what the laws make of it."""
-    row = np.empty(X.shape[1])
+    row, (_, _, cylinder, place, _) = np.empty(X.shape[1]), reads
     for j in range(place.size):
         for k in range(X.shape[0]):
             y = cylinder_length(topology, P, X[k], cylinder[j], row) if cylinder[j] >= 0 else Y[k, j]
@@ -219,23 +225,25 @@ def _read(topology, X, cylinder, place, P, E, Y):  # type: ignore[no-untyped-def
 
 
 @njit
-def _read_on(topology, X, summed, is_pressure, cylinder, place, P, E, Y, taus):  # type: ignore[no-untyped-def]
+def _read_on(topology, reads, X, P, E, Y, taus):  # type: ignore[no-untyped-def]
     """Write what sensors read on cranes with P and E (k, …) into Y (n, m, k), and their lags into taus (k, m)."""
+    summed, is_pressure, _, place, _ = reads
     floor = np.full(is_pressure.size, -np.inf)
     for k in range(P.shape[0]):
         for j in range(floor.size):  # np.where would take seconds to compile
             if is_pressure[j]:
                 floor[j] = vapour_pressure(P[k])
         own = _sums(X, summed, floor)
-        _read(topology, X, cylinder, place, P[k], E[k], own)
+        _read(topology, reads, X, P[k], E[k], own)
         Y[:, :, k] = own
         for j in range(place.size):
             taus[k, j] = hooks.lag(E[k], place[j])
 
 
 @njit
-def _rows(topology, X, summed, floor, cylinder, place, step, P, E, Y, C):  # type: ignore[no-untyped-def]
-    """Do as `_read`, and add the derivatives to C (n, m, nx)."""
+def _rows(topology, reads, floor, X, P, E, Y, C):  # type: ignore[no-untyped-def]
+    """Do as `_read`, and add the derivatives to C (n, m, nx); floor as of `_sums`."""
+    summed, _, cylinder, place, step = reads
     for j in range(place.size):
         for k in range(X.shape[0]):
             y = Y[k, j]

@@ -501,7 +501,7 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
     """Return (forceUserFunction, rhsUserFunction) for the generic objects that hold all machines of a plant."""
     n, width, chambers, topology = plant.size, plant.coordinates, len(plant.crane.layout.chambers), plant.topology
     force, rate = np.zeros((n, width)), np.zeros((n, chambers))
-    P, E, inertia, mass = plant.P, plant.E, plant.inertia, plant.payload_mass  # changed in place by set_parameters
+    machines = (topology, plant.P, plant.E, plant.inertia)  # changed in place by set_parameters, as the payload's mass
 
     starts: list[int] = []
 
@@ -512,9 +512,8 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
     def force_function(mbs: Any, t: float, number: int, q: Any, v: Any) -> np.ndarray:
         start = (starts or first_coordinates(mbs))[1]
         p = np.asarray(mbs.systemData.GetODE1Coordinates())[start : start + chambers * n]
-        if not _all_forces(
-            topology, P, E, t, mass, plant.inputs_at(t), inertia, np.asarray(q), np.asarray(v), p, force
-        ):
+        motion = (np.asarray(q), np.asarray(v), p)
+        if not _all_forces(machines, plant.payload_mass, t, plant.inputs_at(t), motion, force):
             raise CraneError(
                 f"{plant.crane.name}: the payload's mass changes at t = {t:g} s, but an Exudyn system has fixed "
                 "masses. "
@@ -526,15 +525,19 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
         start, data = (starts or first_coordinates(mbs))[0], mbs.systemData
         q = np.asarray(data.GetODE2Coordinates())[start : start + width * n]
         v = np.asarray(data.GetODE2Coordinates_t())[start : start + width * n]
-        _all_rates(topology, P, E, plant.inputs_at(t), inertia, q, v, np.asarray(p), rate)
+        _all_rates(machines, plant.inputs_at(t), (q, v, np.asarray(p)), rate)
         return rate.ravel()
 
     return force_function, rate_function
 
 
 @njit
-def _all_forces(topology, P, E, t, mass, w, inertia, q, v, p, out):
-    """Fill out (n, nq) with the extra forces of all machines; return False if a payload's mass is another one now."""
+def _all_forces(machines, mass, t, w, motion, out):
+    """Fill out (n, nq) with the extra forces of all machines; return False if a payload's mass is another one now.
+
+    machines: as `reduction.Machine`; motion: q, v and p of all machines behind each other, as Exudyn has them.
+    """
+    (topology, P, E, inertia), (q, v, p) = machines, motion
     n, width = out.shape
     chambers = p.size // n
     arms, lines, same = red.new_arms(topology), np.empty((chambers // 2, geo.N_LINE)), True
@@ -548,8 +551,9 @@ def _all_forces(topology, P, E, t, mass, w, inertia, q, v, p, out):
 
 
 @njit
-def _all_rates(topology, P, E, w, inertia, q, v, p, out):
-    """Fill out (n, chambers) with the pressure rates of all machines."""
+def _all_rates(machines, w, motion, out):
+    """Fill out (n, chambers) with the pressure rates of all machines; arguments as of `_all_forces`."""
+    (topology, P, E, inertia), (q, v, p) = machines, motion
     n, chambers = out.shape
     width = q.size // n
     arms, lines = red.new_arms(topology), np.empty((chambers // 2, geo.N_LINE))
@@ -618,7 +622,8 @@ def set_initial_rates(mbs: Any, plant: Plant, time: float = 0.0) -> None:
     v = np.array(data.GetODE2Coordinates_t(initial))[first : first + n * width]
     p = np.array(data.GetODE1Coordinates(initial))[start : start + chambers * n]
     rates, all_rates = np.zeros((n, chambers)), np.array(data.GetODE1Coordinates_t(initial))
-    _all_rates(plant.topology, plant.P, plant.E, plant.inputs_at(time), plant.inertia, q, v, p, rates)
+    machines = (plant.topology, plant.P, plant.E, plant.inertia)
+    _all_rates(machines, plant.inputs_at(time), (q, v, p), rates)
     all_rates[start : start + chambers * n] = rates.ravel()
     data.SetODE1Coordinates_t(all_rates, initial)
 

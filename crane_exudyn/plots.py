@@ -234,6 +234,14 @@ def legend_above(made: Figure, columns: int = 3, loc: str = "outside upper left"
             made.legend(list(found.values()), list(found), loc=place, ncols=min(len(found), columns))
 
 
+def over_time(made: Figure, columns: int = 3) -> None:
+    """Name the time axis below a figure of panels, align what stands beside them, and put their legend above."""
+    with style():
+        made.axes[-1].set_xlabel("time / s")
+    made.align_ylabels()
+    legend_above(made, columns)
+
+
 def entitle(made: Figure, title: str) -> None:
     """Write a title above a figure of panels over one time axis, and what that axis is below it."""
     with style():

@@ -16,12 +16,9 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import shutil
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -32,12 +29,10 @@ from .exudyn_quietly import exu, items
 from .files import replacing
 from .geometry import Pose, pose
 from .layout import Layout
-from .render_text import MAPS, READ, write_on
+from .render_text import MAPS, READ, Colour, Entry, Mark, Scale, Texts, write_on
+from .screen import need_screen, screen
+from .trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from .recording import Recording
-
-Colour = Literal["pressure", "residual"]
 Renderer = Literal["raytracer", "opengl"]
 View = Literal["side", "oblique"]
 
@@ -50,81 +45,6 @@ _OTHER_GHOSTS = ((0.0, 0.50, 0.36), (0.55, 0.35, 0.65))
 _BEHIND = {"side": 2.5, "oblique": 0.02}
 _SUPERSAMPLING = 2
 _VIEWS = {"side": (0.0, 0.0), "oblique": (math.radians(-24.0), math.radians(14.0))}
-_SECONDS_TO_START = 20.0
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """One machine's motion: coordinates and pressures over time.
-
-    Attributes:
-        label: "measured", "simulated", "estimated" or another word; it is written into the picture.
-        time: (n,) s, increasing.
-        positions: (n, coordinates) independent coordinates in the order of the layout, rad or m.
-        pressures: channel -> (n,) Pa, for those chambers where they are known.
-        theta: (n,) rad, angle of the payload's pendulum against straight down; None where it is not known.
-    """
-
-    label: str
-    time: np.ndarray
-    positions: np.ndarray
-    pressures: dict[str, np.ndarray] = field(default_factory=dict)
-    theta: np.ndarray | None = None
-
-    @classmethod
-    def from_states(cls, label: str, time: np.ndarray, states: np.ndarray, layout: Layout) -> Trajectory:
-        """Return the trajectory of states (n, nx) as engines give them, at `time` (n,); layout: the machine's,
-        `crane.layout`.
-        """
-        pressures = dict(zip(layout.chambers, states[:, layout.pressures].T, strict=True))
-        theta = next(iter(states[:, layout.extra].T), None)
-        return cls(label, np.asarray(time, dtype=float), states[:, layout.positions], pressures, theta)
-
-    @classmethod
-    def from_recording(cls, recording: Recording, label: str = "measured") -> Trajectory:
-        """Return the motion that a recording (or the written result of a run) holds, on the clock of the first
-        coordinate.
-
-        Raises:
-            CraneError: it lacks a coordinate, relative or absolute.
-        """
-        layout = recording.layout
-        shown = [next((n for n in (name, f"{name}_abs") if recording.has(n)), "") for name in layout.coordinates]
-        if not all(shown):
-            lacking = " and ".join(name for name, found in zip(layout.coordinates, shown, strict=True) if not found)
-            raise CraneError(
-                f"{recording.source or recording.name}: a picture needs {' and '.join(layout.coordinates)} (or one of "
-                "them with _abs, "
-                f"against the ground); {lacking} is missing, found only {', '.join(recording.channels)}. "
-                "Estimate them first: patu estimate REC -o states.csv."
-            )
-        time = recording[shown[0]].time
-        held: dict[str, np.ndarray] = {}
-        for name, channel in zip(layout.coordinates, shown, strict=True):
-            carried = sum((held[c] for c in layout.carriers(name)), np.zeros(len(time)))
-            held[name] = recording[channel].held(time) - (0.0 if channel == name else carried)
-        known = [p for p in layout.chambers if recording.has(p)]
-        theta = recording["theta"].held(time) if recording.has("theta") else None
-        positions = np.column_stack(list(held.values()))
-        return cls(label, time, positions, {p: recording[p].held(time) for p in known}, theta)
-
-    @classmethod
-    def at_rest(cls, crane: Crane) -> Trajectory:
-        """Return the crane standing still at the start that its file gives, for one second."""
-        return cls("start", np.array([0.0, 1.0]), np.tile(crane.initial.pose, (2, 1)))
-
-    def at(self, time: float) -> np.ndarray:
-        """Return the coordinates at a time, linear between samples, held outside."""
-        return np.array([np.interp(time, self.time, column) for column in self.positions.T])
-
-    def swing_at(self, time: float) -> float:
-        """Return the pendulum's angle in rad at a time; 0, hanging at rest, where it is not known."""
-        return 0.0 if self.theta is None else float(np.interp(time, self.time, self.theta))
-
-    def pressure_at(self, name: str, time: float) -> float:
-        """Return a pressure in Pa at a time; NaN where it is not known."""
-        values = self.pressures.get(name)
-        return math.nan if values is None else float(np.interp(time, self.time, values))
 
 
 def coordinates(crane: Crane, positions: np.ndarray, theta: np.ndarray | float = 0.0) -> np.ndarray:
@@ -454,6 +374,38 @@ class Scene:
         across *= 1.0 if room[0] >= room[1] else -1.0
         return at + 0.08 * shapes.size(self.crane) * across, (-across[0], -across[1])
 
+    # -- what is written -----------------------------------------------------------------------------------------------
+
+    def texts(self, time: float) -> Texts:
+        """Return what is written into the picture at `time` in s."""
+        layout = self.crane.layout
+        legend = [Entry(t.label, self.ghost_color(i)) for i, t in enumerate(self.trajectories)]
+        if self.colour is not None:
+            legend[0] = Entry(f"{legend[0].label} (coloured)", (1.0, 1.0, 1.0))
+        shown = layout.chambers if self.colour == "pressure" else (*layout.chambers, *layout.coordinates)
+        return Texts(
+            title=self.title or self.crane.name,
+            time=time,
+            pose={
+                name: (float(value), layout.unit_of(name))
+                for name, value in zip(layout.coordinates, self.trajectories[0].at(time), strict=True)
+            },
+            width=self.width,
+            legend=legend if len(legend) > 1 else (),
+            colour=self.colour,
+            scales=[
+                Scale(unit, end, {c: self.value(c, time) for c in shown if layout.unit_of(c) == unit})
+                for unit, end in self.scales.items()
+            ],
+            marks=[self._mark(mark, time) for mark in self.marks],
+        )
+
+    def _mark(self, mark: str, time: float) -> Mark:
+        tip, direction = self.mark_at(mark, time)
+        tail = tip - 1.04 * self.arrow_length * np.asarray(direction) / math.hypot(*direction)
+        words = f"{mark} cylinder" if mark in self.crane.layout.cylinders else mark
+        return Mark(words, *self.project(np.array([[*tail, shapes.FRONT], [*tip, shapes.FRONT]])))
+
     # -- pictures ------------------------------------------------------------------------------------------------------
 
     def frames(self, times: Sequence[float], renderer: Renderer = "raytracer") -> Iterator[np.ndarray]:
@@ -468,7 +420,7 @@ class Scene:
                 picture = self.system.renderer.RedrawAndGetImage(useRaytracer=ray_traced)
                 if self._problem is not None:
                     raise self._problem
-                yield write_on(picture, self, float(time))
+                yield write_on(picture, self.texts(float(time)))
 
     @contextlib.contextmanager
     def _renderer(self, wanted: Renderer) -> Iterator[bool]:
@@ -704,63 +656,3 @@ def _map_color(colour: Colour | None, fraction: float) -> shapes.Color:
 def _placed(graphics: shapes.Graphics, frame: np.ndarray) -> shapes.Graphics:
     """Return graphics of a part's frame in world coordinates; frame is x, y, angle."""
     return shapes.moved(graphics, (frame[0], frame[1], 0.0), frame[2])
-
-
-# -- screens ---------------------------------------------------------------------------------------------------------
-
-_MISSING = (
-    "There is no screen (DISPLAY is not set), and the program Xvfb, which makes one in memory, was not found. "
-    "Install the Debian package xvfb, or leave --renderer opengl out: the ray tracer needs no screen."
-)
-
-
-def has_screen() -> bool:
-    """Return whether a window could be opened."""
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or os.name == "nt")
-
-
-def need_screen(what: str) -> None:
-    """Raise CraneError if there is no screen for an interactive window."""
-    if not has_screen():
-        raise CraneError(f"{what} needs a screen, and DISPLAY is not set. Write a picture instead: -o FILE.png.")
-
-
-@contextlib.contextmanager
-def screen(size: tuple[int, int]) -> Iterator[None]:
-    """Make sure that a window can be opened: uses the screen there is, or starts Xvfb and ends it again."""
-    if has_screen():
-        yield
-        return
-    process, display = _start_xvfb(size)
-    os.environ["DISPLAY"] = display
-    try:
-        yield
-    finally:
-        os.environ.pop("DISPLAY", None)
-        process.terminate()
-        process.wait()
-
-
-def _start_xvfb(size: tuple[int, int]) -> tuple[subprocess.Popen[bytes], str]:
-    """Start Xvfb on a free display number, which it chooses and tells through a pipe."""
-    program = shutil.which("Xvfb")
-    if program is None:
-        raise CraneError(_MISSING)
-    reading, writing = os.pipe()
-    command = [program, "-displayfd", str(writing), "-screen", "0", f"{size[0]}x{size[1]}x24", "-nolisten", "tcp"]
-    process = subprocess.Popen(command, pass_fds=[writing], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    os.close(writing)
-    with open(reading, encoding="ascii") as pipe:
-        number = _first_line(pipe)
-    if not number:
-        process.kill()
-        process.wait()
-        raise CraneError(f"{program} did not start. See what `{program} :99` says, or leave --renderer opengl out.")
-    return process, f":{number}"
-
-
-def _first_line(pipe: Any) -> str:
-    import select
-
-    ready, _, _ = select.select([pipe], [], [], _SECONDS_TO_START)
-    return pipe.readline().strip() if ready else ""

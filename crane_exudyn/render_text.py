@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from .render_shapes import FRONT
-
-if TYPE_CHECKING:
-    from .render import Scene
+Colour = Literal["pressure", "residual"]
 
 #: how people read a unit: how many of theirs it is, and their name
 READ = {"Pa": (1e-5, "bar"), "rad": (math.degrees(1.0), "°"), "m": (1e3, "mm")}
@@ -26,21 +25,64 @@ _QUANTITIES = {"Pa": "pressure", "rad": "angle", "m": "way"}
 _INK, _SOFT, _MARK = (25, 27, 30), (85, 90, 96), (176, 0, 98)
 
 
-def write_on(picture: np.ndarray, scene: Scene, time: float) -> np.ndarray:
-    """Return the picture (height, width, 3) with the scene's texts at a time in s."""
+class Entry(NamedTuple):
+    """An entry of the legend: which crane, and its colour (red, green, blue from 0 to 1)."""
+
+    label: str
+    color: tuple[float, float, float]
+
+
+class Scale(NamedTuple):
+    """A colour scale from zero to `end`, with present values by name; SI, NaN where it is not known."""
+
+    unit: str
+    end: float
+    values: Mapping[str, float]
+
+
+class Mark(NamedTuple):
+    """What an arrow points at, and its tail and tip (2,) in pixels."""
+
+    words: str
+    tail: np.ndarray
+    tip: np.ndarray
+
+
+@dataclass(frozen=True)
+class Texts:
+    """What is written into a picture at a time.
+
+    Attributes:
+        time: s.
+        pose: coordinates by name: value and unit, SI.
+        width: what the picture shows from left to right, m.
+        colour: what colours stand for.
+    """
+
+    title: str
+    time: float
+    pose: Mapping[str, tuple[float, str]]
+    width: float
+    legend: Sequence[Entry]
+    colour: Colour | None
+    scales: Sequence[Scale]
+    marks: Sequence[Mark]
+
+
+def write_on(picture: np.ndarray, texts: Texts) -> np.ndarray:
+    """Return the picture (height, width, 3) with texts."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image, "RGBA")
     unit = max(image.height / 720.0, 0.7)  # sizes below are pixels of a picture 720 high; small ones stay legible
-    _heading(draw, scene, time, unit)
-    if len(scene.trajectories) > 1:
-        _legend(draw, scene, unit)
-    _metres(draw, scene, unit, image.size)
-    if scene.colour is not None:
-        _scales(draw, scene, time, unit, image.size)
-    for mark in scene.marks:
-        _mark(draw, scene, mark, time, unit)
+    _heading(draw, texts, unit)
+    _legend(draw, texts.legend, unit)
+    _metres(draw, texts.width, unit, image.size)
+    if texts.colour is not None:
+        _scales(draw, texts.colour, texts.scales, unit, image.size)
+    for mark in texts.marks:
+        _mark(draw, mark, unit)
     return np.asarray(image)
 
 
@@ -54,32 +96,28 @@ def _font(size: int, bold: bool = False) -> Any:
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, size)
 
 
-def _heading(draw: Any, scene: Scene, time: float, unit: float) -> None:
-    title = scene.title or scene.crane.name
-    draw.text((28 * unit, 20 * unit), title, font=_font(round(24 * unit), True), fill=_INK)
-    layout = scene.crane.layout
-    words = [f"t = {time:6.2f} s"]
-    for name, value in zip(layout.coordinates, scene.trajectories[0].at(time), strict=True):
-        factor, symbol = READ[layout.unit_of(name)]
+def _heading(draw: Any, texts: Texts, unit: float) -> None:
+    draw.text((28 * unit, 20 * unit), texts.title, font=_font(round(24 * unit), True), fill=_INK)
+    words = [f"t = {texts.time:6.2f} s"]
+    for name, (value, si_unit) in texts.pose.items():
+        factor, symbol = READ[si_unit]
         words.append(f"{name} = {value * factor:6.1f}{'' if symbol == '°' else ' '}{symbol}")
     draw.text((28 * unit, 54 * unit), "    ".join(words).replace("-", "−"), font=_font(round(17 * unit)), fill=_SOFT)
 
 
-def _legend(draw: Any, scene: Scene, unit: float) -> None:
-    for i, trajectory in enumerate(scene.trajectories):
+def _legend(draw: Any, legend: Sequence[Entry], unit: float) -> None:
+    for i, (label, color) in enumerate(legend):
         y = (90 + 28 * i) * unit
-        plain = i == 0 and scene.colour is not None
-        color = (255, 255, 255) if plain else tuple(round(255 * c) for c in scene.ghost_color(i))
-        draw.rectangle((28 * unit, y, 62 * unit, y + 16 * unit), fill=color, outline=_INK, width=max(1, round(unit)))
-        how = " (coloured)" if plain else ""
-        draw.text((72 * unit, y - 3 * unit), trajectory.label + how, font=_font(round(17 * unit)), fill=_INK)
+        fill = tuple(round(255 * c) for c in color)
+        draw.rectangle((28 * unit, y, 62 * unit, y + 16 * unit), fill=fill, outline=_INK, width=max(1, round(unit)))
+        draw.text((72 * unit, y - 3 * unit), label, font=_font(round(17 * unit)), fill=_INK)
 
 
-def _metres(draw: Any, scene: Scene, unit: float, size: tuple[int, int]) -> None:
+def _metres(draw: Any, width: float, unit: float, size: tuple[int, int]) -> None:
     """Draw how long a metre is in the picture, or another round length of about an eighth of its width."""
-    length = min(_LENGTHS, key=lambda m: abs(math.log(8.0 * m / scene.width)))
+    length = min(_LENGTHS, key=lambda m: abs(math.log(8.0 * m / width)))
     left, y, tick = 28 * unit, size[1] - 30 * unit, 5 * unit
-    right = left + length / scene.width * size[0]
+    right = left + length / width * size[0]
     for line in ((left, y, right, y), *((x, y - tick, x, y + tick) for x in (left, right))):
         draw.line(line, fill=_INK, width=max(1, round(2 * unit)))
     draw.text(
@@ -87,21 +125,18 @@ def _metres(draw: Any, scene: Scene, unit: float, size: tuple[int, int]) -> None
     )
 
 
-def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, int]) -> None:
+def _scales(draw: Any, colour: Colour, scales: Sequence[Scale], unit: float, size: tuple[int, int]) -> None:
     """Draw one bar for each quantity, with the present values written beside it."""
-    layout = scene.crane.layout
-    shown = layout.chambers if scene.colour == "pressure" else (*layout.chambers, *layout.coordinates)
-    for i, (unit_name, end) in enumerate(scene.scales.items()):
-        (factor, symbol), channels = READ[unit_name], [c for c in shown if layout.unit_of(c) == unit_name]
+    for i, (si_unit, end, values) in enumerate(scales):
+        factor, symbol = READ[si_unit]
         x = size[0] - (330 + 350 * i) * unit
-        values = [(c, scene.value(c, time) * factor) for c in channels]
-        words = [f"{c} {v:.1f}" for c, v in values if not math.isnan(v)]
+        words = [f"{name} {value * factor:.1f}" for name, value in values.items() if not math.isnan(value)]
         lines = ["   ".join(words[k : k + _PER_LINE]) for k in range(0, len(words), _PER_LINE)]
         y = size[1] - (78 + 18 * max(len(lines) - 1, 0)) * unit
         panel = (x - 16 * unit, y - 32 * unit, x + 318 * unit, size[1] - 16 * unit)
         draw.rounded_rectangle(panel, radius=8 * unit, fill=(255, 255, 255, 200))
-        _bar(draw, scene, (x, y, x + 300 * unit, y + 14 * unit))
-        quantity = _QUANTITIES[unit_name] + ("" if scene.colour == "pressure" else " residual")
+        _bar(draw, MAPS[colour], (x, y, x + 300 * unit, y + 14 * unit))
+        quantity = _QUANTITIES[si_unit] + ("" if colour == "pressure" else " residual")
         heading = f"{quantity} / {symbol}"
         draw.text((x, y - 25 * unit), heading, font=_font(round(16 * unit)), fill=_INK)
         for fraction in (0.0, 0.5, 1.0):
@@ -110,26 +145,23 @@ def _scales(draw: Any, scene: Scene, time: float, unit: float, size: tuple[int, 
         draw.text((x, y + 36 * unit), "\n".join(lines), font=_font(round(14 * unit)), fill=_SOFT)
 
 
-def _bar(draw: Any, scene: Scene, box: tuple[float, float, float, float]) -> None:
+def _bar(draw: Any, colours: str, box: tuple[float, float, float, float]) -> None:
     from matplotlib import colormaps
 
     left, top, right, bottom = box
     steps = 60
     for k in range(steps):
-        r, g, b, _ = colormaps[MAPS[scene.colour or "pressure"]]((k + 0.5) / steps)
+        r, g, b, _ = colormaps[colours]((k + 0.5) / steps)
         at = left + (right - left) * k / steps
         color = (round(255 * r), round(255 * g), round(255 * b))
         draw.rectangle((at, top, left + (right - left) * (k + 1) / steps, bottom), fill=color)
     draw.rectangle(box, outline=_INK, width=1)
 
 
-def _mark(draw: Any, scene: Scene, mark: str, time: float, unit: float) -> None:
+def _mark(draw: Any, mark: Mark, unit: float) -> None:
     """Write the name of a marked place beside the tail of its arrow, on a white ground."""
-    tip, direction = scene.mark_at(mark, time)
-    tail = tip - 1.04 * scene.arrow_length * np.asarray(direction) / math.hypot(*direction)
-    (x, y), (x_tip, y_tip) = scene.project(np.array([[*tail, FRONT], [*tip, FRONT]]))
+    words, (x, y), (x_tip, y_tip) = mark
     font = _font(round(19 * unit), True)
-    words = mark if mark not in scene.crane.layout.cylinders else f"{mark} cylinder"
     pad = 6 * unit
     x += (draw.textlength(words, font=font) / 2.0 + pad) * (x - x_tip) / math.hypot(x - x_tip, y - y_tip)
     y += 20 * unit * (y - y_tip) / math.hypot(x - x_tip, y - y_tip)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .options import DEFAULT_CRANE, EngineName, make_engine
+from .options import DEFAULT_CRANE, EngineName
 from .output import progress
 
 if TYPE_CHECKING:
@@ -127,10 +127,11 @@ def _run_each(parts: tuple[Part, ...]) -> None:
 
 def _simulate(engine: EngineName, recording: Recording) -> None:
     from crane_exudyn.crane import Crane
+    from crane_exudyn.engines import engine_class
     from crane_exudyn.simulation import simulate
 
     crane = Crane.load(DEFAULT_CRANE)
-    holder = make_engine(engine, crane)
+    holder = engine_class(engine)(crane)
     run = simulate(crane, recording, engine=holder)
     run.channels()
     holder.propagate(run.states[:2], np.tile(crane.layout.closed, (2, 1)), 1e-3)

@@ -239,16 +239,17 @@ def _tuned(
 
 def save_report(result: Estimate, name: str, directory: Path, engine: str, std: dict[str, float]) -> Path:
     """Write the report of an estimate, verdict first, and return its file; std: the sensors' noise in SI."""
-    from ukf.plots import display, innovations_figure, states_figure
+    from crane_exudyn.plots import shown
     from validation.report import Picture, Table, write_report
 
     best = _best(result)
-    states = Picture(states_figure(best), "Every quantity with its 95 % interval, and what the sensors showed.")
+    pictures = best.figures()
+    states = Picture(pictures["states"], "Every quantity with its 95 % interval, and what the sensors showed.")
     words = "Innovations in units of what the filter expects; 95 % should lie in the band, without a pattern in time."
     sections: list[tuple[str, list[Any]]] = [
         ("States", [states, Table(COLUMNS, rows(best))]),
         *([("Models", [Table(MODEL_COLUMNS, model_rows(result))])] if result.models else []),
-        ("Consistency", [consistency(result), *allowance(result), Picture(innovations_figure(result), words)]),
+        ("Consistency", [consistency(result), *allowance(result), Picture(pictures["innovations"], words)]),
         ("What happened on the way", event_lines(result) or ["Nothing odd."]),
     ]
     parameters: dict[str, object] = {
@@ -258,7 +259,7 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
         "filter": result.method,
     }
     for channel, value in std.items():
-        factor, unit = display(channel, "", result.layout)
+        _, _, factor, unit = shown(channel, "", result.layout)
         parameters[f"noise of {channel} / {unit}"] = factor * value
     mood: Any = "good" if result.consistent else "bad"
     return write_report(directory, f"Estimate of {name}", verdict(result), sections, parameters=parameters, mood=mood)
@@ -325,7 +326,7 @@ def allowance(result: Estimate) -> list[str]:
     """Return what the intervals allow for in a model that is wrong, those unknowns first that are furthest from what
     the file says.
     """
-    from ukf.plots import display
+    from crane_exudyn.plots import shown
 
     account = result.model_error
     if account is None or not account.used:
@@ -335,7 +336,7 @@ def allowance(result: Estimate) -> list[str]:
     )
     words = []
     for name, now in listed[:_LISTED]:
-        factor, unit = display(name, now["unit"], result.layout)
+        _, _, factor, unit = shown(name, now["unit"], result.layout)
         words.append(f"{name} {factor * now['value']:.3g} ± {factor * 1.96 * now['std']:.2g} {unit}".rstrip())
     return [
         f"The intervals allow for an error of the model: {len(listed)} unknowns; at the end, most of all "

@@ -30,7 +30,8 @@ from .outputs import Writes, saving
 from .reading import listed, load_crane, load_with_check
 
 if TYPE_CHECKING:
-    from validation.learning import Learned, LearnedLaw
+    from validation.learned.learned_law import LearnedLaw
+    from validation.learning import Learned
 
 
 def python_file(path: Path) -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from crane_exudyn.errors import CraneError
 
 from .outputs import Reads, Writes
-
-if TYPE_CHECKING:
-    from crane_exudyn.crane import Crane
 
 DEFAULT_CRANE = "patu655"
 
@@ -102,14 +99,3 @@ CheckOption = Annotated[
     typer.Option("--check", metavar="REC2", help="A recording that is only predicted, never fitted."),
     Reads(),
 ]
-
-
-def make_engine(name: EngineName, crane: Crane) -> Any:
-    """Return the engine that `--engine` names, holding `crane`."""
-    if name == "exudyn":
-        from crane_exudyn.engine import ExudynEngine
-
-        return ExudynEngine(crane)
-    from validation.semi_recursive import SemiRecursiveEngine
-
-    return SemiRecursiveEngine(crane)

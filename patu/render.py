@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     from crane_exudyn.crane import Crane
     from crane_exudyn.recording import Recording
-    from crane_exudyn.render import Scene, Trajectory
+    from crane_exudyn.render import Scene
+    from crane_exudyn.trajectory import Trajectory
 
 #: what a --ghost without a name is called, in order
 _GHOST_NAMES = ("simulated", "estimated", "third", "fourth")
@@ -123,7 +124,8 @@ def command(
     if frames:
         _sketch(described, output, json)
         return
-    from crane_exudyn.render import Scene, need_screen  # imports compiled code, of which the effects must be part
+    from crane_exudyn.render import Scene  # imports compiled code, of which the effects must be part
+    from crane_exudyn.screen import need_screen
 
     if open_viewer:
         need_screen("--open")
@@ -172,7 +174,7 @@ def _runs(
     crane: Crane, recording: Path | None, label: str | None, ghosts: Sequence[str], read: Callable[[Path], Recording]
 ) -> list[Trajectory]:
     """Return the trajectories of the run itself and of its ghosts."""
-    from crane_exudyn.render import Trajectory
+    from crane_exudyn.trajectory import Trajectory
 
     if recording is None:
         return [Trajectory.at_rest(crane)]

@@ -20,7 +20,6 @@ from .options import (
     MapFileOption,
     MapOption,
     OutputOption,
-    make_engine,
 )
 from .output import Printer
 from .outputs import Reads, saving
@@ -62,10 +61,11 @@ def command(
         raise CraneError(f"--step {step:g} is not a positive time in seconds.")
     chosen = load_crane(crane, effects)
     recording = None if inputs is None else load_recording(inputs, chosen, mapping, map_file).require(sensors=0)
+    from crane_exudyn.engines import engine_class
     from crane_exudyn.simulation import simulate
 
     compile_for("check", engine, "semi-recursive")
-    holder = make_engine(engine, chosen)
+    holder = engine_class(engine)(chosen)
     start = first_state(chosen, holder, recording) if recording is not None and start_from_recording else None
     _compile(chosen, holder)
     holder.halved = 0

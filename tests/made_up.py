@@ -5,7 +5,6 @@ of its own.
 import tomllib
 
 from crane_exudyn import Crane
-from crane_exudyn.crane_toml import from_document
 
 _CYLINDER = """
 bore = 0.1
@@ -115,4 +114,4 @@ bucket = "-30 deg"
 
 def made_up() -> Crane:
     """Return the made-up machine as a crane."""
-    return from_document(tomllib.loads(_TEXT), "made up")
+    return Crane.from_document(tomllib.loads(_TEXT), "made up")

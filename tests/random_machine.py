@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from crane_exudyn import CraneError, crane_toml
+from crane_exudyn import Crane, CraneError
 from validation.crosscheck_cases import random_states
 
 
@@ -175,4 +175,4 @@ def _drawn(name, rng):
             "pressure_reference": "absolute",
         },
     }
-    return crane_toml.from_document(document, document["name"])
+    return Crane.from_document(document, document["name"])

@@ -9,7 +9,6 @@ import pytest
 from random_machine import random_machine
 
 from crane_exudyn.crane import Crane, built_in
-from crane_exudyn.crane_toml import from_document
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
 from crane_exudyn.simulation import initial_state
@@ -60,7 +59,7 @@ def test_a_machine_of_an_earlier_file_is_the_patu():
     for cylinder in file["cylinders"].values():
         for key in ("bodies", "rod_end" if cylinder["rod_end"] == "C" else "", "loaded"):
             cylinder.pop(key, None)
-    assert from_document(file, "earlier.toml") == Crane.load("patu655")
+    assert Crane.from_document(file, "earlier.toml") == Crane.load("patu655")
 
 
 def excavator():
@@ -120,7 +119,7 @@ def test_an_impossible_machine_is_refused(case):
     file = copy.deepcopy(excavator())
     change(file)
     with pytest.raises(CraneError, match=message):
-        from_document(file, "mine.toml")
+        Crane.from_document(file, "mine.toml")
 
 
 def test_a_pose_that_cannot_be_is_refused_by_name():

@@ -11,11 +11,12 @@ import subprocess
 import numpy as np
 import pytest
 
-from crane_exudyn import Crane, CraneError, Recording, film, mechanism, render
+from crane_exudyn import Crane, CraneError, Recording, film, mechanism, render, screen
 from crane_exudyn import render_shapes as shapes
 from crane_exudyn.geometry import pose
 from crane_exudyn.machine import GROUND
-from crane_exudyn.render import Scene, Trajectory
+from crane_exudyn.render import Scene
+from crane_exudyn.trajectory import Trajectory
 from patu.main import run
 
 CRANE = Crane.load("patu655")
@@ -309,7 +310,7 @@ def test_an_error_while_drawing_is_not_swallowed():
 
 
 @pytest.mark.skipif(
-    not (shutil.which("Xvfb") or render.has_screen()), reason="neither a screen nor Xvfb; CI installs xvfb"
+    not (shutil.which("Xvfb") or screen.has_screen()), reason="neither a screen nor Xvfb; CI installs xvfb"
 )
 def test_opengl_draws_what_the_ray_tracer_draws():
     scenes = [Scene(CRANE, [motion()], size=(640, 360), view="side") for _ in range(2)]
@@ -325,7 +326,7 @@ def test_opengl_without_screen_names_the_missing_package(monkeypatch, tmp_path):
     with pytest.raises(CraneError, match="Debian package xvfb"):
         draw(Scene(CRANE, [motion()], size=SMALL), renderer="opengl")
     with pytest.raises(CraneError, match="needs a screen"):
-        render.need_screen("--open")
+        screen.need_screen("--open")
 
 
 # -- files -------------------------------------------------------------------------------------------------------------

@@ -7,8 +7,9 @@ Names are imported when they are first asked for, so that `import ukf` costs not
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from crane_exudyn.lazily import lazily
 
 if TYPE_CHECKING:
     from .estimate import Estimate as Estimate
@@ -16,9 +17,4 @@ if TYPE_CHECKING:
 
 _WHERE = {"Estimate": ".estimate", "Estimator": ".estimator"}
 __all__ = ["Estimate", "Estimator"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module 'ukf' has no attribute {name!r}")
-    return getattr(importlib.import_module(_WHERE[name], __name__), name)
+__getattr__ = lazily(__name__, _WHERE)

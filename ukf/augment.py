@@ -19,9 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crane_exudyn import channels, parameters
 from crane_exudyn.crane import Crane
+from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.layout import Layout
 
 #: standard deviations of disturbances that are worth a search, by unit
 _DISTURBED: Mapping[str, float] = {"N*m": 300.0, "N": 200.0, "m^3/s": 1e-5}
@@ -181,3 +184,19 @@ def _effect_parameter(crane: Crane, name: str) -> tuple[str, float, float, float
     raise CraneError(
         f"augmented state {name!r}: no such parameter.{nearest(last, [p.name for p in effect.parameters])}"
     )
+
+
+def unit_of(name: str, layout: Layout) -> str:
+    """Return the SI unit, as pint writes it, of an estimated quantity or a sensor."""
+    head, _, tail = name.partition(".")
+    if head in ("bias", "reading"):
+        return unit_of(tail, layout)
+    if name in (*layout.all_states, *layout.disturbances):
+        return layout.unit_of(name)
+    if name in channels.of(layout):
+        return channels.of(layout)[name]
+    key, _, last = name.rpartition(".")
+    if key.partition("@")[0] in [e.name for e in registry.known()]:
+        effect, place = registry.split_key(key, layout)
+        return next((unit_at(p.unit, place, layout) for p in effect.parameters if p.name == last), "")
+    return parameters.unit_of(name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crane_exudyn import channels
-from crane_exudyn.crane import Crane
 from crane_exudyn.layout import Layout
 from crane_exudyn.machine_toml import usual_layout
 
 from . import consistency
-from .monitor import ABSENT, FROZEN, OUTLIER, USED
-from .smoother import smooth
-from .visible import show
+from .monitor import FROZEN, OUTLIER, USED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from .model_error import Account
+    from crane_exudyn.plots import Shown
+
+    from .plots import Judgement, Line
 
 #: shares of a sensor's noise below which its innovations are small, and below which they cannot hold that noise
 _SMALL, _NO_NOISE = 0.5, 0.25
@@ -31,8 +29,6 @@ _SMALL, _NO_NOISE = 0.5, 0.25
 _NAMED = 8
 #: share of the steps at which a filter may fail and still be judged
 _FEW_FAILURES = 0.01
-#: flags of samples that are not believed, in words
-REJECTED = {OUTLIER: "leapt away: samples rejected", FROZEN: "frozen at one value: samples rejected"}
 
 
 @dataclass(frozen=True)
@@ -44,6 +40,28 @@ class Event:
     where: str
     text: str
     count: int = 1
+
+
+@dataclass(frozen=True)
+class Account:
+    """What became of the model error in an estimate.
+
+    Attributes:
+        mode: "auto", "off" or "on", as asked for.
+        used: whether it is part of the estimate.
+        why: in words.
+        found: {name: {"size", "nominal", "value", "std", "unit"}} of each unknown, SI: its size, what it would be if
+            the model were right, and what it was at the end.
+    """
+
+    mode: str
+    used: bool
+    why: str
+    found: Mapping[str, Mapping[str, Any]]
+
+    def document(self) -> dict[str, Any]:
+        """Return what the command writes as JSON."""
+        return {"mode": self.mode, "used": self.used, "why": self.why, "unknowns": dict(self.found)}
 
 
 @dataclass(frozen=True)
@@ -289,10 +307,28 @@ class Estimate:
         return {"final": float(probability[-1]), "mean": float(probability.mean()), "leads": spans}
 
     def save(self, path: str | Path) -> None:
-        """Write states with 95 % limits, innovations, their standard deviations and NIS; SI, whole or not at all."""
-        from .tables import write_estimate
+        """Write .csv, .csv.gz, .parquet or .mat in SI, whole or not at all.
 
-        write_estimate(self, path)
+        One row an instant: time, inputs, each state with its 95 % limits, innovations with their standard deviations,
+        NIS.
+        """
+        from crane_exudyn.formats import write_table
+
+        spools = zip(self.layout.cylinders, self.inputs[:, self.layout.spools].T, strict=True)
+        columns = {"time[s]": self.time} | {f"U_{name}[dimensionless]": spool for name, spool in spools}
+        low, high = self.interval()
+        for i, name in enumerate(self.state_names):
+            series = {name: self.mean, f"{name}_low95": low, f"{name}_high95": high}
+            columns |= {f"{n}[{self._unit(name)}]": values[:, i] for n, values in series.items()}
+        for i, name in enumerate(self.channel_names):
+            series = {f"innovation_{name}": self.innovation, f"innovation_std_{name}": self.innovation_std}
+            columns |= {f"{n}[{self._unit(name)}]": values[:, i] for n, values in series.items()}
+        columns["nis[dimensionless]"] = self.nis
+        columns |= {f"probability_{name}[dimensionless]": values for name, values in self.models.items()}
+        write_table(path, columns, digits=9)
+
+    def _unit(self, name: str) -> str:
+        return self.units.get(name, "") or "dimensionless"
 
     def to_dataframe(self) -> Any:
         """Return estimated quantities and, as "name_std", their standard deviations as a pandas DataFrame over time;
@@ -311,7 +347,54 @@ class Estimate:
         """
         from .plots import estimate_figure
 
-        return estimate_figure(self, truth)
+        low, high = self.nis_bounds
+        title = (
+            f"Estimate of {self.crane} by {self.method}: mean NIS {self.nis_mean:.3g} "
+            f"(expected {low:.3g} … {high:.3g}), {self.verdict}"
+        )
+        return estimate_figure(self.time, self._lines(truth), self._judgement(), title)
+
+    def figures(self, truth: np.ndarray | None = None) -> dict[str, Figure]:
+        """Return the two halves of `plot` as figures of one column: "states" and "innovations"."""
+        from .plots import innovations_figure, states_figure
+
+        return {
+            "states": states_figure(self.time, self._lines(truth)),
+            "innovations": innovations_figure(self.time, self._judgement()),
+        }
+
+    def _lines(self, truth: np.ndarray | None) -> list[Line]:
+        """Return each quantity as it is drawn."""
+        from .plots import Line, Reading
+
+        bad = (self.flags == OUTLIER) | (self.flags == FROZEN)
+        readings = {n: Reading(self.measured[:, k], bad[:, k]) for k, n in enumerate(self.channel_names)}
+        chambers, known = range(len(self.state_names))[self.pressures], 0 if truth is None else truth.shape[1]
+        return [
+            Line(
+                self._shown(name), self.mean[:, i], self.std[:, i], self.floor if i in chambers else -np.inf,
+                truth[:, i] if truth is not None and i < known else None, readings.get(name),
+            )
+            for i, name in enumerate(self.state_names)
+        ]  # fmt: skip
+
+    def _judgement(self) -> Judgement:
+        """Return what the filter is judged by as it is drawn."""
+        from .plots import Innovation, Judgement
+
+        scaled = (self.innovation / self.innovation_std).T
+        innovations = [
+            Innovation(self._shown(name), values, self.whiteness[name])
+            for name, values in zip(self.channel_names, scaled, strict=True)
+        ]
+        nis = np.divide(self.nis, self.dof, out=np.full(self.time.size, np.nan), where=self.dof > 0)
+        return Judgement(innovations, nis, self.models)
+
+    def _shown(self, name: str) -> Shown:
+        """Return how people call and read a quantity or a sensor."""
+        from crane_exudyn.plots import shown
+
+        return shown(name, self.units.get(name, ""), self.layout)
 
     def _repr_html_(self) -> str:
         from crane_exudyn.display import table_html
@@ -325,11 +408,9 @@ class Estimate:
 
     def ranges(self) -> list[tuple[str, str, float, float, float, float, float]]:
         """Return rows for people: name, unit, first and last value, half its 95 % interval, smallest, largest value."""
-        from .plots import display
-
         rows = []
         for i, name in enumerate(self.state_names):
-            factor, unit = display(name, self.units.get(name, ""), self.layout)
+            _, _, factor, unit = self._shown(name)
             values, half = factor * self.mean[:, i], factor * 1.96 * float(self.std[-1, i])
             first, last, lowest, highest = map(float, (values[0], values[-1], values.min(), values.max()))
             rows.append((name, unit, first, last, half, lowest, highest))
@@ -344,157 +425,3 @@ class Estimate:
             f"{self.time[0]:.3f} … {self.time[-1]:.3f} s; NIS {self.nis_mean:.3g} (expected {low:.3g} … {high:.3g}): "
             f"{self.verdict}; {len(self.events)} event(s)>"
         )
-
-
-class Recorder:
-    """Collects a run into arrays that are allocated once; the smoother's share only where it is asked for."""
-
-    def __init__(
-        self, states: Sequence[str], channels: Sequence[str], time: np.ndarray, smooth: bool, keep_covariance: bool
-    ) -> None:
-        count, n, k = time.size, len(states), len(channels)
-        self.states, self.channels, self.smooth = tuple(states), tuple(channels), smooth
-        self.mean, self.std = np.empty((count, n)), np.empty((count, n))
-        self.innovation, self.spread = np.full((count, k), np.nan), np.full((count, k), np.nan)
-        self.flags = np.full((count, k), ABSENT, np.uint8)
-        self.nis, self.dof = np.full(count, np.nan), np.zeros(count)
-        self.log_likelihood = 0.0
-        self._at = 0
-        size = count if smooth else 0
-        self._keeps = smooth or keep_covariance
-        self.covariance = np.empty((count if self._keeps else 0, n, n))
-        self.prior_covariance, self.cross = np.empty((size, n, n)), np.empty((size, n, n))
-        self.prior_mean = np.empty((size, n))
-
-    def start(self, belief: Any) -> None:
-        """Note the belief before the first step."""
-        self._keep(0, belief)
-        if self.smooth:
-            self.prior_mean[0], self.prior_covariance[0], self.cross[0] = belief.mean, belief.covariance, 0.0
-
-    def predicted(self, prior: Any) -> None:
-        """Note a prediction for the smoother."""
-        k = self._at + 1
-        self.prior_mean[k], self.prior_covariance[k], self.cross[k] = prior.mean, prior.covariance, prior.cross
-
-    def cut(self, belief: Any) -> None:
-        """Tell the smoother that the filter was restarted: nothing passes back over this instant."""
-        k = self._at + 1
-        self.prior_mean[k], self.prior_covariance[k], self.cross[k] = belief.mean, belief.covariance, 0.0
-
-    def note(
-        self,
-        k: int,
-        belief: Any,
-        innovation: np.ndarray,
-        variance: np.ndarray,
-        flags: np.ndarray,
-        nis: float,
-        ll: float,
-    ) -> None:
-        """Note the result of step k."""
-        self._keep(k, belief)
-        self._at = k
-        self.innovation[k], self.spread[k], self.flags[k] = innovation, variance, flags
-        self.nis[k] = nis
-        self.log_likelihood += ll
-
-    def _keep(self, k: int, belief: Any) -> None:
-        covariance = belief.covariance
-        self.mean[k] = belief.mean
-        self.std[k] = covariance.diagonal()
-        if self._keeps:
-            self.covariance[k] = covariance
-
-    def estimate(
-        self,
-        plan: Any,
-        events: list[tuple[float, str, str]],
-        crane: Crane,
-        method: str,
-        sensor_std: np.ndarray,
-        floor: float,
-    ) -> Estimate:
-        """Return what was collected; `sensor_std` (k,) and `floor` as in `Estimate`."""
-        pressures = crane.layout.pressures
-        smoothed = self._smoothed(pressures, floor) if self.smooth else None
-        show(self.mean, self.std, pressures, floor)
-        result = Estimate(
-            time=plan.time,
-            state_names=self.states,
-            channel_names=self.channels,
-            mean=self.mean,
-            std=_root_of(self.std),
-            measured=plan.values,
-            innovation=self.innovation,
-            innovation_std=_root_of(self.spread),
-            flags=self.flags,
-            nis=self.nis,
-            dof=(self.flags == USED).sum(axis=1).astype(float),
-            log_likelihood=self.log_likelihood,
-            events=tuple(merged(events) + flagged(plan.time, self.flags, self.channels)),
-            inputs=plan.inputs[plan.inner],
-            crane=crane.name,
-            method=method,
-            sensor_std=sensor_std,
-            covariance=self.covariance if self._keeps else None,
-            floor=floor,
-            pressures=pressures,
-            units={n: unit_of(n, crane.layout) for n in (*self.states, *self.channels)},
-            layout=crane.layout,
-        )
-        if smoothed is None:
-            return result
-        return replace(result, smoothed=replace(result, **smoothed, method=method + " + RTS smoother"))
-
-    def _smoothed(self, pressures: slice, floor: float) -> dict[str, Any]:
-        """Return what the smoother makes of mean, std and covariance."""
-        mean, covariance = smooth(self.mean, self.covariance, self.prior_mean, self.prior_covariance, self.cross)
-        variance = np.einsum("nii->ni", covariance).copy()
-        show(mean, variance, pressures, floor)
-        return {"mean": mean, "std": _root_of(variance), "covariance": covariance}
-
-
-def _root_of(variance: np.ndarray) -> np.ndarray:
-    """Return the standard deviations of variances, in their place: they are as long as the recording."""
-    return np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
-
-
-def merged(events: Sequence[tuple[float, str, str]]) -> list[Event]:
-    """Return events in order, those of the same place and kind put together; the first one's details are kept."""
-    groups: dict[tuple[str, str], tuple[str, list[float]]] = {}
-    for time, where, text in events:
-        groups.setdefault((where, text.split(":")[0]), (text, []))[1].append(time)
-    return [Event(min(t), max(t), where, text, len(t)) for (where, _), (text, t) in groups.items()]
-
-
-def flagged(time: np.ndarray, flags: np.ndarray, channels: Sequence[str]) -> list[Event]:
-    """Return an event for every run of rejected samples of a channel; runs less than 50 ms apart are one."""
-    found = []
-    for column, name in enumerate(channels):
-        for flag, words in REJECTED.items():
-            at = np.flatnonzero(flags[:, column] == flag)
-            if at.size:
-                runs = np.split(at, np.flatnonzero(np.diff(time[at]) > 0.05) + 1)
-                found += [Event(float(time[r[0]]), float(time[r[-1]]), name, words, r.size) for r in runs]
-    return sorted(found, key=lambda e: e.start)
-
-
-def unit_of(name: str, layout: Layout) -> str:
-    """Return the SI unit, as pint writes it, of an estimated quantity or a sensor."""
-    from crane_exudyn import parameters
-    from crane_exudyn.crane_toml import unit_at
-    from crane_exudyn.effects import registry
-
-    head, _, tail = name.partition(".")
-    if head in ("bias", "reading"):
-        return unit_of(tail, layout)
-    if name in (*layout.all_states, *layout.disturbances):
-        return layout.unit_of(name)
-    if name in channels.of(layout):
-        return channels.of(layout)[name]
-    key, _, last = name.rpartition(".")
-    if key.partition("@")[0] in [e.name for e in registry.known()]:
-        effect, place = registry.split_key(key, layout)
-        return next((unit_at(p.unit, place, layout) for p in effect.parameters if p.name == last), "")
-    return parameters.unit_of(name)

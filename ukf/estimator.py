@@ -23,12 +23,13 @@ from crane_exudyn.statics import vapour_pressure
 from .augment import Augment, Sizes, resolve
 from .bounds import Bounds, crane_bounds
 from .channels import Channels
-from .estimate import REJECTED, Estimate, Recorder
+from .estimate import Estimate
 from .filter import Belief, FilterError
 from .methods import method_of
 from .monitor import ABSENT, FASTEST, OUTLIER, USED, Doubt, Monitor, leaps
 from .noise import ProcessNoise, measurement_noise
 from .process import Process, engine_of
+from .recorder import REJECTED, Recorder
 from .revisit import Beginning, Revisit, Step
 from .samples import command_of, first_stamp, impossible, number, readings_of
 from .second_opinion import SecondOpinion
@@ -104,6 +105,7 @@ class Estimator:
         noise: Any = None,
         method: str = "ukf",
         augment: Iterable[Augment | str] = (),
+        *,
         start: Belief | None = None,
         gate: float | None = 6.0,
         max_step: float = 1e-3,

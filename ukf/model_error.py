@@ -36,8 +36,8 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import pose
 
-from .augment import Augment, resolve
-from .estimate import Estimate, unit_of
+from .augment import Augment, resolve, unit_of
+from .estimate import Account, Estimate
 from .estimator import Estimator, sensor_std
 from .noise import ProcessNoise
 from .replay import Replay
@@ -259,28 +259,6 @@ class _Search:
         return ModelError(
             tuple(found.unknowns[k] for k in kept), tuple(found.sizes[k] for k in kept), found.noise, found.pressure_std
         )
-
-
-@dataclass(frozen=True)
-class Account:
-    """What became of the model error in an estimate.
-
-    Attributes:
-        mode: "auto", "off" or "on", as asked for.
-        used: whether it is part of the estimate.
-        why: in words.
-        found: {name: {"size", "nominal", "value", "std", "unit"}} of each unknown, SI: its size, what it would be if
-            the model were right, and what it was at the end.
-    """
-
-    mode: str
-    used: bool
-    why: str
-    found: Mapping[str, Mapping[str, Any]]
-
-    def document(self) -> dict[str, Any]:
-        """Return what the command writes as JSON."""
-        return {"mode": self.mode, "used": self.used, "why": self.why, "unknowns": dict(self.found)}
 
 
 #: makes a function that takes the fraction done of what its text says

@@ -1,100 +1,122 @@
 """Pictures of an estimate: states with their intervals beside what was measured, and whether the filter can be
-believed.
+believed. They are drawn from series; `Estimate` says which.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from crane_exudyn import plots
 from crane_exudyn.plots import Shown
 
-from .monitor import FROZEN, OUTLIER
-
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from crane_exudyn.layout import Layout
-
-    from .estimate import Estimate
 
 _BLUE, _BLACK, _RED, _GREY = "#0072B2", "#111111", "#D55E00", "#999999"
 _MODELS = (_BLUE, _RED, "#009E73", "#CC79A7", _BLACK)
 _MOST = 4000
 
 
-def estimate_figure(estimate: Estimate, truth: np.ndarray | None = None) -> Figure:
-    """Return a figure for a screen: one panel a quantity on the left, normalised innovations and NIS on the right.
+class Reading(NamedTuple):
+    """What a sensor showed: values (N,) in SI, NaN where there was no sample, and which of them were rejected (N,)."""
 
-    Args:
-        estimate: N instants, n quantities, k sensors.
-        truth: (N, m) true values of the first m quantities, drawn dashed where they are known.
+    values: np.ndarray
+    rejected: np.ndarray
+
+
+class Line(NamedTuple):
+    """One estimated quantity over time, in SI.
+
+    Attributes:
+        what: how people call and read it.
+        mean, std: (N,).
+        floor: the lowest value that is shown.
+        truth: (N,), where it is known.
+        reading: of the sensor that shows it, where there is one.
     """
-    left, right = len(estimate.state_names), len(estimate.channel_names) + 1 + bool(estimate.models)
+
+    what: Shown
+    mean: np.ndarray
+    std: np.ndarray
+    floor: float
+    truth: np.ndarray | None
+    reading: Reading | None
+
+
+class Innovation(NamedTuple):
+    """Innovations of one sensor in units of their standard deviations (N,), and the p-value of their whiteness."""
+
+    what: Shown
+    scaled: np.ndarray
+    white: float
+
+
+class Judgement(NamedTuple):
+    """What a filter is judged by: innovations by sensor, NIS a sensor (N,), how probable (N,) each model was."""
+
+    innovations: Sequence[Innovation]
+    nis: np.ndarray
+    models: Mapping[str, np.ndarray]
+
+    @property
+    def panels(self) -> int:
+        """How many panels show it."""
+        return len(self.innovations) + 1 + bool(self.models)
+
+
+def estimate_figure(time: np.ndarray, lines: Sequence[Line], judged: Judgement, title: str) -> Figure:
+    """Return a figure for a screen: one panel a quantity on the left, normalised innovations and NIS on the right."""
+    left, right = len(lines), judged.panels
     rows = max(left, right)
     made = plots.figure(rows, 2, height=1.25, width=2 * plots.WIDTH)
-    for i in range(left):
-        _state(made.axes[2 * i], estimate, i, truth)
-    _judged(made.axes[1 : 2 * right : 2], estimate)
+    for axes, line in zip(made.axes[::2], lines, strict=False):
+        _state(axes, time, line)
+    _judged(made.axes[1 : 2 * right : 2], time, judged)
     for column, used in ((0, left), (1, right)):
         _end(made.axes[2 * used - 2 + column])
         for row in range(used, rows):
             made.axes[2 * row + column].set_visible(False)
-    _finish(made, estimate, columns=6)
-    return made
-
-
-def states_figure(estimate: Estimate, truth: np.ndarray | None = None) -> Figure:
-    """Return a figure with one panel a quantity, in one column; `truth` (N, m) as in `estimate_figure`."""
-    made = plots.figure(len(estimate.state_names), height=1.25)
-    for i, axes in enumerate(made.axes):
-        _state(axes, estimate, i, truth)
-    _end(made.axes[-1])
-    _finish(made, None)
-    return made
-
-
-def innovations_figure(estimate: Estimate) -> Figure:
-    """Return a figure with the normalised innovations of each sensor and the NIS, in one column."""
-    made = plots.figure(len(estimate.channel_names) + 1 + bool(estimate.models), height=1.25)
-    _judged(made.axes, estimate)
-    _end(made.axes[-1])
-    _finish(made, None)
-    return made
-
-
-def _judged(panels: Sequence[Axes], estimate: Estimate) -> None:
-    """Draw the innovations of each sensor, the NIS, and how probable each model was where there were several."""
-    for k in range(len(estimate.channel_names)):
-        _innovation(panels[k], estimate, k)
-    _nis(panels[len(estimate.channel_names)], estimate)
-    if estimate.models:
-        _models(panels[-1], estimate)
-
-
-def display(name: str, unit: str, layout: Layout) -> tuple[float, str]:
-    """Return factor and unit in which people read a quantity of a machine: degrees and bar."""
-    what = plots.shown(name, unit, layout)
-    return what.factor, what.unit
-
-
-def _finish(made: Figure, estimate: Estimate | None, columns: int = 3) -> None:
-    if estimate is not None:
-        low, high = estimate.nis_bounds
-        with plots.style():
-            made.suptitle(
-                f"Estimate of {estimate.crane} by {estimate.method}: mean NIS {estimate.nis_mean:.3g} "
-                f"(expected {low:.3g} … {high:.3g}), {estimate.verdict}",
-                fontsize=11,
-            )
+    with plots.style():
+        made.suptitle(title, fontsize=11)
     made.align_ylabels()
-    plots.legend_above(made, columns, "outside upper left" if estimate is None else "outside lower left")
+    plots.legend_above(made, 6, "outside lower left")
+    return made
+
+
+def states_figure(time: np.ndarray, lines: Sequence[Line]) -> Figure:
+    """Return a figure with one panel a quantity, in one column."""
+    made = plots.figure(len(lines), height=1.25)
+    for axes, line in zip(made.axes, lines, strict=True):
+        _state(axes, time, line)
+    return _column(made)
+
+
+def innovations_figure(time: np.ndarray, judged: Judgement) -> Figure:
+    """Return a figure with the normalised innovations of each sensor and the NIS, in one column."""
+    made = plots.figure(judged.panels, height=1.25)
+    _judged(made.axes, time, judged)
+    return _column(made)
+
+
+def _column(made: Figure) -> Figure:
+    _end(made.axes[-1])
+    made.align_ylabels()
+    plots.legend_above(made, 3, "outside upper left")
+    return made
+
+
+def _judged(panels: Sequence[Axes], time: np.ndarray, judged: Judgement) -> None:
+    """Draw the innovations of each sensor, the NIS, and how probable each model was where there were several."""
+    for axes, innovation in zip(panels, judged.innovations, strict=False):
+        _innovation(axes, time, innovation)
+    _nis(panels[len(judged.innovations)], time, judged.nis)
+    if judged.models:
+        _models(panels[-1], time, judged.models)
 
 
 def _end(axes: Axes) -> None:
@@ -104,40 +126,27 @@ def _end(axes: Axes) -> None:
         axes.tick_params(labelbottom=True)
 
 
-def _what(estimate: Estimate, name: str) -> Shown:
-    return plots.shown(name, estimate.units.get(name, ""), estimate.layout)
-
-
 def _thin(count: int) -> slice:
     return slice(None, None, max(1, count // _MOST))
 
 
-def _state(axes: Axes, estimate: Estimate, i: int, truth: np.ndarray | None) -> None:
-    name = estimate.state_names[i]
-    what = _what(estimate, name)
-    part = _thin(estimate.time.size)
-    time, mean = estimate.time[part], estimate.mean[part, i] * what.factor
-    half = 1.96 * estimate.std[part, i] * what.factor
-    floor = estimate.floor * what.factor if i in range(estimate.mean.shape[1])[estimate.pressures] else -np.inf
+def _state(axes: Axes, time: np.ndarray, line: Line) -> None:
+    part, factor = _thin(time.size), line.what.factor
+    at, mean, half = time[part], line.mean[part] * factor, 1.96 * line.std[part] * factor
+    floor = line.floor * factor
     lower = np.maximum(mean - half, floor)
     with plots.style():
-        axes.fill_between(time, lower, mean + half, color=_BLUE, alpha=0.25, lw=0, label="95 % interval")
-        if name in estimate.channel_names:
-            _dots(axes, estimate, estimate.channel_names.index(name), what.factor)
-        axes.plot(time, mean, color=_BLUE, lw=1.2, label="estimated")
-        if truth is not None and i < truth.shape[1]:
-            axes.plot(
-                time,
-                np.maximum(truth[part, i] * what.factor, floor),
-                color=_BLACK,
-                lw=1.0,
-                ls=(0, (4, 2)),
-                label="true",
-            )
-    settled = slice(time.size // 6, None)  # the interval at the start may be a hundred times as wide
+        axes.fill_between(at, lower, mean + half, color=_BLUE, alpha=0.25, lw=0, label="95 % interval")
+        if line.reading is not None:
+            _dots(axes, time, line.reading, factor)
+        axes.plot(at, mean, color=_BLUE, lw=1.2, label="estimated")
+        if line.truth is not None:
+            true = np.maximum(line.truth[part] * factor, floor)
+            axes.plot(at, true, color=_BLACK, lw=1.0, ls=(0, (4, 2)), label="true")
+    settled = slice(at.size // 6, None)  # the interval at the start may be a hundred times as wide
     low, high = min(mean.min(), lower[settled].min()), max(mean.max(), (mean + half)[settled].max())
     _widen(axes, low, high)
-    plots.name_axes(axes, what)
+    plots.name_axes(axes, line.what)
 
 
 def _widen(axes: Axes, low: float, high: float) -> None:
@@ -148,37 +157,36 @@ def _widen(axes: Axes, low: float, high: float) -> None:
     axes.set_ylim(low - margin, high + margin)
 
 
-def _dots(axes: Axes, estimate: Estimate, k: int, factor: float) -> None:
-    values = estimate.measured[:, k] * factor
-    known = np.flatnonzero(np.isfinite(values))[_thin(int(np.isfinite(values).sum()))]
-    axes.plot(estimate.time[known], values[known], ".", ms=2.5, color=_GREY, zorder=1, label="measured")
-    bad = np.flatnonzero((estimate.flags[:, k] == OUTLIER) | (estimate.flags[:, k] == FROZEN))
-    if bad.size:
-        axes.plot(estimate.time[bad], values[bad], "x", ms=4, color=_RED, zorder=2, label="rejected")
+def _dots(axes: Axes, time: np.ndarray, reading: Reading, factor: float) -> None:
+    values = reading.values * factor
+    known = np.flatnonzero(np.isfinite(values))
+    known = known[_thin(known.size)]
+    axes.plot(time[known], values[known], ".", ms=2.5, color=_GREY, zorder=1, label="measured")
+    if reading.rejected.any():
+        bad = reading.rejected
+        axes.plot(time[bad], values[bad], "x", ms=4, color=_RED, zorder=2, label="rejected")
 
 
-def _innovation(axes: Axes, estimate: Estimate, k: int) -> None:
-    name = estimate.channel_names[k]
-    scaled = estimate.innovation[:, k] / estimate.innovation_std[:, k]
+def _innovation(axes: Axes, time: np.ndarray, innovation: Innovation) -> None:
+    scaled, p = innovation.scaled, innovation.white
     known = np.flatnonzero(np.isfinite(scaled))
     known = known[_thin(known.size)]
-    p = estimate.whiteness[name]
     with plots.style():
-        axes.plot(estimate.time[known], scaled[known], ".", ms=1.8, color=_BLACK, label="innovation / its std")
+        axes.plot(time[known], scaled[known], ".", ms=1.8, color=_BLACK, label="innovation / its std")
         beyond = known[np.abs(scaled[known]) > 6.0]
         if beyond.size:
             at = np.clip(scaled[beyond], -5.7, 5.7)
-            axes.plot(estimate.time[beyond], at, "x", ms=3, color=_RED, label="beyond 6")
+            axes.plot(time[beyond], at, "x", ms=3, color=_RED, label="beyond 6")
         axes.axhspan(-1.96, 1.96, color=_BLUE, alpha=0.15, lw=0, label="where 95 % should be")
         axes.set_ylim(-6, 6)
         white = f"white: p {'< 0.001' if p < 1e-3 else f'= {p:.2g}'}" if np.isfinite(p) else "too few samples to judge"
         axes.set_title(white, fontsize=9, loc="right", pad=3.0)
-    plots.name_axes(axes, _what(estimate, name)._replace(unit=""))
+    plots.name_axes(axes, innovation.what._replace(unit=""))
 
 
-def _nis(axes: Axes, estimate: Estimate) -> None:
-    known = np.isfinite(estimate.nis) & (estimate.dof > 0)
-    time, ratio = estimate.time[known], estimate.nis[known] / estimate.dof[known]
+def _nis(axes: Axes, time: np.ndarray, nis: np.ndarray) -> None:
+    known = np.isfinite(nis)
+    time, ratio = time[known], nis[known]
     window = max(1, ratio.size // 100)
     count = ratio.size // window
     with plots.style():
@@ -194,11 +202,10 @@ def _nis(axes: Axes, estimate: Estimate) -> None:
     plots.name_axes(axes, Shown("normalised innovation squared, a sensor", "NIS", 1.0, ""))
 
 
-def _models(axes: Axes, estimate: Estimate) -> None:
-    part = _thin(estimate.time.size)
+def _models(axes: Axes, time: np.ndarray, models: Mapping[str, np.ndarray]) -> None:
+    part = _thin(time.size)
     with plots.style():
-        drawn = [(p[part], colour) for p, colour in zip(estimate.models.values(), cycle(_MODELS), strict=False)]
-        for (probability, colour), name in zip(drawn, estimate.models, strict=True):
-            axes.plot(estimate.time[part], probability, color=colour, lw=1.2, label=name)
+        for (name, probability), colour in zip(models.items(), cycle(_MODELS), strict=False):
+            axes.plot(time[part], probability[part], color=colour, lw=1.2, label=name)
         axes.set_ylim(-0.05, 1.05)
     plots.name_axes(axes, Shown("how probable each model is", "probability", 1.0, ""))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.engines import engine_class
 from crane_exudyn.errors import CraneError
 
 from .augment import Extra
@@ -78,16 +79,5 @@ def accepts_parameters(engine: Any) -> bool:
 
 
 def engine_of(engine: Any, crane: Crane) -> Any:
-    """Return an engine by name ("exudyn", "semi-recursive"), or the object itself where one is given."""
-    if not isinstance(engine, str):
-        return engine
-    if engine == "exudyn":
-        from crane_exudyn.engine import ExudynEngine
-
-        return ExudynEngine(crane, accuracy=ACCURACY)
-    if engine == "semi-recursive":
-        from importlib import import_module
-
-        # by name, because imports point from validation to ukf
-        return import_module("validation.semi_recursive").SemiRecursiveEngine(crane, accuracy=ACCURACY)
-    raise CraneError(f'There is no engine {engine!r}. Use "exudyn" or "semi-recursive".')
+    """Return an engine by name (such as "exudyn", "semi-recursive"), or the object itself where one is given."""
+    return engine_class(engine)(crane, accuracy=ACCURACY) if isinstance(engine, str) else engine

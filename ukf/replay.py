@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,25 @@ from .noise import ProcessNoise
 
 #: step of the sensors' slope, in standard deviations of the state
 _SLOPE = 0.1
+
+
+class _Steps(NamedTuple):
+    """N steps of a run, a row each: how the state goes over, what the sensors see, and what the varied states do.
+
+    Attributes:
+        transition: (N, n, n); slope: (N, k, n) of the sensors; innovation: (N, k), NaN where there is none.
+        which: (N,) number of the step's noise.
+        kept, added: (N, varied) share of a varied state's deviation that is left, and the variance that comes to it.
+        offset: (N, n) by which the reference goes elsewhere than the state would.
+    """
+
+    transition: np.ndarray
+    slope: np.ndarray
+    innovation: np.ndarray
+    which: np.ndarray
+    kept: np.ndarray
+    added: np.ndarray
+    offset: np.ndarray
 
 
 class Replay:
@@ -65,25 +84,13 @@ class Replay:
         offset = self._offset.copy()
         offset[:, self._first :] = kept * self._before - self._after
         offset[1:, self._first :] += kept[1:] * self._moved[1:-1, self._first :]
-        steps, which = np.unique(np.round(self._dt, 9), return_inverse=True)
-        noises = np.stack([self._noise(noise, h) for h in steps])
-        total = 0.0
-        for a, b in self._stretches:
-            part = slice(a, b)
-            total += _run(
-                self._transition[part],
-                self._slope[part],
-                self._innovation[part],
-                self._variance,
-                self._opening(a, extras),
-                noises,
-                which[part],
-                kept[part],
-                added[part],
-                offset[part],
-                self._first,
-            )
-        return total
+        lengths, which = np.unique(np.round(self._dt, 9), return_inverse=True)
+        noises = np.stack([self._noise(noise, h) for h in lengths])
+        steps = _Steps(self._transition, self._slope, self._innovation, which, kept, added, offset)
+        return sum(
+            _run(tuple(a[begin:end] for a in steps), self._variance, self._opening(begin, extras), noises, self._first)
+            for begin, end in self._stretches
+        )
 
     def _noise(self, noise: ProcessNoise, dt: float) -> np.ndarray:
         return _padded(noise.covariance(dt), self._first) + np.diag(self._still[: self._first] * dt)
@@ -134,22 +141,25 @@ def _slopes(estimator: Estimator, recorder: Any) -> np.ndarray:
 
 
 @njit()
-def _run(transition, slope, innovation, variance, opening, noises, which, kept, added, offset, first):  # type: ignore[no-untyped-def]
-    n = transition.shape[1]
+def _run(steps, variance, opening, noises, first):  # type: ignore[no-untyped-def]
+    steps = _Steps(*steps)
+    n = steps.offset.shape[1]
     deviation, covariance, total = np.zeros(n), opening.copy(), 0.0
     carried, gain = np.zeros((first, n)), np.zeros(n)
-    for t in range(transition.shape[0]):
-        _predict(deviation, covariance, carried, transition[t], noises[which[t]], kept[t], added[t], offset[t], first)
-        for c in range(slope.shape[1]):
-            if innovation[t, c] == innovation[t, c]:
-                total -= _correct(deviation, covariance, gain, slope[t, c], innovation[t, c], variance[c])
+    for t in range(steps.offset.shape[0]):
+        _predict(deviation, covariance, carried, steps, t, noises[steps.which[t]], first)
+        for c in range(variance.size):
+            innovation = steps.innovation[t, c]
+            if innovation == innovation:
+                total -= _correct(deviation, covariance, gain, steps.slope[t, c], innovation, variance[c])
     return total
 
 
 @njit()
-def _predict(deviation, covariance, carried, transition, noise, kept, added, offset, first):  # type: ignore[no-untyped-def]
-    """Carry a deviation (n,) and a covariance (n, n) one step on; the states from `first` on fade by themselves."""
-    n = deviation.size
+def _predict(deviation, covariance, carried, steps, t, noise, first):  # type: ignore[no-untyped-def]
+    """Carry a deviation (n,) and a covariance (n, n) over step t; the states from `first` on fade by themselves."""
+    n, transition = deviation.size, steps.transition[t]
+    kept, added, offset = steps.kept[t], steps.added[t], steps.offset[t]
     carried[:] = 0.0
     for i in range(first):
         for m in range(n):

@@ -26,10 +26,11 @@ import numpy as np
 from crane_exudyn.errors import CraneError
 
 from .consistency import log_likelihood
-from .estimate import Estimate, Recorder
+from .estimate import Estimate
 from .estimator import Estimator
 from .filter import Belief
 from .monitor import ABSENT, USED
+from .recorder import Recorder
 from .signals import Plan
 
 #: s that the machine stays with a model on the average

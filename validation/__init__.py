@@ -7,8 +7,9 @@ Names are imported when they are first asked for, so that `import validation` co
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from crane_exudyn.lazily import lazily
 
 if TYPE_CHECKING:
     from .comparison import compare as compare
@@ -25,9 +26,4 @@ _WHERE = {
     "write_report": ".report",
 }
 __all__ = ["compare", "diagnose", "improve", "learn", "write_report"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module 'validation' has no attribute {name!r}")
-    return getattr(importlib.import_module(_WHERE[name], __name__), name)
+__getattr__ = lazily(__name__, _WHERE)

@@ -25,6 +25,8 @@ CYCLE, STRETCH, NAIVE_STRETCH = 25.0, 3.0, 0.05
 #: when the stretch begins: the lift boom is moving
 _BEGIN = 2.5
 _STEP = 1e-3
+#: states of the filter that estimates parameters along with the state
+_MANY = 22
 
 
 @dataclass(frozen=True)
@@ -180,16 +182,33 @@ def filters(results: Results, crane: Crane) -> None:
         estimator = Estimator(crane, name, noise=noise, start=start, gate=None, max_step=_STEP)
         estimator.run(stretch.signals(crane, NAIVE_STRETCH))
         clocks: dict[str, float] = {}
-        busy = time.process_time()
+        key = f"filter.{name.replace('-', '_')}"
         with _split(estimator.engine, clocks, name):
-            seconds = seconds_of(partial(estimator.run, signals))
-        busy = time.process_time() - busy
-        key = name.replace("-", "_")
-        results.add(f"filter.{key}.realtime_factor", STRETCH / seconds, "1", "filter.naive.realtime_factor")
-        # on a core that others use as well, only processor time says what the program needs
-        results.add(f"filter.{key}.realtime_factor_alone", STRETCH / busy, "1")
-        _add_split(results, f"filter.{key}", seconds, clocks)
+            seconds = _add_factors(results, key, estimator, signals)
+        _add_split(results, key, seconds, clocks)
+        simplex = estimator.varied(method="simplex")
+        _add_factors(results, f"{key}.simplex", simplex, signals)
+        many = simplex.varied(start=None, augment=_uncertain(crane, _MANY - start.mean.size))
+        _add_factors(results, f"{key}.simplex_{_MANY}_states", many, signals)
     results.add("filter.naive.realtime_factor", NAIVE_STRETCH / _naive(crane, stretch, start, noise), "1")
+
+
+def _add_factors(results: Results, key: str, estimator: Any, signals: Any) -> float:
+    """Add how many times real time a filter runs; return the seconds that it took.
+
+    On a core that others use as well only processor time says what the program needs.
+    """
+    busy = time.process_time()
+    seconds = seconds_of(partial(estimator.run, signals))
+    busy = time.process_time() - busy
+    results.add(f"{key}.realtime_factor", STRETCH / seconds, "1", "filter.naive.realtime_factor")
+    results.add(f"{key}.realtime_factor_alone", STRETCH / busy, "1")
+    return seconds
+
+
+def _uncertain(crane: Crane, count: int) -> tuple[str, ...]:
+    """Return the names of so many parameters that the crane file calls uncertain."""
+    return tuple(n for n, known in crane.uncertainty.items() if math.isfinite(known.std))[:count]
 
 
 @contextmanager

@@ -201,13 +201,19 @@ class Comparison:
         """Return the picture for a glance: what fails when, above the commands that were given."""
         from .comparison_figures import where_figure
 
-        return where_figure(self)
+        return where_figure(self.scores, *self.commands, f"Where {self.crane} fails on {self.recording}")
 
     def figures(self) -> dict[str, Figure]:
         """Return all pictures by name: "where", "open_loop", "balances", "balances_by_work"."""
-        from .comparison_figures import figures
+        from .comparison_figures import balances_figure, by_work_figure, open_loop_figure
 
-        return figures(self)
+        errors = {name: c.error_over_noise for name, c in self.channels.items()}
+        return {
+            "where": self.plot(),
+            "open_loop": open_loop_figure(self.measured, self.simulated, errors, self.layout),
+            "balances": balances_figure(self.balances, self.phases, self.layout),
+            "balances_by_work": by_work_figure(self.scores),
+        }
 
     def _repr_html_(self) -> str:
         from crane_exudyn.display import table_html

@@ -1,26 +1,26 @@
-"""Pictures of a comparison: what fails when, the open-loop run, and the residual of every balance."""
+"""Pictures of a comparison: what fails when, the open-loop run, and the residual of every balance. They are drawn from
+its parts; `Comparison` says which.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import plots
-from .findings import PREDICTED_BADLY, VIOLATED, balance_words, people_unit
+from .balances import Balances
+from .findings import PREDICTED_BADLY, VIOLATED, Scores, balance_words, people_unit
 from .phases import LOW_PRESSURE, REST, REVERSAL, STROKE_END, Phase, kinds, moving, together
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
     from crane_exudyn.layout import Layout
-
-    from .comparison import Comparison
 
 #: colours of the kinds of work: extending warm, retracting cold, what is special dark
 _COLORS = {REST: "#eeeeee", REVERSAL: "#7A5C8E", LOW_PRESSURE: "#3E6E5A", STROKE_END: "#333333"}
@@ -34,16 +34,6 @@ _HATCHES_OF_WAYS = {1: ("//////", "......", "oooo"), -1: ("\\\\\\\\\\\\", "xxxxx
 _PALE, _DARK = 1.0, 100.0
 
 
-def figures(comparison: Comparison) -> dict[str, Figure]:
-    """Return all pictures by name."""
-    return {
-        "where": where_figure(comparison),
-        "open_loop": open_loop_figure(comparison),
-        "balances": balances_figure(comparison),
-        "balances_by_work": by_work_figure(comparison),
-    }
-
-
 def _stacked(ratios: Sequence[float], height: float) -> Figure:
     """Return a figure of panels on one time axis whose heights are as these numbers, `height` inches in all."""
     with plots.style():
@@ -52,30 +42,32 @@ def _stacked(ratios: Sequence[float], height: float) -> Figure:
     return made
 
 
-def where_figure(comparison: Comparison) -> Figure:
-    """Return a map of time against channels and equations: the darker, the worse the model; what the crane did stands
-    above.
+#: channel -> (time (n,), values (n,))
+Series = Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+
+def where_figure(scores: Scores, time: np.ndarray, commands: np.ndarray, title: str) -> Figure:
+    """Return a map of time against channels and equations: the darker, the worse the model; what the crane did, by its
+    commands (n, valves) at `time` (n,), stands above.
     """
-    scores = comparison.scores
     rows = [*scores.channel_names, *map(balance_words, scores.layout.equations)]
     values = np.column_stack([scores.channels, np.abs(scores.equations) / (VIOLATED / PREDICTED_BADLY)]).T
     made = _stacked((1.0, 0.22, 0.27 * len(rows)), 2.2 + 0.27 * len(rows))
     with plots.style():
         command_axes, strip, map_axes = made.axes
-        _commands(command_axes, comparison)
+        _commands(command_axes, time, commands, scores.layout)
         _strip(strip, scores.phases)
         mesh = _map(map_axes, scores.phases, rows, values)
         map_axes.axhline(len(scores.channel_names), color="#444444", lw=1.2)
         bar = made.colorbar(mesh, ax=[command_axes, strip, map_axes], aspect=40, pad=0.01)
         bar.set_label("times what noise explains")
         bar.set_ticks([1, 3, 10, 30, 100], labels=["1", "3", "10", "30", "100"])
-        made.suptitle(f"Where {comparison.crane} fails on {comparison.recording}", x=0.01, ha="left", fontsize=10)
+        made.suptitle(title, x=0.01, ha="left", fontsize=10)
     return made
 
 
-def _commands(axes: Axes, comparison: Comparison) -> None:
-    time, commands = comparison.commands
-    names = zip(comparison.layout.commands, comparison.layout.cylinders, strict=True)
+def _commands(axes: Axes, time: np.ndarray, commands: np.ndarray, layout: Layout) -> None:
+    names = zip(layout.commands, layout.cylinders, strict=True)
     for name, u, look in zip(names, commands.T, cycle(plots.OTHERS), strict=False):
         axes.plot(*plots.thin(time, u), label=" ".join(name), linestyle=look.dashes, color=look.color)
     axes.set_ylabel("command")
@@ -126,27 +118,27 @@ def _map(axes: Axes, phases: Sequence[Phase], rows: Sequence[str], values: np.nd
     return mesh
 
 
-def open_loop_figure(comparison: Comparison) -> Figure:
-    """Return every channel over time, measured and simulated open loop."""
-    made = plots.figure(len(comparison.channels), height=1.3)
+def open_loop_figure(measured: Series, simulated: Series, errors: Mapping[str, float], layout: Layout) -> Figure:
+    """Return every channel over time, measured and simulated open loop, with its error in units of the noise."""
+    made = plots.figure(len(errors), height=1.3)
     with plots.style():
-        for axes, (name, error) in zip(made.axes, comparison.channels.items(), strict=True):
-            lines = {"measured": comparison.measured[name], "simulated": comparison.simulated[name]}
-            plots.draw_lines(axes, comparison.measured[name][0], lines, channel=name, layout=comparison.layout)
-            axes.set_title(f"error {error.error_over_noise:.3g} × noise", loc="right", fontsize=9)
+        for axes, (name, error) in zip(made.axes, errors.items(), strict=True):
+            lines = {"measured": measured[name], "simulated": simulated[name]}
+            plots.draw_lines(axes, measured[name][0], lines, channel=name, layout=layout)
+            axes.set_title(f"error {error:.3g} × noise", loc="right", fontsize=9)
         made.axes[-1].set_xlabel("time / s")
     plots.legend_above(made)
     return made
 
 
-def balances_figure(comparison: Comparison) -> Figure:
-    """Return what each balance lacks over time, with its 95 % interval, on the colours of the work that was done."""
-    balances, equations = comparison.balances, comparison.layout.equations
+def balances_figure(balances: Balances, phases: Sequence[Phase], layout: Layout) -> Figure:
+    """Return what each balance lacks over time, with its 95 % interval, below the colours of the work that was done."""
+    equations = layout.equations
     made = _stacked((0.18, *[1.0] * len(equations)), 1.2 * len(equations) + 0.9)
     with plots.style():
-        _strip(made.axes[0], comparison.phases)
+        _strip(made.axes[0], phases)
         for j, (axes, equation) in enumerate(zip(made.axes[1:], equations, strict=True)):
-            unit, factor = people_unit(equation, comparison.layout)
+            unit, factor = people_unit(equation, layout)
             t, y, s = plots.thin(balances.time, balances.values[:, j] / factor, balances.std[:, j] / factor)
             axes.fill_between(t, y - 1.96 * s, y + 1.96 * s, color="#0072B2", alpha=0.25, lw=0)
             axes.plot(t, y, color="#0072B2", lw=1.1)
@@ -160,9 +152,9 @@ def balances_figure(comparison: Comparison) -> Figure:
     return made
 
 
-def by_work_figure(comparison: Comparison) -> Figure:
+def by_work_figure(scores: Scores) -> Figure:
     """Return what each balance lacks in each kind of work: bars with 95 % intervals, moments first, then flows."""
-    found, lay = comparison.scores.by_kind(), comparison.layout
+    found, lay = scores.by_kind(), scores.layout
     b = len(lay.equations)
     made = plots.figure((b + 1) // 2, 2, height=0.75 + 0.2 * len(found), sharex=False)
     for axes in made.axes[b:]:
@@ -201,7 +193,7 @@ def _work(axes: Axes, found: Sequence[tuple[str, np.ndarray, np.ndarray]], j: in
 _TRACES, _CLOSER = 3, 1.5
 
 
-def traces_figure(lines: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], layout: Layout) -> Figure:
+def traces_figure(lines: Mapping[str, Series], layout: Layout) -> Figure:
     """Return the channels in which the first model errs most, over time, and below the worst one where it is worst.
 
     Args:
@@ -224,9 +216,7 @@ def traces_figure(lines: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]
         plots.draw_lines(axes, shown["measured"][0], shown, channel=name, layout=layout)
     with plots.style():
         made.axes[-1].set_title("closer", loc="right", fontsize=9)
-        made.axes[-1].set_xlabel("time / s")
-    made.align_ylabels()
-    plots.legend_above(made)
+    plots.over_time(made)
     return made
 
 

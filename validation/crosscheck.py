@@ -545,9 +545,7 @@ def figure_of(layout: Layout, runs: Sequence[Run]) -> Figure:
         for axes in made.axes:
             label = "vapour reached" if axes is made.axes[1] else ""
             axes.axvline(last.time[last.boils], color="0.6", linewidth=1.0, label=label)
-    made.axes[-1].set_xlabel("time / s")
-    made.align_ylabels()
-    plots.legend_above(made)
+    plots.over_time(made)
     return made
 
 

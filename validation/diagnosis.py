@@ -29,6 +29,9 @@ from .selection.white import WHITE, WhitePath
 
 ERRORS = ("error_before", "error_after", "check_error_before", "check_error_after")
 
+#: so many candidates are drawn
+_DRAWN = 8
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -110,7 +113,15 @@ class Diagnosis:
         """Return a figure: how the candidates weigh, and the error before and after."""
         from .selection.plots import diagnosis_figure
 
-        return diagnosis_figure(self)
+        shown = self.candidates[:_DRAWN]
+        alone = next((c.evidence for c in self.candidates if not c.effects), math.inf)
+        gains = {c.name: max(c.evidence - alone, 0.0) for c in shown}
+        told = 1 if self.crane is self.given else 2
+        errors = {
+            "learned from": (self.error_before, self.error_after)[:told],
+            "only predicted": (self.check_error_before, self.check_error_after)[:told],
+        }
+        return diagnosis_figure(gains, " + ".join(self.effects) or "parameters", errors)
 
     def save(self, path: str | Path) -> None:
         """Write the candidates, best first, to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""
@@ -193,18 +204,25 @@ def searched(
     progress: Progress,
 ) -> tuple[WhitePath, list[str]]:
     """Return the path of the search, and notes on the recordings, after they were looked at."""
-    from .fitness import check_all
-
-    recordings = several(recording)
-    notes = check_all(recordings, check, crane)
-    progress("fitting the nominal parameters", 0.05)
-    problem = Problem.of(crane, recordings, per_recording, jobs)
+    problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
     return search(WHITE, problem, most, progress), notes
 
 
-def several(recording: Recording | Sequence[Recording]) -> tuple[Recording, ...]:
-    """Return one recording, or several, as a tuple."""
-    return (recording,) if isinstance(recording, Recording) else tuple(recording)
+def looked_at(
+    crane: Crane,
+    recording: Recording | Sequence[Recording],
+    check: Recording | None,
+    per_recording: Sequence[str],
+    jobs: int,
+    progress: Progress,
+) -> tuple[Problem, list[str]]:
+    """Return the problem that one recording or several give, with the crane as it is fitted, and notes on them."""
+    from .fitness import check_all
+
+    recordings = (recording,) if isinstance(recording, Recording) else tuple(recording)
+    notes = check_all(recordings, check, crane)
+    progress("fitting the nominal parameters", 0.05)
+    return Problem.of(crane, recordings, per_recording, jobs), notes
 
 
 def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:

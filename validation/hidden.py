@@ -27,6 +27,8 @@ from crane_exudyn.machine_toml import usual_layout
 from crane_exudyn.measurement import Measurement
 from crane_exudyn.recording import Recording
 
+from .seeds import seed_range
+
 if TYPE_CHECKING:
     from .hidden_plant import Dialect, Law
 
@@ -599,14 +601,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Write hidden cases of some seeds to a folder."""
     parser = argparse.ArgumentParser(prog="python -m validation.hidden", description=main.__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the recordings and answers.json")
-    parser.add_argument("--seeds", default="1000-1011", help="FIRST-LAST (default %(default)s)")
+    parser.add_argument("--seeds", type=seed_range, default="1000-1011", help="FIRST-LAST (default %(default)s)")
     parser.add_argument("--kind", choices=KINDS)
     parser.add_argument("--effect", action="append", metavar="NAME[@PLACE]")
     parser.add_argument("--foreign", action="store_true", help="laws that differ a little from the library's")
     given = parser.parse_args(arguments)
-    first, _, last = given.seeds.partition("-")
     chosen: dict[str, Any] = {"kind": given.kind, "keys": given.effect, "foreign": given.foreign}
-    write_cases(given.output, [(seed, chosen) for seed in range(int(first), int(last or first) + 1)])
+    write_cases(given.output, [(seed, chosen) for seed in given.seeds])
 
 
 if __name__ == "__main__":

@@ -97,7 +97,8 @@ class Improvement:
         """Return a figure of the falling error."""
         from .selection.plots import improvement_figure
 
-        return improvement_figure(self)
+        errors = {"learned from": [s.error for s in self.steps], "only predicted": [s.check_error for s in self.steps]}
+        return improvement_figure([s.added or "" for s in self.steps[1:]], errors)
 
     def save(self, path: str | Path) -> None:
         """Write the steps to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""

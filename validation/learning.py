@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
-from .diagnosis import several
+from .diagnosis import looked_at
 from .fit.evidence import log_evidence
 from .fit.solve import Fit
 from .fit.staged import LOOSE, STIFF, TIGHT, Stage
@@ -22,6 +22,7 @@ from .fit.variables import NominalDirection, Variable, effect_variables
 from .history import added
 from .learned.fits import Explained, Part, explain, left_out_gain
 from .learned.laws import BLOCK, Law, laws_of, unit_over
+from .learned.learned_law import LearnedLaw
 from .learned.resembles import Resemblance, resembles
 from .learned.screen import allowed
 from .learned.screen import screened as screened_laws
@@ -44,43 +45,6 @@ MOST = 2
 PREDICTED = 0.4
 #: standard deviations by which a curve may fall below what physics allows
 ASTRAY = 3.0
-
-
-@dataclass(frozen=True)
-class LearnedLaw:
-    """One law that was learned.
-
-    Attributes:
-        effect: "learned_force@lift"; over, unit_over, unit: what the curve runs over, in SI.
-        x, y, std: (K,) knots within the visited range, the curve there and its standard deviation.
-        against_motion: whether it acts against motion.
-        resembles: in words, "" if it resembles nothing simple; tied_with: what this recording cannot tell from it.
-        evidence: log evidence that it brings.
-        knots: (K,) places and values through which the crane has the curve; where it resembles a simple form they go on
-            along that beyond what is known.
-        law, form: what it is a curve of, with the values that were visited; the simple form that it resembles.
-    """
-
-    effect: str
-    over: str
-    unit_over: str
-    unit: str
-    x: np.ndarray
-    y: np.ndarray
-    std: np.ndarray
-    against_motion: bool
-    resembles: str
-    tied_with: tuple[str, ...]
-    evidence: float
-    knots: tuple[np.ndarray, np.ndarray] = field(repr=False)
-    law: Law = field(repr=False)
-    form: Resemblance = field(repr=False)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON of learn."""
-        keys = ("effect", "over", "unit_over", "unit", "resembles", "against_motion", "evidence")
-        lists = {k: getattr(self, k).tolist() for k in ("x", "y", "std")}
-        return {k: getattr(self, k) for k in keys} | lists | {"tied_with": list(self.tied_with)}
 
 
 @dataclass(frozen=True)
@@ -122,7 +86,7 @@ class Learned:
         """Return a figure: each curve with its interval, and where the recording went."""
         from .learned.plots import figure
 
-        return figure(self)
+        return figure(self.laws)
 
 
 def sentence(found: Learned) -> str:
@@ -159,13 +123,8 @@ def learn(
     Raises:
         CraneError: the recording cannot support it.
     """
-    from .fitness import check_all
-
     began = time.perf_counter()
-    learned = several(recordings)
-    notes = check_all(learned, check, crane)
-    progress("fitting the nominal parameters", 0.05)
-    problem = Problem.of(crane, learned, per_recording, jobs)
+    problem, notes = looked_at(crane, recordings, check, per_recording, jobs, progress)
     nothing = _explained(problem, [((), problem.base)], (TIGHT, STIFF))
     best, rivals = _searched(problem, nothing[0], progress, notes)
     progress("weighing", 0.85)

@@ -23,6 +23,8 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.recording import Recording
 from crane_exudyn.vetting import OPEN, Finding, Kind, vet
 
+from .seeds import seed_range
+
 _PSI = 14.503774
 #: s of a moving mean that smooths, steps in which a channel's range comes
 _SMOOTHED, _STEPS = 0.05, 50
@@ -156,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     parser = argparse.ArgumentParser(prog="python -m validation.loggers", description=main.__doc__)
     parser.add_argument("recordings", nargs="*", type=Path)
-    parser.add_argument("--seeds", metavar="FIRST-LAST", help="hidden cases to make")
+    parser.add_argument("--seeds", type=seed_range, default=range(0), metavar="FIRST-LAST", help="hidden cases to make")
     parser.add_argument("--without", nargs="*", default=[], metavar="CHANNEL", help="sensors to leave out")
     parser.add_argument("--crane", default="patu655", metavar="NAME-or-FILE", help="built-in crane or TOML file")
     given = parser.parse_args(arguments)
@@ -192,15 +194,13 @@ def _one_of_each(made: Iterator[Mistake], turn: int) -> list[Mistake]:
     return [same[turn % len(same)] for same in by_name.values()]
 
 
-def _recordings(crane: Crane, files: Sequence[Path], seeds: str | None) -> Iterator[Recording]:
+def _recordings(crane: Crane, files: Sequence[Path], seeds: range) -> Iterator[Recording]:
     yield from (Recording.load(file, layout=crane.layout) for file in files)
-    if seeds:
+    for seed in seeds:
         from .hidden import make_case
 
-        first, _, last = seeds.partition("-")
-        for seed in range(int(first), int(last or first) + 1):
-            case = make_case(seed, rate=200, sensors=0)
-            yield from (case.learn, case.check)
+        case = make_case(seed, rate=200, sensors=0)
+        yield from (case.learn, case.check)
 
 
 if __name__ == "__main__":

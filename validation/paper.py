@@ -368,7 +368,9 @@ def estimator(
     noise = ProcessNoise((1e-5, 1e-5), (1e7, 1e7, 1e7, 1e7), creep)
     augment = unknowns(wrong, likeliest_width(wrong, experiment, tuning) if width is None else width)
     revisit = _REVISIT if method == "ekf" else None
-    return Estimator(wrong, engine, experiment.sensors, noise, method, augment, start, max_step=STEP, revisit=revisit)
+    return Estimator(
+        wrong, engine, experiment.sensors, noise, method, augment, start=start, max_step=STEP, revisit=revisit
+    )
 
 
 def likeliest_width(wrong: Crane, experiment: Experiment, tuning: str) -> float:

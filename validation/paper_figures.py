@@ -33,9 +33,7 @@ def states(case: Case, names: Sequence[str]) -> Figure:
             "estimated": case.estimate.mean[:, i],
         }
         plots.draw_lines(axes, time, lines, channel=name)
-    made.axes[-1].set_xlabel("time / s")
-    made.align_ylabels()
-    plots.legend_above(made, columns=2)
+    plots.over_time(made, columns=2)
     return made
 
 
@@ -62,9 +60,7 @@ def figure_7(case: Case) -> Figure:
         axes.set_ylim(-limit, limit)  # the start is far outside; what comes after is what the figure is about
         with plots.style():
             axes.set_title(f"inside {100 * case.coverage[name]:.1f} % of the time", loc="right", fontsize=9, pad=3.0)
-    made.axes[-1].set_xlabel("time / s")
-    made.align_ylabels()
-    plots.legend_above(made)
+    plots.over_time(made)
     return made
 
 
@@ -87,7 +83,5 @@ def following_figure(case: Case) -> Figure:
             "estimated by the filter": case.estimate.mean[part, i],
         }
         plots.draw_lines(axes, time[part], lines, channel=name)
-    made.axes[-1].set_xlabel("time / s")
-    made.align_ylabels()
-    plots.legend_above(made)
+    plots.over_time(made)
     return made

@@ -15,6 +15,7 @@ from crane_exudyn.crane import Crane
 
 from .json_lines import read_lines
 from .paper import PUBLISHED, STATES, TUNINGS, run_case
+from .seeds import seed_range
 from .study import markdown, run
 
 #: share of time that each state is to be inside its 95 % interval
@@ -75,14 +76,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run seeds of the paper's 15 % case on the semi-recursive engine, and show the table of them."""
     parser = argparse.ArgumentParser(prog="python -m validation.paper_seeds", description=main.__doc__)
     parser.add_argument("results", type=Path, help="results file, a JSON a line")
-    parser.add_argument("--seeds", default="100-115", help="FIRST-LAST (default %(default)s)")
+    parser.add_argument("--seeds", type=seed_range, default="100-115", help="FIRST-LAST (default %(default)s)")
     parser.add_argument("--tuning", choices=TUNINGS, default="own")
     parser.add_argument("--inputs", type=int, choices=(1, 2, 3), default=1)
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
-    first, _, last = given.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
-    names = {f"{given.tuning} {given.inputs} {seed}": seed for seed in seeds}
+    names = {f"{given.tuning} {given.inputs} {seed}": seed for seed in given.seeds}
     run(
         given.results,
         [(name, one_seed, (name, given.tuning, given.inputs, seed)) for name, seed in names.items()],

@@ -19,6 +19,7 @@ from crane_exudyn.plots import (
     legend_above,
     look,
     name_axes,
+    over_time,
     png,
     save,
     shown,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LOOKS", "OTHERS", "WIDTH", "Look", "Shown", "draw_lines", "empty_figure", "figure", "legend_above", "look",
-    "mark_intervals", "name_axes", "png", "save",
+    "mark_intervals", "name_axes", "over_time", "png", "save",
     "shown", "style", "thin", "trajectories",
 ]  # fmt: skip
 

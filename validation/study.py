@@ -29,6 +29,7 @@ from crane_exudyn.machine_toml import usual_layout
 
 from .hidden import HIDES, KINDS, SENSOR_SETS, SEVERITIES, HiddenCase, hideable, make_case
 from .json_lines import add_line, read_lines
+from .seeds import seed_range
 from .selection.criteria import CRITERIA, Criteria
 from .workers import results_of, scheduled
 
@@ -359,7 +360,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m validation.study", description=main.__doc__)
     parser.add_argument("what", choices=("run", "tables"))
     parser.add_argument("results", type=Path, help="results file, a JSON a line")
-    parser.add_argument("--seeds", default="5000-5059", help="FIRST-LAST (default %(default)s)")
+    parser.add_argument("--seeds", type=seed_range, default="5000-5059", help="FIRST-LAST (default %(default)s)")
     parser.add_argument("--folder", type=Path, help="take the cases of this folder instead")
     parser.add_argument("--only", action="append", help="name of a case of the folder")
     parser.add_argument("--foreign", action="store_true", help="machines whose laws differ a little from the library's")
@@ -383,14 +384,13 @@ def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
     if given.folder is not None:
         names = given.only or sorted(json.loads((given.folder / "answers.json").read_text(encoding="utf-8")))
         return [(name, _folder_line, (given.folder, name)) for name in names]
-    first, _, last = given.seeds.partition("-")
     more = {n: getattr(given, n) for n in ("sensors", "noise", "kind", "learned") if getattr(given, n) is not None}
     more |= {name: True for name in ("foreign", "swapped") if getattr(given, name)}
     if given.visible:
         low, _, high = given.visible.partition("-")
         more["visible"] = (float(low), float(high or "inf"))
     criteria = dict(_criterion(text) for text in given.criterion)
-    return [(f"case_{seed}", _seed_line, (seed, more, criteria)) for seed in range(int(first), int(last or first) + 1)]
+    return [(f"case_{seed}", _seed_line, (seed, more, criteria)) for seed in given.seeds]
 
 
 def _criterion(text: str) -> tuple[str, float]:

@@ -30,6 +30,7 @@ from ukf.tuning import scale
 from . import metrics
 from .json_lines import read_lines
 from .paper import INPUT_SETS
+from .seeds import seed_range
 from .semi_recursive import SemiRecursiveEngine
 from .study import markdown, run
 
@@ -171,12 +172,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Follow wrong machines, and show how their unmeasured states lie in their intervals."""
     parser = argparse.ArgumentParser(prog="python -m validation.wrong_models", description=main.__doc__)
     parser.add_argument("results", type=Path, help="results file, a JSON a line")
-    parser.add_argument("--seeds", default="0-2", help="FIRST-LAST (default %(default)s)")
+    parser.add_argument("--seeds", type=seed_range, default="0-2", help="FIRST-LAST (default %(default)s)")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
-    first, _, last = given.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
-    tasks = [(f"{m}, {s}", one_run, (f"{m}, {s}", m, s)) for s in seeds for m in MACHINES]
+    tasks = [(f"{m}, {s}", one_run, (f"{m}, {s}", m, s)) for s in given.seeds for m in MACHINES]
     run(given.results, tasks, jobs=given.jobs, say=said)
     print(table(read_lines(given.results)))
 

@@ -11,6 +11,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import CraneError, nearest
 from ..layout import MOST, Layout
 from .base import Effect
@@ -98,6 +100,18 @@ def slot(name: str, place: str, layout: Layout) -> int:
 
 
 @cache
+def slots_of(hooks: frozenset[str], *, only: bool = False) -> np.ndarray:
+    """Return where in E the parameters of all effects stand that have some of these hooks; `only`: and no others."""
+    found = [
+        starts()[effect.name] + i
+        for effect in known()
+        if (set(effect.hooks()) <= hooks if only else set(effect.hooks()) & hooks)
+        for i in range(len(effect.parameters) * MOST[effect.places])
+    ]
+    return np.array(found, np.int64)
+
+
+@cache
 def _neutral() -> tuple[float, ...]:
     return tuple(p.neutral for effect in known() for _ in range(MOST[effect.places]) for p in effect.parameters)
 
@@ -134,7 +148,7 @@ def register(effect: type[Effect]) -> type[Effect]:
             f"Effect {effect.name!r} comes too late: engines are compiled. Register it before importing one."
         )
     _user_effects.append(effect)
-    for table in (starts, _neutral, events):
+    for table in (starts, slots_of, _neutral, events):
         table.cache_clear()
     return effect
 

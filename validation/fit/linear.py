@@ -21,9 +21,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.effects.registry import events
+from crane_exudyn.effects.registry import events, slots_of
 from crane_exudyn.layout import Layout
-from crane_exudyn.measurement import Measurement, sensing_slots
+from crane_exudyn.measurement import SENSING, Measurement
 
 from ..semi_recursive import sensitivity
 from .data import ACCURACY, Data, FitData, Samples
@@ -44,7 +44,8 @@ _LARGE = 30_000
 #: most numbers that are kept of swept windows, 200 MB
 _KEPT = 25_000_000
 #: longest step of the runs that derivatives are taken of, s. What is left is told by a run in the data's own steps, so
-#: that the minimum is theirs; derivatives but for some hundredths lead to it as well
+#: that the minimum is theirs; derivatives but for some hundredths lead to it as well. What probes do is then taken at
+#: every second step
 DERIVED = 2.5e-3
 #: by the unit of a sensor: what it shows at the start of a window where it lags is known to its lag times this rate
 RATE: Mapping[str, float] = {"rad": 0.3, "m": 0.3, "rad/s": 0.3, "m/s": 0.3, "Pa": 5e7}
@@ -341,7 +342,7 @@ def pack(base: Model, moved: Sequence[Model], sizes: np.ndarray) -> Columns:
     E = np.array([m.E for m in moved]).reshape(len(moved), base.E.size)
     dynamic = (P != base.P).any(axis=1) | (np.array(index) != 0)
     different = E != base.E
-    different[:, sensing_slots(only=True)] = False
+    different[:, slots_of(SENSING, only=True)] = False
     by_run = np.array([m.nx > base.nx for m in moved], dtype=bool)
     signal_index = np.array(index, dtype=np.int64)
     return Columns(P, E, np.array(signals), signal_index, sizes, dynamic | different.any(axis=1), by_run)
@@ -482,6 +483,7 @@ def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[
     swept = sensitivity.sweep(
         begun.x[None], np.zeros(1), grid.W, grid.step, float(grid.time[0]), base.P, own_E, here.P[sloped],
         here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology, allowed=ACCURACY,
+        thinned=grid.step < 1.01 * DERIVED,
     )  # fmt: skip
     if begun.by_all is None and len(sloped) == len(columns.size):
         return swept.X, swept.S, swept.status
@@ -517,13 +519,34 @@ def _acting(grid: _Grid, base: Model, columns: Columns) -> tuple[Columns, np.nda
     same = (grid.W == grid.W[0]).all(axis=(1, 2))
     index = np.where(same[columns.W_index], 0, columns.W_index)
     acts = (columns.P != base.P).any(axis=1) | (E != own_E).any(axis=1) | (index != 0)
-    moving, known = np.flatnonzero(columns.dynamic & acts), dict[bytes, int]()
-    rows = np.column_stack([columns.P, E, columns.size, index, columns.by_run])
-    of = [known.setdefault(rows[j].tobytes(), len(known)) for j in moving]
-    first = moving[np.unique(of, return_index=True)[1]] if of else moving
+    moving = np.flatnonzero(columns.dynamic & acts)
+    of, first = _alike(moving, E, base, columns, index)
     here = replace(columns, P=columns.P[first], E=E[first], size=columns.size[first], W_index=index[first],
                    by_run=columns.by_run[first])  # fmt: skip
-    return here, own_E, moving, np.array(of, np.int64)
+    return here, own_E, moving, of
+
+
+def _alike(
+    moving: np.ndarray, E: np.ndarray, base: Model, columns: Columns, index: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return for the columns `moving` (k,) which of the distinct ones each is (k,), and where these stand.
+
+    Only events can be alike: those that lie outside of a window, in which E (m, …) acts.
+    """
+    slots = slots_of_events()
+    timed = np.flatnonzero((columns.E[moving][:, slots] != base.E[slots]).any(axis=1))
+    rows, known, same = moving[timed], dict[bytes, int](), np.arange(len(moving))
+    told = np.column_stack([columns.P[rows], E[rows], columns.size[rows], index[rows], columns.by_run[rows]])
+    for k, row in zip(timed.tolist(), told, strict=True):
+        same[k] = known.setdefault(row.tobytes(), k)
+    distinct, of = np.unique(same, return_inverse=True)
+    return of, moving[distinct]
+
+
+@cache
+def slots_of_events() -> np.ndarray:
+    """Return where in E the parameters of effects with a moment stand."""
+    return np.concatenate([np.arange(own.start, own.stop) for own, _, _ in events()])
 
 
 def _within(E: np.ndarray, begin: float, end: float) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,9 +43,16 @@ class Model:
         lay = self.crane.layout
         return len(lay.all_states if hooks.pendulum(self.E)[0] > 0.0 else lay.states)
 
+    @cached_property
+    def _measurements(self) -> dict[tuple[str, ...], Measurement]:
+        return {}
+
     def measurement(self, channels: Sequence[str]) -> Measurement:
-        """Return what the crane's sensors of some channels show."""
-        return Measurement(channels, self.crane.machine, self.P, self.E)
+        """Return what the crane's sensors of some channels show, made once."""
+        known, names = self._measurements, tuple(channels)
+        if names not in known:
+            known[names] = Measurement(names, self.crane.machine, self.P, self.E)
+        return known[names]
 
     def run(self, x0: np.ndarray, W: np.ndarray, time: np.ndarray, step: float) -> tuple[np.ndarray, int, int]:
         """Return states (n, nx) from x0 at times (n,) with inputs W (n, …), a status, and the sample before the step

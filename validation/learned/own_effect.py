@@ -14,7 +14,7 @@ from crane_exudyn.effects.base import HOOKS
 from crane_exudyn.errors import CraneError
 
 if TYPE_CHECKING:
-    from ..learning import LearnedLaw
+    from .learned_law import LearnedLaw
 
 #: by effect and argument: the hook, where the curve is looked up, and what the hook returns of its value y
 _HOOKS = {

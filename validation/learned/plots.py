@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,17 +11,14 @@ from ..plots import OTHERS, style
 from ..plots import figure as new_figure
 from ..selection.plots import in_words
 from .laws import curve_at
+from .learned_law import LearnedLaw
 from .resembles import read_in
 
-if TYPE_CHECKING:
-    from ..learning import Learned, LearnedLaw
 
-
-def figure(found: Learned) -> Any:
+def figure(laws: Sequence[LearnedLaw]) -> Any:
     """Return a figure: a panel a law; its curve, 95 % interval, knots, nearest simple form, and how often each place
     was visited.
     """
-    laws = found.laws
     made = new_figure(max(1, len(laws)), height=3.4, sharex=False)
     with style():
         if not laws:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..learning import Learned, LearnedLaw, sentence
+from ..learning import Learned, sentence
 from ..report import Mood, Part, Picture, Section, Table, write_report
+from .learned_law import LearnedLaw
 
 _CAPTION = (
     "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the "

@@ -22,6 +22,7 @@ from crane_exudyn.errors import CraneError
 from ..hidden import HiddenCase, make_case
 from ..hidden_plant import LEARNABLE
 from ..json_lines import read_lines
+from ..seeds import seed_range
 from ..study import markdown, run, share
 from .laws import curve_at
 
@@ -138,15 +139,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m validation.learned.study", description=main.__doc__)
     parser.add_argument("what", choices=("run", "tables"))
     parser.add_argument("results", type=Path)
-    parser.add_argument("--seeds", default="7000-7011", help="FIRST-LAST (default %(default)s)")
+    parser.add_argument("--seeds", type=seed_range, default="7000-7011", help="FIRST-LAST (default %(default)s)")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
     if given.what == "tables":
         print(tables(read_lines(given.results)))
         return
-    first, _, last = given.seeds.partition("-")
-    seeds = range(int(first), int(last or first) + 1)
-    run(given.results, [(f"case_{s}", _seed_line, (s,)) for s in seeds], jobs=given.jobs, say=told)
+    run(given.results, [(f"case_{s}", _seed_line, (s,)) for s in given.seeds], jobs=given.jobs, say=told)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Pictures of a diagnosis and of an improvement."""
+"""Pictures of a diagnosis and of an improvement, drawn from their numbers; they say which."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..plots import OTHERS, figure, legend_above, style
@@ -12,10 +12,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..diagnosis import Diagnosis
-    from ..improvement import Improvement
-
-_SHOWN = 8
 _PLAIN, _CHOSEN = "#b8c4ce", OTHERS[2].color
 _HATCH = "///"
 
@@ -31,31 +27,32 @@ def in_words(key: str) -> str:
     return " + ".join(said)
 
 
-def diagnosis_figure(d: Diagnosis) -> Figure:
-    """Return a figure: what each explanation gains in evidence over the parameters alone, and the error it leaves."""
-    shown = d.candidates[:_SHOWN]
-    weighed = len(shown) > 1
+def diagnosis_figure(gains: Mapping[str, float], chosen: str, errors: Mapping[str, Sequence[float]]) -> Figure:
+    """Return a figure: what explanations gain in evidence over the parameters alone, and the errors.
+
+    Args:
+        gains: by explanation, best first.
+        chosen: which of them it was.
+        errors: of the crane as given, and with what was found where something was, in units of the noise; by what the
+            recordings were for.
+    """
+    weighed = len(gains) > 1
     made = figure(1 + weighed, height=2.0 if weighed else 2.4, sharex=False)
     with style():
         if weighed:
-            made.set_size_inches(made.get_figwidth(), 3.2 + 0.32 * len(shown))
-            _gains(made.axes[0], d)
-        _errors(made.axes[-1], d)
+            made.set_size_inches(made.get_figwidth(), 3.2 + 0.32 * len(gains))
+            _gains(made.axes[0], gains, chosen)
+        _errors(made.axes[-1], errors)
     legend_above(made)
     return made
 
 
-def _gains(axes: Axes, d: Diagnosis) -> None:
-    shown = d.candidates[:_SHOWN]
-    alone = next((c.evidence for c in d.candidates if not c.effects), d.candidates[-1].evidence)
-    gains = [max(c.evidence - alone, 0.0) for c in shown]
-    for chosen in (True, False):
-        rows = [i for i, c in enumerate(shown) if (c.effects == d.effects) == chosen]
-        look: dict[str, Any] = {"color": _CHOSEN if chosen else _PLAIN, "hatch": "" if chosen else _HATCH}
-        axes.barh(rows, [gains[i] for i in rows], 0.7, edgecolor="white", **look)
-    for i, gain in enumerate(gains):
+def _gains(axes: Axes, gains: Mapping[str, float], chosen: str) -> None:
+    for i, (name, gain) in enumerate(gains.items()):
+        look: dict[str, Any] = {"color": _CHOSEN, "hatch": ""} if name == chosen else {"color": _PLAIN, "hatch": _HATCH}
+        axes.barh(i, gain, 0.7, edgecolor="white", **look)
         axes.annotate(f"{gain:.0f}", (gain, i), (4, 0), textcoords="offset points", va="center", fontsize=8)
-    axes.set_yticks(range(len(shown)), [in_words(c.name).replace(" + ", "\n+ ") for c in shown])
+    axes.set_yticks(range(len(gains)), [in_words(name).replace(" + ", "\n+ ") for name in gains])
     axes.invert_yaxis()
     axes.set_xscale("symlog", linthresh=10.0)
     axes.margins(x=0.12)
@@ -64,23 +61,17 @@ def _gains(axes: Axes, d: Diagnosis) -> None:
     axes.grid(axis="y", visible=False)
 
 
-def _errors(axes: Axes, d: Diagnosis) -> None:
-    pairs = [
-        ("learned from", d.error_before, d.error_after),
-        ("only predicted", d.check_error_before, d.check_error_after),
-    ]
-    pairs = [p for p in pairs if not math.isnan(p[1])]
-    shown = [("as given", (_PLAIN, _HATCH)), ("with what was found", (_CHOSEN, ""))]
-    for k, (label, look) in enumerate(shown[: 1 + (d.crane is not d.given)]):
-        at = [i + 0.4 * k - 0.2 for i in range(len(pairs))]
-        bars = axes.barh(
-            at, [p[1 + k] for p in pairs], 0.36, color=look[0], hatch=look[1], edgecolor="white", label=label
-        )
+def _errors(axes: Axes, errors: Mapping[str, Sequence[float]]) -> None:
+    known = {name: e for name, e in errors.items() if not math.isnan(e[0])}
+    shown = (("as given", (_PLAIN, _HATCH)), ("with what was found", (_CHOSEN, "")))
+    for k, ((label, look), values) in enumerate(zip(shown, zip(*known.values(), strict=True), strict=False)):
+        at = [i + 0.4 * k - 0.2 for i in range(len(known))]
+        bars = axes.barh(at, values, 0.36, color=look[0], hatch=look[1], edgecolor="white", label=label)
         axes.bar_label(bars, fmt="%.3g", padding=4, fontsize=8)
     axes.axvline(1.0, color="#111111", lw=0.9, ls=":", label="nothing left but noise")
-    axes.set_yticks(range(len(pairs)), [p[0] for p in pairs])
+    axes.set_yticks(range(len(known)), list(known))
     axes.invert_yaxis()
-    _noise_axis(axes, [v for p in pairs for v in p[1:]], "x")
+    _noise_axis(axes, [v for values in known.values() for v in values], "x")
     axes.grid(axis="y", visible=False)
 
 
@@ -97,21 +88,24 @@ def _noise_axis(axes: Axes, values: Sequence[float], which: str) -> None:
     axis.set_label_text("open-loop error / noise")
 
 
-def improvement_figure(result: Improvement) -> Figure:
-    """Return a figure of the error falling from step to step."""
+def improvement_figure(added: Sequence[str], errors: Mapping[str, Sequence[float]]) -> Figure:
+    """Return a figure of the errors falling from step to step.
+
+    Args:
+        added: what each step but the first, the crane as given, added.
+        errors: at each step, in units of the noise, by what the recordings were for.
+    """
     made = figure(height=3.0)
     axes = made.axes[0]
-    names = ["as given", *(f"+ {in_words(s.added or '')}".replace(" (", "\n(") for s in result.steps[1:])]
-    lines = [("learned from", "o", OTHERS[0], [s.error for s in result.steps])]
-    if not math.isnan(result.steps[0].check_error):
-        lines.append(("only predicted", "s", OTHERS[1], [s.check_error for s in result.steps]))
+    names = ["as given", *(f"+ {in_words(name)}".replace(" (", "\n(") for name in added)]
+    known = {label: values for label, values in errors.items() if not math.isnan(values[0])}
     with style():
-        for label, marker, look, errors in lines:
+        for (label, values), marker, look in zip(known.items(), "os", OTHERS, strict=False):
             drawn: dict[str, Any] = {"color": look.color, "linestyle": look.dashes, "linewidth": look.width}
-            axes.plot(range(len(names)), errors, marker=marker, label=label, **drawn)
+            axes.plot(range(len(names)), values, marker=marker, label=label, **drawn)
         axes.axhline(1.0, color="#111111", lw=0.9, ls=":", label="nothing left but noise")
         axes.set_xticks(range(len(names)), names)
         axes.margins(x=0.2)
-        _noise_axis(axes, [e for *_, errors in lines for e in errors], "y")
+        _noise_axis(axes, [v for values in known.values() for v in values], "y")
     legend_above(made)
     return made

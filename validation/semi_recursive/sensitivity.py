@@ -10,6 +10,10 @@ A column is a probe: another P, another E, other inputs, or several at once. Its
 the base to the probe, so an effect whose law is not smooth at its neutral value is probed at a finite size.
 
 A run may be cut into windows (multiple shooting): at each knot the state is set anew and the sensitivities begin again.
+
+Most of the time goes into the probes' b and c. A probe that leaves the bodies as they are (an orifice, a leak) takes
+the base's mechanics. And b and c change slowly along the motion: where nothing is halved they may be taken at every
+second sample, and be linear between (`thinned`).
 """
 
 from __future__ import annotations
@@ -20,6 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from crane_exudyn.compiled import njit
+from crane_exudyn.effects.registry import slots_of
+from crane_exudyn.parameters import CYLINDER, FLUID, N_CYLINDER, PAYLOAD
 from crane_exudyn.step_control import MOST_HALVINGS, limit, next_level
 
 from .equations import CYLINDERS, Sheet, amounts, balance, rates, read_pressures, settle_pressures, sheet
@@ -49,6 +55,8 @@ from .kernel import (
 )
 
 POSITION_EPSILON, RATE_EPSILON, PRESSURE_EPSILON = 1e-6, 1e-6, 1e2
+#: hooks that `mechanics` calls
+MECHANICAL = frozenset({"gravity", "payload_mass", "pendulum"})
 #: amounts of oil are counted in this unit, m^3: an angle of 1 rad moves some of it
 AMOUNT = 1e-3
 
@@ -180,12 +188,14 @@ class Base(NamedTuple):
     E: np.ndarray
     P_cols: np.ndarray
     E_cols: np.ndarray
+    bodies: np.ndarray  # (m,) whether a probe's bodies, points or weights differ from the base's
     delta: np.ndarray
     W_all: np.ndarray
     W_index: np.ndarray
     h: float
     t0: float
     substeps: int
+    thinned: bool  # whether probes are taken at every second sample
     allowed: float  # local error of a step, in units of step_control.*_ERROR
 
 
@@ -199,12 +209,15 @@ class Tangents(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """A Point and its sensitivities (nx, M) as they move along, tangents before and after a step, and scratch."""
+    """A Point and its sensitivities (nx, M) as they move along, tangents before, in the middle of and after two steps,
+    and scratch.
+    """
 
     sheet: Sheet
     now: Point
     S: np.ndarray
     before: Tangents
+    middle: Tangents
     after: Tangents
     R: np.ndarray
     L: np.ndarray
@@ -225,25 +238,47 @@ def new_moving(topology, nx, m, columns, n_inputs):
     n = topology[0, CYLINDERS]
     return Moving(
         sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m),
-        new_tangents(nx, 2 * n, m),
+        new_tangents(nx, 2 * n, m), new_tangents(nx, 2 * n, m),
         np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx, n), point(nx, n),
         np.empty((3, n_inputs)),
     )  # fmt: skip
 
 
 @njit(cache=False)
-def evaluate(base, v, k, share, t, into):
-    """Fill v.now from its state, and all tangents there, at `share` of the way from sample k to k + 1."""
-    now, w, probed = v.now, v.inputs[2], v.probed
-    last = min(k + 1, base.W_all.shape[1] - 1)
-    between(base.W_all[0, k], base.W_all[0, last], share, w)
-    begin(now, w, t, base.P, base.E, v.sheet)
-    tangents_at(now, w, t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
+def evaluate(base, v, k, share, t, into, probes):
+    """Fill v.now from its state, and the tangents there, at `share` of the way from sample k to k + 1; those of the
+    probes too, or only Y and G.
+    """
+    w = v.inputs[2]
+    between(base.W_all[0, k], base.W_all[0, min(k + 1, base.W_all.shape[1] - 1)], share, w)
+    begin(v.now, w, t, base.P, base.E, v.sheet)
+    if probes:  # first those for which the mechanics of the base stand
+        take_probes(base, v, k, share, t, False, into)
+        between(base.W_all[0, k], base.W_all[0, min(k + 1, base.W_all.shape[1] - 1)], share, w)
+    tangents_at(v.now, w, t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
+    if probes:
+        take_probes(base, v, k, share, t, True, into)
+
+
+@njit(cache=False)
+def take_probes(base, v, k, share, t, bodies, into):
+    """Write b and c of the probes whose bodies differ from the base's, or of those whose do not: then its mechanics
+    must stand in the sheet.
+    """
+    now, w, probed, last = v.now, v.inputs[2], v.probed, min(k + 1, base.W_all.shape[1] - 1)
     for j in range(base.delta.size):
+        if base.bodies[j] != bodies:
+            continue
         P, E, W = base.P_cols[j], base.E_cols[j], base.W_all[base.W_index[j]]
         between(W[k], W[last], share, w)
         probed.x[:] = now.x
-        begin(probed, w, t, P, E, v.sheet)
+        if bodies:
+            begin(probed, w, t, P, E, v.sheet)
+        else:
+            read_pressures(probed.x, P, E, v.sheet)
+            balance(probed.x, w, t, P, E, v.sheet)
+            amounts(v.sheet, probed.N)
+            rates(probed.x, v.sheet, probed.g)
         for i in range(now.N.size):
             into.c[i, j] = (probed.N[i] - now.N[i]) / (base.delta[j] * AMOUNT)
         for i in range(now.x.size):
@@ -251,23 +286,22 @@ def evaluate(base, v, k, share, t, into):
 
 
 @njit(cache=False)
-def add_probe(j, h, v, column):
-    """Add c0 - c1 + h/2 (b0 + b1) of probe j to a column (nx,)."""
-    n = v.now.N.size
+def add_probe(j, h, n, first, second, column):
+    """Add c0 - c1 + h/2 (b0 + b1) of probe j to a column (nx,); n chambers."""
     for i in range(column.size):
-        column[i] += 0.5 * h * (v.before.b[i, j] + v.after.b[i, j])
+        column[i] += 0.5 * h * (first.b[i, j] + second.b[i, j])
         if holds_oil(i, n):
-            column[i] += v.before.c[i - n, j] - v.after.c[i - n, j]
+            column[i] += first.c[i - n, j] - second.c[i - n, j]
 
 
 @njit(cache=False)
-def linear_step(base, h, v):
-    """Move the sensitivities over one step between the tangents before and after; False if a system is singular."""
-    nx, m, R = v.now.x.size, base.delta.size, v.R
-    right_side(v.S, v.before.Y, v.before.G, h, R)
+def linear_step(base, h, first, second, v):
+    """Move the sensitivities over one step between two tangents; False if a system is singular."""
+    nx, m, n, R = v.now.x.size, base.delta.size, v.now.N.size, v.R
+    right_side(v.S, first.Y, first.G, h, R)
     for j in range(m):
-        add_probe(j, h, v, R[:, nx + j])
-    if not left_factors(v.after.Y, v.after.G, h, v.L, v.pivot):
+        add_probe(j, h, n, first, second, R[:, nx + j])
+    if not left_factors(second.Y, second.G, h, v.L, v.pivot):
         return False
     solve_columns(v.L, v.pivot, R)
     v.S[:] = R
@@ -280,30 +314,40 @@ def copy_tangents(source, target):
 
 
 @njit(cache=False)
+def step_part(base, k, done, level, v, work):
+    """Move the state by a part of the step that begins at `done` (in steps) of sample k; return a status and the length
+    of the part, s. A part that is not OK leaves it where it is.
+    """
+    wa, wb, part = v.inputs[0], v.inputs[1], 0.5**level
+    start, end = done / base.substeps, (done + part) / base.substeps
+    h, t = part * base.h / base.substeps, base.t0 + (k + start) * base.h
+    between(base.W_all[0, k], base.W_all[0, k + 1], start, wa)
+    between(base.W_all[0, k], base.W_all[0, k + 1], end, wb)
+    work.said[LIMIT] = limit(level, h, work.said[ALLOWED])
+    work.said[PARTS] += 1.0
+    status = try_step(v.now, wa, wb, t, h, base.P, base.E, work, level)
+    if status == OK:
+        remember(v.now, h, work)
+        v.now.x[:] = work.end.x
+        settle_pressures(v.now.x, work.end.N, base.P, base.E, v.sheet)
+    return status, h
+
+
+@njit(cache=False)
 def advance_sample(base, k, v, work):
     """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a
     status.
     """
-    wa, wb = v.inputs[0], v.inputs[1]
     done, level = 0.0, int(work.said[LEVEL])  # in steps
     while done < base.substeps:
-        part = 0.5**level
-        start, end = done / base.substeps, (done + part) / base.substeps
-        h, t = part * base.h / base.substeps, base.t0 + (k + start) * base.h
-        between(base.W_all[0, k], base.W_all[0, k + 1], start, wa)
-        between(base.W_all[0, k], base.W_all[0, k + 1], end, wb)
-        work.said[LIMIT] = limit(level, h, work.said[ALLOWED])
-        work.said[PARTS] += 1.0
-        status = try_step(v.now, wa, wb, t, h, base.P, base.E, work, level)
+        status, h = step_part(base, k, done, level, v, work)
         if status == OK:
-            remember(v.now, h, work)
-            v.now.x[:] = work.end.x
-            settle_pressures(v.now.x, work.end.N, base.P, base.E, v.sheet)
-            evaluate(base, v, k, end, t + h, v.after)
-            if not linear_step(base, h, v):
+            done += 0.5**level
+            end = done / base.substeps
+            evaluate(base, v, k, end, base.t0 + (k + end) * base.h, v.after, True)
+            if not linear_step(base, h, v.before, v.after, v):
                 return NOT_CONVERGED
             copy_tangents(v.after, v.before)
-            done += part
             level = next_level(level, done, h, work.said[ERROR], work.said[ALLOWED])
         elif level < MOST_HALVINGS:
             level += 1
@@ -315,6 +359,46 @@ def advance_sample(base, k, v, work):
 
 
 @njit(cache=False)
+def advance_two(base, k, v, work, X, S):
+    """Move state and sensitivities by two samples, as long as none has to be halved, with the probes' b and c in the
+    middle as the mean of those at the ends; return how many samples they have moved, and a status. X and S (of a
+    sample) are filled with what is in the middle.
+    """
+    M, h = S.shape[1], base.h
+    status, _ = step_part(base, k, 0.0, 0, v, work)
+    if status != OK:
+        work.said[LEVEL] = 1.0
+        work.said[HALVED] += 1.0
+        return 0, OK
+    between_samples = base.t0 + (k + 1) * h
+    X[:] = v.now.x
+    evaluate(base, v, k + 1, 0.0, between_samples, v.middle, False)
+    status, _ = step_part(base, k + 1, 0.0, 0, v, work)
+    both = status == OK
+    if both:
+        evaluate(base, v, k + 1, 1.0, between_samples + h, v.after, True)
+        for j in range(base.delta.size):
+            for i in range(v.now.x.size):
+                v.middle.b[i, j] = 0.5 * (v.before.b[i, j] + v.after.b[i, j])
+            for i in range(v.now.N.size):
+                v.middle.c[i, j] = 0.5 * (v.before.c[i, j] + v.after.c[i, j])
+    else:
+        work.said[LEVEL] = 1.0
+        work.said[HALVED] += 1.0
+        evaluate(base, v, k + 1, 0.0, between_samples, v.middle, True)
+    if not linear_step(base, h, v.before, v.middle, v):
+        return 1, NOT_CONVERGED
+    S[:] = v.S[:, :M]
+    if not both:
+        copy_tangents(v.middle, v.before)
+        return 1, OK
+    if not linear_step(base, h, v.middle, v.after, v):
+        return 2, NOT_CONVERGED
+    copy_tangents(v.after, v.before)
+    return 2, OK
+
+
+@njit(cache=False)
 def begin_window(base, k, start, v, work):
     """Set the state anew at sample k, sensitivities to identity and zeros, and forget the tangent of earlier
     windows.
@@ -322,7 +406,7 @@ def begin_window(base, k, start, v, work):
     v.now.x[:] = start
     v.S[:] = 0.0
     set_identity(v.S, 0)
-    evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before)
+    evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before, True)
     work.made[:] = 0.0
     forget(work)
 
@@ -345,7 +429,7 @@ def _sweep(x0_knots, knot_index, base, topology, want_phi):
     v = new_moving(topology, nx, m, M + (nx if want_phi else 0), base.W_all.shape[2])
     work = workspace(topology, nx, base.W_all.shape[2])
     work.said[ALLOWED], work.said[PATIENCE] = base.allowed, PATIENT
-    status, failed, window, alive = OK, -1, -1, False
+    status, failed, window, alive, there = OK, -1, -1, False, -1  # there: the last sample that is filled
     for k in range(N):
         if window + 1 < K and knot_index[window + 1] == k:
             if alive:
@@ -353,7 +437,7 @@ def _sweep(x0_knots, knot_index, base, topology, want_phi):
             window += 1
             begin_window(base, k, x0_knots[window], v, work)
             alive = True
-        if not alive:
+        if not alive or k < there:
             continue
         X[k], S[k] = v.now.x, v.S[:, :M]
         if k == N - 1:
@@ -361,8 +445,14 @@ def _sweep(x0_knots, knot_index, base, topology, want_phi):
             continue
         if want_phi:
             set_identity(v.S, M)
-        came = advance_sample(base, k, v, work)
-        if came == OK and exhausted((k + 1) * base.substeps, MOST_PARTS, work):
+        came, moved = OK, 0
+        joined = window + 1 == K or knot_index[window + 1] != k + 1
+        if base.thinned and k + 2 < N and joined and work.said[LEVEL] == 0.0:
+            moved, came = advance_two(base, k, v, work, X[k + 1], S[k + 1])
+        if moved == 0:
+            moved, came = 1, advance_sample(base, k, v, work)
+        there = k + moved
+        if came == OK and exhausted(there * base.substeps, MOST_PARTS, work):
             came = TOO_COARSE
         alive = came == OK
         if want_phi and alive:
@@ -372,6 +462,14 @@ def _sweep(x0_knots, knot_index, base, topology, want_phi):
     if want_phi:
         set_identity(Phi[0], 0)
     return X, S, X_end, S_end, Phi, status, failed, int(work.said[HALVED])
+
+
+def moves_bodies(P: np.ndarray, E: np.ndarray, P_cols: np.ndarray, E_cols: np.ndarray, cylinders: int) -> np.ndarray:
+    """Return (m,) whether probes differ from the base in what `mechanics` reads: bodies, points, payload, gravity."""
+    moved = P_cols != P
+    moved[:, FLUID:PAYLOAD] = moved[:, CYLINDER : CYLINDER + N_CYLINDER * cylinders] = False
+    laws = slots_of(MECHANICAL)
+    return np.asarray(moved.any(axis=1) | (E_cols[:, laws] != E[laws]).any(axis=1))
 
 
 def sweep(
@@ -391,6 +489,7 @@ def sweep(
     substeps: int = 1,
     allowed: float = 1.0,
     want_phi: bool = False,
+    thinned: bool = False,
 ) -> Sweep:
     """Return states and sensitivities along a run in windows; see `Sweep` for the shapes. Releases the global lock.
 
@@ -409,11 +508,17 @@ def sweep(
         substeps: steps of the trapezoidal rule per sample interval.
         allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
         want_phi: whether to return the one-sample transition matrices.
+        thinned: whether probes are taken at every second sample where no step is halved, and are linear between; not
+            with substeps or transition matrices.
     """
     m = len(delta)
     index = np.zeros(m, np.int64) if W_index is None else np.ascontiguousarray(W_index, np.int64)
     x0, W, P, E, P_cols, E_cols, delta = (
         np.ascontiguousarray(a, float) for a in (x0_knots, W_all, P, E, P_cols, E_cols, delta)
     )
-    base = Base(P, E, P_cols, E_cols, delta, W, index, float(h), float(t0), int(substeps), float(allowed))
+    thinned = thinned and substeps == 1 and not want_phi
+    bodies = moves_bodies(P, E, P_cols, E_cols, topology[0, CYLINDERS])
+    base = Base(
+        P, E, P_cols, E_cols, bodies, delta, W, index, float(h), float(t0), int(substeps), thinned, float(allowed)
+    )
     return Sweep(*_sweep(x0, np.ascontiguousarray(knot_index, np.int64), base, topology, bool(want_phi)))
