@@ -76,7 +76,7 @@ def larger(crane: Crane) -> Crane:
 def test_a_recording_of_another_machine_is_unknown_and_no_name_is_forced_on_it():
     crane = Crane.load("patu655")
     case = hidden.make_case(3, kind="none", crane=larger(crane), noise=0, sensors=0, rate=100)
-    found = diagnose(crane, case.learn.window(0.0, 4.0), jobs=1)
+    found = diagnose(crane, case.learn.window(0.0, 3.0), jobs=1)
     assert found.verdict == "unknown" and not found.effects
     assert found.where
 
