@@ -27,7 +27,7 @@ WITH_CHECK = "open_leak_lift"
 #: what is learned from: the suite has no time for whole recordings, and the less is seen, the harder it is to tell one
 #: effect from the others. The leaking machine begins to move later; after 7 s of `open_droop` both cylinders draw more
 #: than the drooping pump gives, and the library's law is not the plant's.
-SECONDS, LATER = 6.0, {"open_leak_lift": 10.0}
+SECONDS, LATER = 6.0, {"open_leak_lift": 7.0}
 
 
 @pytest.mark.parametrize("name", sorted(ANSWERS))
@@ -76,7 +76,7 @@ def larger(crane: Crane) -> Crane:
 def test_a_recording_of_another_machine_is_unknown_and_no_name_is_forced_on_it():
     crane = Crane.load("patu655")
     case = hidden.make_case(3, kind="none", crane=larger(crane), noise=0, sensors=0, rate=100)
-    found = diagnose(crane, case.learn.window(0.0, 4.0), jobs=1)
+    found = diagnose(crane, case.learn.window(0.0, 3.0), jobs=1)
     assert found.verdict == "unknown" and not found.effects
     assert found.where
 

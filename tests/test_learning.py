@@ -163,9 +163,9 @@ def test_a_curve_ends_where_it_is_known():
     assert FORCE.narrowed(y, np.full(len(y), 1e6)) is FORCE, "known nowhere: told as it is, with its interval"
 
 
-def _recorded(name, crane, seed):
-    """Return 5 s of both cylinders at 100 Hz, with noise: each goes to and fro."""
-    rng, time = np.random.default_rng(seed), np.arange(0.0, 5.0, 2.5e-3)
+def _recorded(name, crane, seed, seconds=5.0):
+    """Return some seconds of both cylinders at 100 Hz, with noise: each goes to and fro."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, seconds, 2.5e-3)
     turns = (
         0.3 * np.clip(2.0 * np.sin(0.7 * seed + 1.6 * time), -1.0, 1.0),
         0.25 * np.clip(2.0 * np.sin(2.1 * time), -1.0, 1.0),
@@ -226,7 +226,8 @@ def test_a_screen_needs_nothing_that_moves():
 
 def test_a_soft_mount_is_seen_where_it_is():
     """With the tangent of the stiff machine the screen put it on the other cylinder, a hundred times stiffer."""
-    data = FitData.of(_recorded("soft", CRANE.with_effect("structural_compliance@tilt", {"stiffness": 3e6}), 1), CRANE)
+    soft = CRANE.with_effect("structural_compliance@tilt", {"stiffness": 3e6})
+    data = FitData.of(_recorded("soft", soft, 1, seconds=8.0), CRANE)
     fit = staged(CRANE, data, (), np.zeros(0), first_knots(CRANE, data), (LOOSE,))
     best = screen(fit, starts(CRANE, data), 1.0)[0]
     assert (best.start.key, best.start.values["stiffness"]) == ("structural_compliance@tilt", 3e6)
