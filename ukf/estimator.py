@@ -353,7 +353,7 @@ class Estimator:
         covariance[extras, extras] = np.diag([e.std**2 for e in self.extras])
         self._set_states(start, mean, covariance)
         self._opened = covariance
-        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)), self._held)
+        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)), self._held, bool(self.extras))
         self.belief = self._method.begin(mean, covariance)
         self._forget_doubts(time, taken(self.crane.layout, first) if self._start is None else ())
         self.time = time
