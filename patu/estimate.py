@@ -109,7 +109,10 @@ def command(
     measured = load_checked([recording], chosen, mapping, map_file, anyway=anyway, needs=needs)[0].require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
     filters = _filters(cranes, engine, std, method, augment or [], step, bool(models))
-    noise, slack = _tuned(cranes.values(), measured, std, augment or [], json, tune), noise_slack(chosen, measured, std)
+    noise, slack = (
+        _tuned(cranes.values(), measured, std, augment or [], step, json, tune),
+        noise_slack(chosen, measured, std),
+    )
     filters = {name: f.varied(noise=noise) for name, f in filters.items()}
     if models:
         result = _side_by_side(filters, measured, model_error, slack)
@@ -224,6 +227,7 @@ def _tuned(
     recording: Recording,
     std: dict[str, float],
     augment: list[str],
+    step: float,
     json: str | None,
     thorough: bool,
 ) -> ProcessNoise:
@@ -231,7 +235,9 @@ def _tuned(
     from ukf.tuning import scale, tune
 
     with progress("Noise") as done:
-        found = (tune if thorough else scale)(tuple(cranes), recording, std, augment=tuple(augment), progress=done)
+        found = (tune if thorough else scale)(
+            tuple(cranes), recording, std, augment=tuple(augment), max_step=step, progress=done
+        )
     if found.after > found.before:
         Printer(json).line(repr(found).strip("<>"))
     return found.noise

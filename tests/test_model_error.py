@@ -5,12 +5,13 @@ bookkeeping.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from crane_exudyn.crane import Crane
+from crane_exudyn.crane import Crane, Uncertainty
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath
 from crane_exudyn.statics import visible
@@ -18,9 +19,11 @@ from ukf import model_error
 from ukf.augment import Augment
 from ukf.estimate import Estimate
 from ukf.estimator import Estimator
+from ukf.methods import method_of
 from ukf.noise import ProcessNoise
 from ukf.replay import Replay
 from ukf.signals import Signals
+from ukf.start import start_belief
 from validation.semi_recursive import SemiRecursiveEngine
 
 NOMINAL = Crane.load("patu655")
@@ -106,17 +109,71 @@ def test_what_is_estimated_anyway_is_no_unknown():
 
 def test_a_replay_has_the_likelihood_of_the_run():
     signals, _ = recorded("nominal")
-    unknowns = (*(Augment(n, 500.0, memory=3.0) for n in LAYOUT.torques), Augment("flow.p1", 1e-5, memory=1.0))
-    noise, sizes = ProcessNoise((1e-4,) * 2, (1e8,) * 4), [500.0, 500.0, 1e-5]
+    walk, fading = Augment("torque.O", 500.0, drift=99.0), Augment("torque.A", 500.0, memory=3.0)
+    unknowns = (walk, fading, Augment("flow.p1", 1e-5, memory=1.0))
+    noise = ProcessNoise((1e-4,) * 2, (1e8,) * 4)
     estimator = plain().varied(noise=noise, augment=unknowns)
     replay = Replay(estimator, signals, estimator.extras)
     constants = -replay.used * (0.5 * np.log(2 * np.pi) + np.mean(np.log(list(STD.values()))))
     ran = estimator.run(signals).log_likelihood
-    assert replay.log_likelihood(noise, sizes) + constants == pytest.approx(ran, abs=5e-3 * replay.used)
+    assert replay.log_likelihood(noise, unknowns) + constants == pytest.approx(ran, abs=5e-3 * replay.used)
     other, wider = ProcessNoise((1e-3,) * 2, (1e9,) * 4), [200.0, 800.0, 3e-5]
-    augment = tuple(Augment(a.name, size, memory=a.memory) for a, size in zip(unknowns, wider, strict=True))
+    augment = tuple(replace(a, std=size, drift=2.0 * a.drift) for a, size in zip(unknowns, wider, strict=True))
     ran = estimator.varied(noise=other, augment=augment).run(signals).log_likelihood
-    assert replay.log_likelihood(other, wider) + constants == pytest.approx(ran, abs=5e-3 * replay.used)
+    assert replay.log_likelihood(other, augment) + constants == pytest.approx(ran, abs=5e-3 * replay.used)
+
+
+def test_a_joint_whose_balance_the_file_knows_badly_has_a_constant_moment():
+    arm = np.cos(NOMINAL.initial.pose[0]) * NOMINAL["bodies.lift_boom.com.x"]
+    arm -= np.sin(NOMINAL.initial.pose[0]) * NOMINAL["bodies.lift_boom.com.y"]
+    known = replace(NOMINAL, uncertainty={"bodies.lift_boom.mass": NOMINAL.uncertainty["bodies.lift_boom.mass"]})
+    std = known.uncertainty["bodies.lift_boom.mass"].std
+    np.testing.assert_allclose(model_error.filed_moments(known), [9.81 * arm * std, 0.0], rtol=2e-3, atol=1e-6)
+    moments = {u.names[0]: u for u in model_error.unknowns(NOMINAL, STD) if u.names[0] in LAYOUT.torques}
+    assert not any(u.stays for u in moments.values())
+    heavy = replace(NOMINAL, uncertainty={"bodies.lift_boom.mass": Uncertainty(300.0)})
+    first, second = model_error.unknowns(heavy, STD)[:2]
+    (walk,), (fading,) = first.augments(50.0), second.augments(50.0)
+    assert walk.memory == np.inf and walk.std > first.stays > first.size and fading.memory == second.memory
+    assert walk.drift**2 == pytest.approx(50.0**2 * 2.0 / first.memory)  # what fading noise of that size adds at first
+
+
+def test_a_machine_that_begins_as_its_file_says_has_the_pressures_that_it_says():
+    engine, pose = SemiRecursiveEngine(NOMINAL), NOMINAL.initial.pose
+    filed, p2 = NOMINAL.initial.less_loaded_pressure[0], LAYOUT.index("p2")
+
+    def started(z1: float, begins: bool) -> tuple[float, float]:
+        """Return p2 and its standard deviation where p1 shows 10 bar more than the file's machine would need."""
+        p1 = engine.static_start(z1, pose[1], less_loaded=filed)[LAYOUT.index("p1")] + 10e5
+        belief = start_belief(NOMINAL, engine, {"z1": z1, "z4": pose[1], "p1": p1}, STD, 30e5, begins)
+        return float(belief.mean[p2]), float(np.sqrt(belief.covariance[p2, p2]))
+
+    ratio = np.divide(*NOMINAL.areas("lift"))
+    share = 30e5**2 / (30e5**2 + (0.2 * filed) ** 2)  # of the file's word, beside the balance of moments
+    mean, std = started(pose[0], True)
+    assert mean == pytest.approx(filed + (1.0 - share) * 10e5 * ratio, rel=1e-3)
+    assert std == pytest.approx(0.2 * filed * np.sqrt(share), rel=1e-6)
+    for elsewhere in (started(pose[0] + 0.2, True), started(pose[0], False)):
+        assert elsewhere == pytest.approx((filed + 10e5 * ratio, 30e5), rel=1e-3)
+
+
+def test_points_of_unknowns_are_near():
+    far, near = (method_of("ukf", np.ones(22), near=near).weights[0].directions for near in (False, True))
+    assert np.abs(near).max() == pytest.approx(np.sqrt(3.0)) and np.abs(far).max() == pytest.approx(0.99 * np.sqrt(22))
+
+
+def test_sensors_of_angles_may_err_for_a_moment():
+    memory = {u.names[0]: u.memory for u in model_error.unknowns(NOMINAL, STD) if u.names[0].startswith("bias.")}
+    assert memory == {"bias.p1": 10.0, "bias.p4": 10.0, "bias.z1": 0.2, "bias.z4": 0.2}
+
+
+def test_noise_that_covers_what_the_model_lacks_does_not_hide_it():
+    run = estimated("leak", "off")
+    swings = 0.7 * run.innovation_std * (-1.0) ** np.arange(len(run.time))[:, None]  # small, and they swing back
+    covered = replace(run, innovation=swings, nis=np.full(len(run.time), 0.7**2 * len(STD)))
+    assert covered.verdict.endswith("intervals too wide")
+    assert not model_error.unasked(covered) and not model_error.lacking(covered)
+    assert model_error.lacking(run) and model_error.unasked(estimated("nominal")) == "consistent"
 
 
 def test_a_fading_state_returns_to_its_nominal_value():

@@ -348,14 +348,14 @@ class Estimator:
 
         `spread` is what the measurements may be off by, beside their noise, because the crane moves already.
         """
-        start = self._start if self._start is not None else self._shown(first, spread or {})
+        start = self._start if self._start is not None else self._shown(first, spread or {}, begins=True)
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         extras = slice(self._engine_states + len(self._channels.lags), None)
         mean[extras] = [e.value for e in self.extras]
         covariance[extras, extras] = np.diag([e.std**2 for e in self.extras])
         self._set_states(start, mean, covariance)
         self._opened = covariance
-        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)), self._held)
+        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)), self._held, bool(self.extras))
         self.belief = self._method.begin(mean, covariance)
         self._forget_doubts(time, taken(self.crane.layout, first) if self._start is None else ())
         self.time = time
@@ -366,10 +366,12 @@ class Estimator:
         self._belief_in_doubt = Doubt(self._gate)
         self._opinion = None
 
-    def _shown(self, first: Mapping[str, float], spread: Mapping[str, float]) -> Belief:
-        """Return the belief (nx, …) in which the sensors show `first`, give or take their noise and `spread`."""
+    def _shown(self, first: Mapping[str, float], spread: Mapping[str, float], begins: bool = False) -> Belief:
+        """Return the belief (nx, …) in which the sensors show `first`, give or take their noise and `spread`; `begins`
+        as of `start_belief`.
+        """
         std = {n: float(np.hypot(self.std_of.get(n, 0.0), spread.get(n, 0.0))) for n in {*self.std_of, *spread}}
-        return start_belief(self.crane, self.engine, first, std, self._pressure_std)
+        return start_belief(self.crane, self.engine, first, std, self._pressure_std, begins)
 
     def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
         """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n,

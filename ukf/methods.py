@@ -19,6 +19,8 @@ _LEASH = 3.0
 #: step of the EKF's slopes in standard deviations of the first belief: far above the engines' solver tolerance, far
 #: below any curvature
 INCREMENT = 1e-3
+#: the paper's A
+_ALPHA = 0.99
 METHODS = ("ukf", "sr-ukf", "ckf", "simplex", "ekf")
 
 
@@ -120,22 +122,26 @@ class Linearised:
         return near
 
 
-def method_of(name: str, std: np.ndarray, constants: Sequence[int] = ()) -> Method:
+def method_of(name: str, std: np.ndarray, constants: Sequence[int] = (), near: bool = False) -> Method:
     """Return the filter called `name` for states whose standard deviations at the start are `std` (n,); `constants`
     as in `Linearised`.
+
+    `near` keeps the points of the UKF within √3 standard deviations, where they also have a normal distribution's
+    fourth moment along each axis; else they lie 0.99 √n out, as the paper has them.
 
     Raises:
         CraneError: no such filter.
     """
+    alpha = min(_ALPHA, np.sqrt(3.0 / std.size)) if near else _ALPHA
     if name == "ukf":
-        return SigmaPoints((merwe(std.size),))
+        return SigmaPoints((merwe(std.size, alpha),))
     if name == "ckf":
         return SigmaPoints((cubature(std.size),))
     if name == "simplex":
         # mirrored from one step to the next, so that what third moments do to the mean takes turns
         return SigmaPoints((simplex(std.size), simplex(std.size, -1.0)))
     if name == "sr-ukf":
-        return SquareRoot(merwe(std.size))
+        return SquareRoot(merwe(std.size, alpha))
     if name == "ekf":
         return Linearised(INCREMENT * std, constants)
     raise CraneError(f"There is no filter {name!r}.{nearest(name, list(METHODS))}")

@@ -7,26 +7,28 @@ noise:
 
 | unknown | acts | size that is expected | memory |
 |---|---|---|---|
-| a moment on each joint | always | 5 % of what its cylinder can do | 10 s |
+| a moment on each joint | always | 5 % of what its cylinder can do | 10 s; a walk from a constant where the crane
+file's own uncertainties do more to the balance |
 | a flow into each chamber | always | 0.5 % of the valve's flow under full pump pressure | 3 s |
 | flow coefficient of each valve | while its spool is open | 10 % | 3 s |
 | pump pressure | while a valve draws from it | 5 % | 3 s |
 | volume of the hoses, which stands for softness of the oil | while the pressure changes | 50 % | 1 s |
 | an offset of each pressure sensor | always | a third of its noise | 10 s |
+| an offset of each other sensor, which lags or rings | always | a third of its noise | 0.2 s |
 | a parameter that the crane file calls unknown, such as the payload | as the model says | 100 kg for a payload |
 constant |
 
 How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the
 innovations are most likely (`replay`), held back from leaving what is expected by a prior of half a power of ten. Then
-each size is opened by half a power of ten, or as much less as leaves the innovations nearly as likely: they tell of an
-unknown what it does to the sensors, and what is not measured may suffer more. With a model that is right all sizes
-fall, and the intervals are those of the filter without them.
+each size is opened by a quarter of a power of ten, or as much less as leaves the innovations nearly as likely: they
+tell of an unknown what it does to the sensors, and what is not measured may suffer more. With a model that is right all
+sizes fall, and the intervals are those of the filter without them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -35,6 +37,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import pose
+from crane_exudyn.static_start import static_start
 
 from .augment import Augment, resolve, unit_of
 from .estimate import Account, Estimate
@@ -46,7 +49,7 @@ from .tuning import busiest, descend, limits_of, logs_of, noise_of
 
 #: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are
 #: opened afterwards
-_PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.5
+_PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.25
 #: shares of that that are tried, the widest first
 _SHARES = (1.0, 0.75, 0.5, 0.25)
 #: how far below what is expected a size is searched, powers of ten
@@ -73,16 +76,22 @@ _PRESSURE = 0.3
 @dataclass(frozen=True)
 class Unknown:
     """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest
-    size.
+    size, and a part that stays, of which the size says nothing.
+
+    With a part that stays it is a random walk from there, as fast as noise of that size and memory is at first.
     """
 
     names: tuple[str, ...]
     size: float
     memory: float
     most: float
+    stays: float = 0.0
 
     def augments(self, size: float) -> tuple[Augment, ...]:
         """Return the quantities as states of the filter, of a given size."""
+        if self.stays:
+            pace, std = size * np.sqrt(2.0 / self.memory), float(np.hypot(size, self.stays))
+            return tuple(Augment(n, std, drift=pace) for n in self.names)
         return tuple(Augment(n, size, memory=self.memory, shared=self.names[0]) for n in self.names)
 
 
@@ -124,7 +133,10 @@ def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str
     `sensors` are channels with the standard deviation of their noise, SI.
     """
     lay, pump = crane.layout, crane["supply.pump_pressure"]
-    found = [Unknown((name,), 0.05 * most, 10.0, most) for name, most in zip(lay.torques, _moments(crane), strict=True)]
+    found = [
+        Unknown((name,), 0.05 * most, 10.0, most, stays if stays > 0.05 * most else 0.0)
+        for name, most, stays in zip(lay.torques, _moments(crane), filed_moments(crane), strict=True)
+    ]
     for cylinder, sides in zip(lay.cylinders, lay.sides, strict=True):
         valve = f"valves.{cylinder}.flow_coefficient"
         hoses = tuple(f"cylinders.{cylinder}.hose_volume_{side}" for side in ("piston", "rod"))
@@ -137,6 +149,8 @@ def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str
     found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0, pump))
     gauges = [n for n in sensors if lay.sensors[n].unit == "Pa"]
     found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 10.0, 30.0 * sensors[n]) for n in gauges]
+    others = [n for n in sensors if n not in gauges]
+    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 0.2, 30.0 * sensors[n]) for n in others]
     free = [n for n, known in crane.uncertainty.items() if not np.isfinite(known.std) and n in crane.machine.index]
     found += [Unknown((e.name,), e.std, np.inf, 10.0 * e.std) for e in resolve(crane, free)]
     return tuple(u for u in found if u.size > 0.0 and not set(u.names) & set(without))  # machines without hoses
@@ -152,6 +166,33 @@ def _moments(crane: Crane) -> list[float]:
     return [pump * crane.areas(lay.cylinders[c])[0] * float(arms[c, i]) for i, c in enumerate(driving)]
 
 
+def filed_moments(crane: Crane) -> list[float]:
+    """Return the standard deviation (N m; sliding: N) of each joint's balance at rest, in the pose to start with, by
+    what the crane file says of the uncertainty of its parameters.
+    """
+    held = _held(crane)
+    squares = np.zeros(len(crane.layout.coordinates))
+    for name, known in crane.uncertainty.items():
+        if np.isfinite(known.std) and name in crane.machine.index:
+            # a parameter with which the machine cannot stand there tells nothing
+            with suppress(CraneError):
+                squares += (_held(crane.with_parameters({name: crane[name] + known.std})) - held) ** 2
+    return np.sqrt(squares).tolist()
+
+
+def _held(crane: Crane) -> np.ndarray:
+    """Return the moments (coordinates,) by which the pressures hold a crane at rest in the pose to start with, as far
+    as its own cylinder does for each joint.
+    """
+    lay, rule = crane.layout, crane.initial
+    pressures = static_start(crane, *rule.pose, less_loaded=rule.less_loaded_pressure)[lay.pressures]
+    areas = np.array([crane.areas(n) for n in lay.cylinders])
+    forces = np.sum(areas * [1.0, -1.0] * pressures.reshape(areas.shape), axis=1)
+    arms = pose(crane, *rule.pose).length_rates[0]
+    own = [lay.driven.index(n) for n in lay.coordinates]
+    return arms[own, range(len(own))] * forces[own]
+
+
 def expected(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> ModelError:
     """Return the model error with the sizes that are expected; arguments as of `unknowns`."""
     found = unknowns(crane, sensors, without)
@@ -164,7 +205,8 @@ def live(plain: Estimator, adapt: float = _ADAPT) -> Estimator:
 
     Where nothing has been recorded yet the sizes begin wide and follow what is found with a time constant `adapt`, s.
     """
-    start = _Search(expected(plain.crane, plain.std_of, _names(plain.augment)))
+    first = expected(plain.crane, plain.std_of, _names(plain.augment))
+    start = _Search(replace(first, unknowns=tuple(replace(u, stays=0.0) for u in first.unknowns)))
     return start.opened(start.first).behind(plain).varied(adapt=adapt)
 
 
@@ -182,7 +224,7 @@ def find(
     seconds: float = _SECONDS,
     progress: Callable[[float], None] | None = None,
 ) -> ModelError:
-    """Return the model error under which the innovations of a recording are most likely, opened by half a power of ten.
+    """Return the model error under which the innovations of a recording are most likely, its sizes opened afterwards.
 
     Args:
         crane: the model.
@@ -235,8 +277,7 @@ class _Search:
 
     def _log_likelihood(self, replay: Replay, logs: np.ndarray) -> float:
         now = self.model_error(logs)
-        sizes = [size for u, size in zip(now.unknowns, now.sizes, strict=True) for _ in u.names]
-        return replay.log_likelihood(now.noise, sizes)
+        return replay.log_likelihood(now.noise, now.augment)
 
     def opening(self, replay: Replay, logs: np.ndarray) -> float:
         """Return by how many powers of ten sizes may be opened before the innovations become less likely than that is
@@ -255,7 +296,7 @@ class _Search:
         """Return the model error with sizes that are opened, without unknowns of no account."""
         wide = self._widened(logs, by)
         found = self.model_error(wide)
-        kept = [k for k in range(self.count) if wide[k] > _NOTHING]
+        kept = [k for k, u in enumerate(found.unknowns) if wide[k] > _NOTHING or u.stays]
         return ModelError(
             tuple(found.unknowns[k] for k in kept), tuple(found.sizes[k] for k in kept), found.noise, found.pressure_std
         )
@@ -292,8 +333,9 @@ def estimate(
     Args:
         plain: the estimator without model error.
         recording: a Recording or Signals.
-        mode: "off"; "on", whatever the innovations say; or "auto": where the plain filter's innovations are larger than
-            it believes or keep their sign, and are not less likely with it.
+        mode: "off"; "on", whatever the innovations say; or "auto": where the plain filter is not consistent. Where its
+            innovations are larger than it believes or keep their sign they must not be less likely with model error,
+            else they must be more likely.
         smooth: as of `Estimator.run`.
         noise_slack: as of `Estimate`.
         stage: shows progress.
@@ -311,9 +353,11 @@ def estimate(
         found = find(plain.crane, recording, plain.std_of, augment=plain.augment, progress=done)
     with stage("Estimate") as done:
         second = _run(found.behind(plain), recording, smooth, noise_slack, done)
-    if mode == "auto" and second.log_likelihood < first.log_likelihood - _PRICE * float(first.dof.sum()):
-        why = "the innovations are less likely with it"
-        return replace(first, model_error=Account(mode, False, why, {}))
+    if mode == "auto":
+        price = _PRICE * float(first.dof.sum())
+        if second.log_likelihood < first.log_likelihood + (-price if lacking(first) else price):
+            why = f"the innovations are {'less' if lacking(first) else 'not more'} likely with it"
+            return replace(first, model_error=Account(mode, False, why, {}))
     why = "asked for" if mode == "on" else f"without it, {first.verdict}"
     return _told(plain.crane, second, found, Account(mode, True, why, {}))
 
@@ -328,11 +372,16 @@ def _run(
 
 def unasked(plain: Estimate) -> str:
     """Return why the innovations of a filter do not ask for model error, in words; "" where they do."""
-    if plain.unjudged or plain.consistent:
-        return plain.verdict
-    if plain.nis_mean > plain.nis_bounds[1] or plain.persistent:
-        return ""
-    return plain.verdict
+    return plain.verdict if plain.unjudged or plain.consistent else ""
+
+
+def lacking(plain: Estimate) -> bool:
+    """Whether the innovations of a filter are those of a model that lacks something: too large, or they keep their
+    sign.
+
+    Where white noise was scaled up until it covers what the model lacks, they may be neither.
+    """
+    return plain.nis_mean > plain.nis_bounds[1] or bool(plain.persistent)
 
 
 def _told(crane: Crane, result: Estimate, found: ModelError, account: Account) -> Estimate:

@@ -17,7 +17,7 @@ import numpy as np
 
 from crane_exudyn.compiled import njit
 
-from .augment import Extra
+from .augment import Augment, Extra
 from .estimator import Estimator
 from .monitor import USED
 from .noise import ProcessNoise
@@ -73,14 +73,15 @@ class Replay:
         self._before, self._after = mean[:-1, self._first :] - nominal, prior[1:, self._first :] - nominal
         self._still = np.diag(estimator.process_noise(1.0) - _padded(estimator.noise.covariance(1.0), estimator.size))
 
-    def log_likelihood(self, noise: ProcessNoise, sizes: Sequence[float]) -> float:
-        """Return the log-likelihood of all samples, but for a constant, for a noise and `sizes` (SI) of the varied
-        states.
+    def log_likelihood(self, noise: ProcessNoise, varied: Sequence[Augment]) -> float:
+        """Return the log-likelihood of all samples, but for a constant, for a noise and the varied states as they are
+        in `varied`: with other standard deviations and drifts.
         """
         dt = self._dt[:, None]
-        extras = [_sized(e, size) for e, size in zip(self._varied, sizes, strict=True)]
+        pairs = zip(self._varied, varied, strict=True)
+        extras = [replace(e, std=e.std if a.std is None else a.std, drift=a.drift) for e, a in pairs]
         kept = np.exp(-dt / np.array([e.memory for e in extras]))
-        added = np.array([e.std for e in extras]) ** 2 * (1.0 - kept**2)
+        added = np.array([e.std for e in extras]) ** 2 * (1.0 - kept**2) + np.array([e.drift for e in extras]) ** 2 * dt
         offset = self._offset.copy()
         offset[:, self._first :] = kept * self._before - self._after
         offset[1:, self._first :] += kept[1:] * self._moved[1:-1, self._first :]
@@ -104,10 +105,6 @@ class Replay:
         out[:, self._first :] = 0.0
         out[np.arange(self._first, len(out)), np.arange(self._first, len(out))] = [e.std**2 for e in extras]
         return out
-
-
-def _sized(extra: Extra, size: float) -> Extra:
-    return replace(extra, std=float(size))
 
 
 def _padded(block: np.ndarray, size: int) -> np.ndarray:

@@ -17,6 +17,9 @@ from .filter import Belief
 
 #: standard deviations of what no sensor shows, by unit
 UNSHOWN: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.05, "m/s": 0.05, "Pa": 10e5}
+#: a machine stands as its file says it begins where no coordinate is further off, rad or m, beside two standard
+#: deviations; standard deviation of the lower pressures that the file says for it: a share, and at least so many Pa
+_AS_FILED, _FILED, _LEAST_FILED = 0.05, 0.2, 0.5e5
 #: by the unit of a coordinate, by how many metres a cylinder is longer for one more of it
 _LEVER = {"rad": 0.3, "m": 1.0}
 
@@ -51,29 +54,41 @@ def start_belief(
     first: Mapping[str, float],
     std: Mapping[str, float],
     pressure: float = UNSHOWN["Pa"],
+    begins: bool = False,
 ) -> Belief:
     """Return the belief (nx, …) from the first measurements `first` (SI, NaN for missing) and their noise `std`.
 
-    `pressure` is the standard deviation of a pressure that no sensor shows, Pa.
+    `pressure` is the standard deviation of a pressure that no sensor shows and that follows from the balance of
+    moments, Pa; `begins` says that a recording begins here, where the machine may be as its file says it begins.
 
     Coordinates come from their own sensors or the cylinder lengths, else from the crane file. Pressures follow from the
     balance of moments at rest (`engine.static_start`): the cylinder's force is known, so one measured pressure gives
-    the other.
+    the other. Where the machine stands as its file says it begins, the file also says the lower pressure of each
+    cylinder, and what is known better counts more.
     """
     known = {n: v for n, v in first.items() if np.isfinite(v)}
     z, z_std = _pose(crane, known, std)
     nx = len(engine.state_names)
     mean, deviation = np.zeros(nx), np.full(nx, 0.05)
-    mean[:] = engine.static_start(*z)
     lay = crane.layout
+    filed = np.broadcast_to(crane.initial.less_loaded_pressure, len(lay.cylinders))
+    mean[:] = engine.static_start(*z, less_loaded=filed)
     for name in lay.coordinates:
         carried = sum(known.get(f"d{n}", 0.0) for n in lay.carriers(name))
         mean[lay.index(f"d{name}")] = known.get(f"d{name}", known.get(f"d{name}_abs", carried) - carried)
     deviation[lay.positions], deviation[lay.pressures] = z_std, pressure
     deviation[lay.velocities] = np.hypot(lay.sized(lay.rates, UNSHOWN), 0.5 * mean[lay.velocities])
-    for cylinder in range(len(lay.cylinders)):
-        _set_pressures(crane, cylinder, mean, deviation, known, std)
+    begins = begins and _as_filed(crane, mean, deviation)
+    for cylinder, lower in enumerate(filed):
+        _set_pressures(crane, cylinder, mean, deviation, known, std, float(lower) if begins else np.inf)
     return Belief(mean, np.diag(deviation**2))
+
+
+def _as_filed(crane: Crane, mean: np.ndarray, deviation: np.ndarray) -> bool:
+    """Whether a machine stands still in the pose in which its file says that it begins."""
+    lay = crane.layout
+    off = np.abs(mean[lay.positions] - crane.initial.pose)
+    return not mean[lay.velocities].any() and bool((off <= _AS_FILED + 2.0 * deviation[lay.positions]).all())
 
 
 def _pose(crane: Crane, known: Mapping[str, float], std: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -111,9 +126,10 @@ def _set_pressures(
     deviation: np.ndarray,
     known: Mapping[str, float],
     std: Mapping[str, float],
+    filed: float,
 ) -> None:
     """Fill in the pressures of one cylinder: measured ones as measured, a missing one from the cylinder's static
-    force.
+    force and, where it is the lower one and the file says it (`filed`, Pa, infinite for nothing), from the file.
     """
     name, channels = crane.layout.cylinders[cylinder], crane.layout.sides[cylinder]
     area = crane.areas(name)
@@ -126,4 +142,8 @@ def _set_pressures(
         other = 1 if channels[0] in known else 0
         measured = mean[at + 1 - other] * area[1 - other]
         balance = (measured - force) / area[1] if other == 1 else (measured + force) / area[0]
-        mean[at + other] = max(balance, vapour_pressure(crane), crane["supply.tank_pressure"])
+        balance = max(balance, vapour_pressure(crane), crane["supply.tank_pressure"])
+        spread = max(_FILED * filed, _LEAST_FILED) if mean[at + other] <= 1.001 * filed < np.inf else np.inf
+        share = 1.0 / (1.0 + (spread / deviation[at + other]) ** 2)
+        mean[at + other] = balance if share == 0.0 else balance + share * (filed - balance)
+        deviation[at + other] *= np.sqrt(1.0 - share)

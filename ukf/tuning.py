@@ -59,6 +59,7 @@ def tune(
     start: ProcessNoise | None = None,
     augment: tuple[Any, ...] = (),
     seconds: float = 10.0,
+    max_step: float = 1e-3,
     evaluations: int = 60,
     progress: Callable[[float], None] | None = None,
 ) -> Tuned:
@@ -71,12 +72,13 @@ def tune(
         start: noise to begin with.
         augment: quantities that are estimated along with the state.
         seconds: how much of the recording is used, around its busiest part.
+        max_step: longest step of the engine, s, as in the filter that the noise is for: noise covers its error too.
         evaluations: most runs of the filter.
         progress: called with the fraction done.
     """
     cranes = _listed(crane)
     lay, std = cranes[0].layout, sensor_std(cranes[0], sensors)
-    cost, count = _cost(cranes, recording, std, engine, augment, seconds, evaluations, progress)
+    cost, count = _cost(cranes, recording, std, engine, augment, seconds, max_step, evaluations, progress)
     first = logs_of(start or ProcessNoise.of(lay))
     before = cost(first)
     logs, best = _climb(cost, first, before)
@@ -164,6 +166,7 @@ def scale(
     engine: Any = "semi-recursive",
     augment: tuple[Any, ...] = (),
     seconds: float = 10.0,
+    max_step: float = 1e-3,
     progress: Callable[[float], None] | None = None,
 ) -> Tuned:
     """Return the default noise times the power of ten that makes the innovations most likely, from 10⁻³ to 10⁶.
@@ -173,7 +176,7 @@ def scale(
     """
     cranes = _listed(crane)
     lay, std = cranes[0].layout, sensor_std(cranes[0], sensors)
-    cost, count = _cost(cranes, recording, std, engine, augment, seconds, _UP, progress)
+    cost, count = _cost(cranes, recording, std, engine, augment, seconds, max_step, _UP, progress)
     first = logs_of(ProcessNoise.of(lay))
     before = cost(first)
     chosen, best = _climb(cost, first, before)
@@ -191,6 +194,7 @@ def _cost(
     engine: Any,
     augment: tuple[Any, ...],
     seconds: float,
+    max_step: float,
     evaluations: int,
     progress: Callable[[float], None] | None,
 ) -> tuple[Callable[[np.ndarray], float], list[int]]:
@@ -203,7 +207,9 @@ def _cost(
         count[0] += 1
         if progress is not None:
             progress(min(1.0, count[0] / evaluations))
-        filters = [Estimator(crane, engine, std, noise_of(logs), augment=augment) for crane in cranes]
+        filters = [
+            Estimator(crane, engine, std, noise_of(logs), augment=augment, max_step=max_step) for crane in cranes
+        ]
         estimate = (SideBySide({str(k): f for k, f in enumerate(filters)}) if filters[1:] else filters[0]).run(piece)
         restarts = sum(e.count for e in estimate.events if e.where == "filter")
         used = float(estimate.dof.sum())

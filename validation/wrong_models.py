@@ -109,7 +109,7 @@ def one_run(name: str, machine: str, seed: int) -> dict[str, Any]:
     """
     signals, truth = recorded(machine, seed)
     crane = Crane.load("patu655")
-    noise = scale(crane, signals, SENSORS).noise
+    noise = scale(crane, signals, SENSORS, max_step=STEP).noise
     plain = Estimator(crane, "semi-recursive", SENSORS, noise, max_step=STEP)
     found = {mode: estimate(plain, signals, mode=mode) for mode in ("off", "auto")}
     account = found["auto"].model_error
