@@ -48,10 +48,10 @@ def amounts(engine, states: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("make", ENGINES)
 @pytest.mark.parametrize("gas", GAS)
 def test_closed_chambers_keep_their_oil_through_cavitation(make, gas):
-    """25 s of the semi-recursive engine, 3 s of the slower one; the boom swings so far that chambers boil."""
+    """25 s of the semi-recursive engine, 2 s of the slower one; the boom swings so far that chambers boil."""
     crane = crane_with(GAS[gas])
     engine = make(crane)
-    states = forced(crane, engine, 25.0 if make is SemiRecursiveEngine else 3.0)[::50]
+    states = forced(crane, engine, 25.0 if make is SemiRecursiveEngine else 2.0)[::50]
     if gas in ("oil", "spring"):
         assert (states[:, 4:8] < 0.0).any(), "nothing boils"
     oil = amounts(engine, states)

@@ -481,7 +481,8 @@ def test_two_minutes_of_rest_leave_intervals_as_they_are():
     estimate = estimator(engine=engine, max_step=2e-2).run(signals)
     assert np.isfinite(estimate.mean).all()
     settled = estimate.std[estimate.time > 20.0]
-    assert (settled.max(axis=0) < 1.02 * settled.min(axis=0)).all()
+    assert (settled.max(axis=0) < 1.1 * settled.min(axis=0)).all()  # they go by the noise
+    np.testing.assert_allclose(*(half.mean(axis=0) for half in np.array_split(settled, 2)), rtol=0.01)
     assert (error(estimate, states, time, after=20.0)[:2] < 0.05).all()
 
 
