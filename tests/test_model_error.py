@@ -11,7 +11,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from crane_exudyn.crane import Crane, Uncertainty
+from crane_exudyn.crane import Crane
+from crane_exudyn.description import Uncertainty
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath
 from crane_exudyn.statics import visible
