@@ -109,10 +109,8 @@ def command(
     measured = load_checked([recording], chosen, mapping, map_file, anyway=anyway, needs=needs)[0].require(sensors=1)
     std = sensor_noise(chosen, measured, sensors)
     filters = _filters(cranes, engine, std, method, augment or [], step, bool(models))
-    noise, slack = (
-        _tuned(cranes.values(), measured, std, augment or [], step, json, tune),
-        noise_slack(chosen, measured, std),
-    )
+    noise = _tuned(cranes.values(), measured, std, augment or [], step, json, tune)
+    slack = noise_slack(chosen, measured, std)
     filters = {name: f.varied(noise=noise) for name, f in filters.items()}
     if models:
         result = _side_by_side(filters, measured, model_error, slack)

@@ -12,15 +12,13 @@ from crane_exudyn.errors import CraneError, nearest
 
 from . import filter as kf
 from .linear_algebra import semidefinite_root
-from .sigma_points import Weights, cubature, merwe, simplex
+from .sigma_points import ALPHA, Weights, cubature, merwe, simplex
 
 #: standard deviations of the mean from the trajectory about which a filter is linearised, at most
 _LEASH = 3.0
 #: step of the EKF's slopes in standard deviations of the first belief: far above the engines' solver tolerance, far
 #: below any curvature
 INCREMENT = 1e-3
-#: the paper's A
-_ALPHA = 0.99
 METHODS = ("ukf", "sr-ukf", "ckf", "simplex", "ekf")
 
 
@@ -132,7 +130,7 @@ def method_of(name: str, std: np.ndarray, constants: Sequence[int] = (), near: b
     Raises:
         CraneError: no such filter.
     """
-    alpha = min(_ALPHA, np.sqrt(3.0 / std.size)) if near else _ALPHA
+    alpha = min(ALPHA, np.sqrt(3.0 / std.size)) if near else ALPHA
     if name == "ukf":
         return SigmaPoints((merwe(std.size, alpha),))
     if name == "ckf":

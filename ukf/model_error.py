@@ -160,10 +160,18 @@ def _moments(crane: Crane) -> list[float]:
     """Return the moment (N m; sliding: force, N) that each joint's cylinder can do under pump pressure, in the pose to
     start with.
     """
-    lay, pump = crane.layout, crane["supply.pump_pressure"]
-    arms = np.abs(pose(crane, *crane.initial.pose).length_rates[0])
-    driving = [lay.driven.index(name) for name in lay.coordinates]
-    return [pump * crane.areas(lay.cylinders[c])[0] * float(arms[c, i]) for i, c in enumerate(driving)]
+    pump, (own, arms) = crane["supply.pump_pressure"], _own_arms(crane)
+    return [
+        pump * crane.areas(crane.layout.cylinders[c])[0] * abs(float(arm)) for c, arm in zip(own, arms, strict=True)
+    ]
+
+
+def _own_arms(crane: Crane) -> tuple[list[int], np.ndarray]:
+    """Return the number of each joint's own cylinder, and its arm (coordinates,), m (sliding: 1), in the pose to start
+    with.
+    """
+    own = [crane.layout.driven.index(name) for name in crane.layout.coordinates]
+    return own, pose(crane, *crane.initial.pose).length_rates[0][own, range(len(own))]
 
 
 def filed_moments(crane: Crane) -> list[float]:
@@ -188,9 +196,8 @@ def _held(crane: Crane) -> np.ndarray:
     pressures = static_start(crane, *rule.pose, less_loaded=rule.less_loaded_pressure)[lay.pressures]
     areas = np.array([crane.areas(n) for n in lay.cylinders])
     forces = np.sum(areas * [1.0, -1.0] * pressures.reshape(areas.shape), axis=1)
-    arms = pose(crane, *rule.pose).length_rates[0]
-    own = [lay.driven.index(n) for n in lay.coordinates]
-    return arms[own, range(len(own))] * forces[own]
+    own, arms = _own_arms(crane)
+    return arms * forces[own]
 
 
 def expected(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> ModelError:

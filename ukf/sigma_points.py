@@ -43,7 +43,11 @@ class Weights:
         return self.mean.size
 
 
-def merwe(n: int, alpha: float = 0.99, beta: float = 0.0, kappa: float = 0.0) -> Weights:
+#: the paper's A
+ALPHA = 0.99
+
+
+def merwe(n: int, alpha: float = ALPHA, beta: float = 0.0, kappa: float = 0.0) -> Weights:
     """Return the weights of (27) for `n` states: 2n + 1 points; `alpha` is the paper's A, `beta` its B.
 
     Raises:

@@ -135,6 +135,12 @@ def events() -> tuple[tuple[slice, int, tuple[float, ...]], ...]:
     return tuple(found)
 
 
+@cache
+def slots_of_events() -> np.ndarray:
+    """Return where in E the parameters of effects with a moment stand."""
+    return np.concatenate([np.arange(own.start, own.stop) for own, _, _ in events()])
+
+
 def register(effect: type[Effect]) -> type[Effect]:
     """Make a user's own effect known; may be used as a class decorator.
 
@@ -148,7 +154,7 @@ def register(effect: type[Effect]) -> type[Effect]:
             f"Effect {effect.name!r} comes too late: engines are compiled. Register it before importing one."
         )
     _user_effects.append(effect)
-    for table in (starts, slots_of, _neutral, events):
+    for table in (starts, slots_of, _neutral, events, slots_of_events):
         table.cache_clear()
     return effect
 

@@ -21,7 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.effects.registry import events, slots_of
+from crane_exudyn.effects.registry import events, slots_of, slots_of_events
 from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import SENSING, Measurement
 
@@ -520,13 +520,13 @@ def _acting(grid: _Grid, base: Model, columns: Columns) -> tuple[Columns, np.nda
     index = np.where(same[columns.W_index], 0, columns.W_index)
     acts = (columns.P != base.P).any(axis=1) | (E != own_E).any(axis=1) | (index != 0)
     moving = np.flatnonzero(columns.dynamic & acts)
-    of, first = _alike(moving, E, base, columns, index)
+    of, first = _distinct(moving, E, base, columns, index)
     here = replace(columns, P=columns.P[first], E=E[first], size=columns.size[first], W_index=index[first],
                    by_run=columns.by_run[first])  # fmt: skip
     return here, own_E, moving, of
 
 
-def _alike(
+def _distinct(
     moving: np.ndarray, E: np.ndarray, base: Model, columns: Columns, index: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return for the columns `moving` (k,) which of the distinct ones each is (k,), and where these stand.
@@ -534,19 +534,13 @@ def _alike(
     Only events can be alike: those that lie outside of a window, in which E (m, …) acts.
     """
     slots = slots_of_events()
-    timed = np.flatnonzero((columns.E[moving][:, slots] != base.E[slots]).any(axis=1))
+    timed = np.flatnonzero((columns.E[np.ix_(moving, slots)] != base.E[slots]).any(axis=1))
     rows, known, same = moving[timed], dict[bytes, int](), np.arange(len(moving))
     told = np.column_stack([columns.P[rows], E[rows], columns.size[rows], index[rows], columns.by_run[rows]])
     for k, row in zip(timed.tolist(), told, strict=True):
         same[k] = known.setdefault(row.tobytes(), k)
     distinct, of = np.unique(same, return_inverse=True)
     return of, moving[distinct]
-
-
-@cache
-def slots_of_events() -> np.ndarray:
-    """Return where in E the parameters of effects with a moment stand."""
-    return np.concatenate([np.arange(own.start, own.stop) for own, _, _ in events()])
 
 
 def _within(E: np.ndarray, begin: float, end: float) -> np.ndarray:

@@ -183,7 +183,7 @@ def _tried(path: DriftingPath, beam: Sequence[Standing], moves: Sequence[Move]) 
     acting = {frozenset(w.keys): w for w in best_of_each([w for w in found if _acting(w)])}
     children = []
     for now in beam:
-        own = [m.model.keys for m in moves if m.before is now.fit]
+        own = [m.model.keys for m in moves if m.model.keys[:-1] == now.keys]
         children += _demanded(now, {keys: acting[frozenset(keys)] for keys in own if frozenset(keys) in acting})
     return children
 

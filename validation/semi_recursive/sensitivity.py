@@ -240,7 +240,7 @@ def new_moving(topology, nx, m, columns, n_inputs):
         sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m),
         new_tangents(nx, 2 * n, m), new_tangents(nx, 2 * n, m),
         np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx, n), point(nx, n),
-        np.empty((3, n_inputs)),
+        np.empty((4, n_inputs)),
     )  # fmt: skip
 
 
@@ -254,7 +254,6 @@ def evaluate(base, v, k, share, t, into, probes):
     begin(v.now, w, t, base.P, base.E, v.sheet)
     if probes:  # first those for which the mechanics of the base stand
         take_probes(base, v, k, share, t, False, into)
-        between(base.W_all[0, k], base.W_all[0, min(k + 1, base.W_all.shape[1] - 1)], share, w)
     tangents_at(v.now, w, t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
     if probes:
         take_probes(base, v, k, share, t, True, into)
@@ -265,7 +264,7 @@ def take_probes(base, v, k, share, t, bodies, into):
     """Write b and c of the probes whose bodies differ from the base's, or of those whose do not: then its mechanics
     must stand in the sheet.
     """
-    now, w, probed, last = v.now, v.inputs[2], v.probed, min(k + 1, base.W_all.shape[1] - 1)
+    now, w, probed, last = v.now, v.inputs[3], v.probed, min(k + 1, base.W_all.shape[1] - 1)
     for j in range(base.delta.size):
         if base.bodies[j] != bodies:
             continue
@@ -359,6 +358,13 @@ def advance_sample(base, k, v, work):
 
 
 @njit(cache=False)
+def halve_next(work):
+    """Begin the next sample with a half: its whole step was tried and failed."""
+    work.said[LEVEL] = 1.0
+    work.said[HALVED] += 1.0
+
+
+@njit(cache=False)
 def advance_two(base, k, v, work, X, S):
     """Move state and sensitivities by two samples, as long as none has to be halved, with the probes' b and c in the
     middle as the mean of those at the ends; return how many samples they have moved, and a status. X and S (of a
@@ -367,8 +373,7 @@ def advance_two(base, k, v, work, X, S):
     M, h = S.shape[1], base.h
     status, _ = step_part(base, k, 0.0, 0, v, work)
     if status != OK:
-        work.said[LEVEL] = 1.0
-        work.said[HALVED] += 1.0
+        halve_next(work)
         return 0, OK
     between_samples = base.t0 + (k + 1) * h
     X[:] = v.now.x
@@ -383,8 +388,7 @@ def advance_two(base, k, v, work, X, S):
             for i in range(v.now.N.size):
                 v.middle.c[i, j] = 0.5 * (v.before.c[i, j] + v.after.c[i, j])
     else:
-        work.said[LEVEL] = 1.0
-        work.said[HALVED] += 1.0
+        halve_next(work)
         evaluate(base, v, k + 1, 0.0, between_samples, v.middle, True)
     if not linear_step(base, h, v.before, v.middle, v):
         return 1, NOT_CONVERGED
