@@ -10,11 +10,15 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.effects.base import Parameter
 from crane_exudyn.inputs import SpoolPath
+from validation.fit.data import data_of
+from validation.fit.linear import cut
+from validation.fit.solve import fit, reknot
+from validation.fit.staged import residuals, run_fitted
 from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_parameters
 from validation.improvement import explained
 from validation.selection.criteria import CRITERIA
 from validation.selection.drifting import DRIFTING
-from validation.selection.levels import Levels, falls, independent, likelihoods
+from validation.selection.levels import Levels, falls, independent, likelihoods, window_errors
 from validation.selection.search import Problem, search
 from validation.selection.whole_runs import Proven, Taken, believable
 from validation.semi_recursive.engine import SemiRecursiveEngine
@@ -156,6 +160,18 @@ def test_the_last_fit_keeps_parameters_within_what_can_be_believed():
         free["payload.mass"].lower,
         free["payload.mass"].upper,
     )  # a range is a range
+
+
+def test_errors_in_windows_are_those_of_the_run_where_a_slow_spool_is_on_its_way(crane):
+    slow = crane.with_parameters({"valves.lift.time_constant": 0.6})
+    data = data_of([recorded(slow)], slow)
+    run = run_fitted(slow, data.parts[0])
+    data = data.stepped(run.data.step)
+    windows = cut(data, 1.0)
+    found = fit(slow, data, windows, reknot(run, windows), iterations=0)
+    open_loop = residuals(slow, run.data, run.starts, run.late)
+    for channel, (r,) in window_errors(found, data).items():
+        assert np.sqrt(np.mean(r**2)) == pytest.approx(np.sqrt(np.mean(open_loop[channel][1] ** 2)), rel=0.02)
 
 
 def test_a_channel_that_is_given_up_costs_more_than_it_saves_elsewhere(monkeypatch):

@@ -25,7 +25,7 @@ from crane_exudyn.effects.registry import events, slots_of, slots_of_events
 from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import SENSING, Measurement
 
-from ..semi_recursive import sensitivity
+from ..semi_recursive import kernel, sensitivity
 from .data import ACCURACY, Data, FitData, Samples
 from .model import Model, model_of
 from .variables import Variable, acts, lateness, with_variables
@@ -261,18 +261,12 @@ def near(
 def _run_again(window_and_kept: tuple[Window, Swept | None], x0: np.ndarray, base: Model, m: int) -> Swept:
     """Return what a run of a window leaves, with the derivatives of an earlier sweep; zeros where it was not kept."""
     window, kept = window_and_kept
-    data, (X, status), nx = window.data, _ran(window, x0, base), len(x0)
+    data, (X, status), nx = window.data, ran(window, x0, base), len(x0)
     n, counts = nx + m, [len(s.values) for s in data.samples]
     none = Swept([math.nan] * len(counts), counts, np.zeros((n, n)), np.zeros(n), X[-1], np.zeros((nx, n)), 0.0, True)
     if status != 0 or not np.isfinite(X[-1]).all():
         return none
-    measurement = base.measurement(data.channels)
-    Z, lags, residuals = measurement.shown(X, data.time), dict(measurement.lags), []
-    for j, sample in enumerate(data.samples):
-        r = sample.residuals(Z[:, j])
-        if window.start > 0 and j in lags:
-            r = _without_memory(r[:, None], sample, data.step, lags[j], base)[0][:, 0]
-        residuals.append(r)
+    residuals = left_in(window, X, base)
     squares = [float(r @ r) for r in residuals]
     if not math.isfinite(sum(squares)):
         return none
@@ -281,12 +275,32 @@ def _run_again(window_and_kept: tuple[Window, Swept | None], x0: np.ndarray, bas
     return replace(kept, squares=squares, Jr=kept.J.T @ np.concatenate(residuals), end=X[-1])
 
 
-def _ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
-    """Return the states (n, nx) of a window's run in the data's own steps, and its status."""
+def ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
+    """Return the states (n, nx) of a window's run in the data's own steps, and its status; a run that leaves what the
+    crane can do stands still from there on.
+
+    base: the model of the whole recording: a spool does not begin anew with a window.
+    """
     data = window.data
     W = base.W[window.start : window.start + len(data.time)]
-    X, status, _ = base.run(x0, W, data.time, data.step)
+    X, status, last = base.run(x0, W, data.time, data.step)
+    if status != kernel.OK:
+        X[last + 1 :] = X[last]
     return X, status
+
+
+def left_in(window: Window, X: np.ndarray, base: Model) -> list[np.ndarray]:
+    """Return by channel the residuals of a window's states (n, nx), in noise units; what a lagging sensor showed before
+    is forgotten.
+    """
+    data, measurement = window.data, base.measurement(window.data.channels)
+    Z, lags, residuals = measurement.shown(X, data.time), dict(measurement.lags), []
+    for j, sample in enumerate(data.samples):
+        r = sample.residuals(Z[:, j])
+        if window.start > 0 and j in lags:
+            r = _without_memory(r[:, None], sample, data.step, lags[j], base)[0][:, 0]
+        residuals.append(r)
+    return residuals
 
 
 def with_states(knots: np.ndarray, nx: int) -> np.ndarray:
@@ -453,7 +467,7 @@ def _sweep_piece(
     by_state = dZ[-1].copy()
     shown_on = _add_own(dZ[:, :, nx:], Z, measurement, X, grid.time, columns, begun.shown_on)
     if not grid.fine:
-        X, ended = _ran(window, begun.x, base)
+        X, ended = ran(window, begun.x, base)
         status, Z = max(status, ended), measurement.shown(X, data.time, first=begun.shown and begun.shown[0])
     end = _Begun(X[-1].copy(), S[-1].copy(), (Z[-1].copy(), by_state), shown_on)
     lags, residuals, jacobians, volume = dict(measurement.lags), [], [], 0.0

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..fit.data import Data, FitData
+from ..fit.linear import left_in, ran, with_states
+from ..fit.model import model_of
 from ..fit.solve import Fit
-from ..fit.staged import residuals
 from .criteria import CRITERIA
 
 Errors = Mapping[str, float]
@@ -91,11 +92,12 @@ def window_errors(found: Fit, data: Data) -> dict[str, list[np.ndarray]]:
     errors: dict[str, list[np.ndarray]] = {}
     for i, part in enumerate(data.parts):
         fit, own = found.of(i), dict[str, list[np.ndarray]]()
+        model = model_of(fit.crane, fit.data.parts[0], fit.late)
         noise = {s.channel: s.noise for s in part.samples}
-        for window, x0 in zip(fit.windows, fit.knots, strict=True):
-            left = residuals(fit.crane, window.data, x0, fit.late)
-            for s in window.data.samples:
-                own.setdefault(s.channel, []).append(left[s.channel][1] * s.noise / noise[s.channel])
+        for window, x0 in zip(fit.windows, with_states(fit.knots, model.nx), strict=True):
+            left = left_in(window, ran(window, x0, model)[0], model)
+            for s, r in zip(window.data.samples, left, strict=True):
+                own.setdefault(s.channel, []).append(r * s.noise / noise[s.channel])
         for c, pieces in own.items():
             errors.setdefault(c, []).append(np.concatenate(pieces))
     return errors

@@ -24,7 +24,7 @@ from crane_exudyn.recording import Recording
 from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import FINE, WHOLE, Stage, each_stage, residuals, rms, run_fitted, staged, timing_of
+from ..fit.staged import FINE, WHOLE, Stage, each_stage, residuals, rms, run_fitted, staged, timing_of, timings
 from ..fit.variables import (
     CurveDirection,
     EffectParameter,
@@ -32,6 +32,7 @@ from ..fit.variables import (
     NominalDirection,
     Variable,
     effect_variables,
+    stated_effects,
     uncertain_parameters,
 )
 from .criteria import CRITERIA
@@ -169,6 +170,27 @@ class Fitted:
 
 
 F = TypeVar("F", bound=Fitted)
+
+
+def everything(
+    given: Crane, data: Data, keys: Sequence[str], before: Fit, crane: Crane
+) -> tuple[list[Variable], np.ndarray]:
+    """Return clocks, all uncertain parameters, what the crane states and effects of these names as variables, and their
+    values in a crane; clocks, and parameters that differ by recording, as a fit found them.
+    """
+    nominal = uncertain_parameters(given, data.own, len(data.parts))
+    stated, clocks, known = stated_effects(given), timings(data), values_of(before)
+    values: list[float] = [known.get(v.name, 0.0) for v in clocks]
+    for v in nominal:
+        name = next(iter(v.weights))
+        has = crane if v.recording is None else before.of(v.recording).crane
+        values.append((has[name] - given[name]) / v.weights[name])
+    values += [
+        v.to_u(parameters_of(crane, v.key)[v.parameter.name]) if isinstance(v, EffectParameter) else v.begin
+        for v in stated
+    ]
+    own = Model((), effects_of(crane, keys)).own(crane.layout)
+    return [*clocks, *nominal, *stated, *own], np.array([*values, *(v.begin for v in own)])
 
 
 def _moves(fit: Fit) -> np.ndarray:

@@ -16,12 +16,13 @@ from typing import Any
 from crane_exudyn.effects import registry
 
 from ..fit.evidence import log_evidence
-from ..fit.solve import Fit
-from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
+from ..fit.solve import Fit, fit
+from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, informed_directions, timings
+from ..fit.variables import stated_effects
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .lean import leaner
-from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, run_error, together
+from .model import Fitted, Model, best_of_each, effects_of, everything, excess, fitted, plausible, run_error, together
 from .moves import scaled, starts
 from .screen import Score, best_starts, likely, screened
 from .search import Move, Path, Problem, Progress, Regime, Round, Stages
@@ -151,21 +152,20 @@ def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
         least = CRITERIA.proof if near or parent.good else CRITERIA.promise
         scores = screened(fit, stiffness)
         offered = likely(best_starts(scores) if near else scores, most, least)
-        moves += _moves(path.problem, effects_of(fit.crane, parent.keys), offered, fit)
+        variables = parent.model.variables if near else path.problem.shared
+        moves += _moves(Model(variables, effects_of(fit.crane, parent.keys)), offered, fit)
     return moves
 
 
-def _moves(
-    problem: Problem, own: Mapping[str, Mapping[str, float]], scores: Sequence[Score], before: Fit
-) -> list[Move]:
-    """Return the models that add what was screened to the effects of a model, each once: a start of another size may
-    have come to the same.
+def _moves(model: Model, scores: Sequence[Score], before: Fit) -> list[Move]:
+    """Return the models that add what was screened to a model, each once: a start of another size may have come to the
+    same.
     """
     found = dict[tuple[object, ...], Move]()
     for s in scores:
         values = scaled(s.start, s.amplitude)
         alike = (s.start.key, *(f"{x:.2g}" for x in values.values()))
-        found.setdefault(alike, Move(Model(problem.shared, {**own, s.start.key: values}), before, s.gain))
+        found.setdefault(alike, Move(replace(model, effects={**model.effects, s.start.key: values}), before, s.gain))
     return list(found.values())
 
 
@@ -199,19 +199,19 @@ def _as_given(path: WhitePath, parent: Fitted, moves: Sequence[Move]) -> list[Mo
         return []
     problem, own = path.problem, effects_of(parent.loose.crane, parent.keys)
     held = problem.with_effects(own) if own else problem.nominal
-    held = problem.unmoved(held, Model(problem.shared, own))
+    model = Model(problem.shared, own)
+    held = problem.unmoved(held, model)
     known = {frozenset(m.model.keys) for m in moves}
     more = likely(screened(held, LOOSE.stiffness), CRITERIA.as_given + len(moves), CRITERIA.promise)
     new = [s for s in more if frozenset((*parent.keys, s.start.key)) not in known]
-    return _moves(problem, own, new[: CRITERIA.as_given], held)
+    return _moves(model, new[: CRITERIA.as_given], held)
 
 
 def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) -> Round[Fitted]:
     """Return the round, the leading models carried to the end."""
     near = _is_near(beam)
-    done = list(tried) if near else _carried(path, _leading(beam, tried))
+    done = _further(path, [], list(tried) if near else _carried(path, _leading(beam, tried)))
     done = _relocated(path, done) if not path.rounds else done
-    done = _further(path, done)
     done = best_of_each([*done, *_dropped(path, done, near)])
     acting = tuple(w for w in done if w.keys)
     return Round(tuple(tried), acting, _deciding(path, acting), next((w for w in done if not w.keys), None))
@@ -255,27 +255,28 @@ def _relocated(path: WhitePath, done: list[Fitted]) -> list[Fitted]:
     found = [s for s in starts(problem.crane, problem.data) if s.key in set(effect.keys(lay)) - tried]
     moves = [Move(Model(problem.shared, {s.key: s.values}), problem.base) for s in found]
     leading = best_of_each(problem.run(moves, (LOOSE,)))[:1]
-    return best_of_each([*done, *_carried(path, leading)])
+    return _further(path, done, _carried(path, leading))
 
 
-def _further(path: WhitePath, done: Sequence[Fitted]) -> list[Fitted]:
-    """Return the fits, the leading ones taken further where they are not at their end.
+def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) -> list[Fitted]:
+    """Return fits and more of them, of these the leading ones taken further where they are not at their end.
 
     Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given
     with the effects as they were found, and as one long run: what is slow does not show in short windows.
     """
     problem, tasks = path.problem, list[tuple[Any, ...]]()
-    best = min(done, key=lambda w: w.level, default=path.parameters)
-    for w in sorted(done, key=lambda w: w.move_cost - w.evidence)[: CRITERIA.further]:  # rather those helped less
+    best = min([*done, *more], key=lambda w: w.level, default=path.parameters)
+    for w in sorted(more, key=lambda w: w.move_cost - w.evidence)[: CRITERIA.further]:  # rather those helped less
         beaten = len(w.keys) > 1 or best.level < CRITERIA.left_level
         hopeless = beaten and w.level > CRITERIA.left_level
         if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
             continue
         if not w.plausible:
             tasks.append((_anew, problem, Model(w.model.variables, w.effects)))
-        elif stages := _still_to_do(w):
+        elif (stages := _still_to_do(w)) or w.model.variables == problem.shared:
             tasks.append((_on, problem, w, stages))
-    return best_of_each([*done, *(w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))])
+    further = (w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))
+    return best_of_each([*done, *more, *further])
 
 
 def _still_to_do(w: Fitted) -> Stages:
@@ -288,8 +289,25 @@ def _still_to_do(w: Fitted) -> Stages:
 
 
 def _on(problem: Problem, w: Fitted, stages: Stages) -> Fitted:
-    """Return a model fitted further."""
-    return replace(fitted(problem.crane, problem.data, w.model, w.fit, stages), loose=w.loose)
+    """Return a model fitted further; with the directions of parameters that it is informed of itself, where those were
+    chosen at the crane without effects.
+
+    A machine with an effect goes elsewhere, and tells of other parameters; held, these would leave what a second effect
+    explains.
+    """
+    found = fitted(problem.crane, problem.data, w.model, w.fit, stages) if stages else w
+    if found.model.variables == problem.shared:
+        variables, u = everything(problem.crane, found.fit.data, w.keys, found.fit, found.fit.crane)
+        looked = fit(
+            problem.crane, found.fit.data, found.fit.windows, found.fit.knots, variables, u,
+            stiffness=STIFF.stiffness, iterations=0,
+        )  # fmt: skip
+        own = (*informed_directions(looked), *stated_effects(problem.crane))
+        found = max(
+            found, fitted(problem.crane, problem.data, Model(own, found.effects), looked, (STIFF,)),
+            key=lambda one: one.evidence,
+        )  # fmt: skip
+    return replace(found, loose=w.loose)
 
 
 def _anew(problem: Problem, model: Model) -> Fitted:
