@@ -235,7 +235,8 @@ def test_inputs_in_another_order_in_memory_are_not_compiled_anew():
     assert len(kernel.simulate.signatures) == compiled
 
 
-def test_a_window_swept_in_pieces_is_the_window_swept_at_once():
+def test_a_window_swept_in_pieces_is_the_window_swept_at_once(monkeypatch):
+    monkeypatch.setattr(linear, "ACCURACY", 1.0)  # a piece begins with whole steps: what they are off by is small
     crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.4})
     crane = crane.with_effect("payload_swing", {"length": 0.8, "damping": 3.0})
     data = FitData.of(recorded(crane), crane)

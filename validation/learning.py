@@ -28,7 +28,7 @@ from .learned.screen import allowed
 from .learned.screen import screened as screened_laws
 from .selection.criteria import CRITERIA
 from .selection.lean import needed
-from .selection.model import Model, excess, misled, plausible, run_error, together
+from .selection.model import Fitted, Model, excess, misled, plausible, retold, run_error, together
 from .selection.moves import scaled
 from .selection.screen import likely, screened
 from .selection.search import Problem, Progress, silent
@@ -126,7 +126,7 @@ def learn(
     began = time.perf_counter()
     problem, notes = looked_at(crane, recordings, check, per_recording, jobs, progress)
     nothing = _explained(problem, [((), problem.base)], (TIGHT, STIFF))
-    best, rivals = _searched(problem, nothing[0], progress, notes)
+    problem, best, rivals = _searched(problem, nothing[0], progress, notes)
     progress("weighing", 0.85)
     result = _concluded(problem, nothing[0], best, rivals, check, notes)
     return replace(result, seconds=time.perf_counter() - began)
@@ -143,9 +143,11 @@ def _explained(
 
 def _searched(
     problem: Problem, nothing: Explained, progress: Progress, notes: list[str]
-) -> tuple[Explained, list[Explained]]:
-    """Return the best explanation of effects and laws, and all that were carried to the end with it, best first."""
-    best, rivals = nothing, []
+) -> tuple[Problem, Explained, list[Explained]]:
+    """Return the best explanation of effects and laws, and all that were carried to the end with it, best first; and
+    the problem with the variables that they share.
+    """
+    best, rivals = nothing, list[Explained]()
     for step in range(MOST):
         if step and best.weighed.good:
             break
@@ -156,12 +158,28 @@ def _searched(
             break
         if len(chosen.laws) > len(best.laws) and not _predicts(problem, best, chosen, notes):
             break
-        best, rivals = chosen, found
+        problem, rivals = _retold(problem, chosen, found)
+        best = rivals[0]
     if best.laws and not (_repairs(best, nothing) and plausible(best.fit)):
         names = " and ".join(_name(p) for p in best.parts)
         notes.append(f"{names} would be the best, but leaves too much, or moves parameters too far")
-        return nothing, []
-    return best, rivals
+        return problem, nothing, []
+    return problem, best, rivals
+
+
+def _retold(problem: Problem, chosen: Explained, found: Sequence[Explained]) -> tuple[Problem, list[Explained]]:
+    """Return the problem with the combinations of parameters that an explanation tells of itself, and it and what is
+    tied with it fitted by those that each tells.
+    """
+    tied = [e for e in found if e is not chosen and e.evidence > chosen.evidence - CRITERIA.tie]
+    again: list[Explained] = in_parallel(problem.jobs, [(_by_its_own, e) for e in (chosen, *tied)])
+    return replace(problem, shared=again[0].weighed.model.variables), again
+
+
+def _by_its_own(e: Explained) -> Explained:
+    fit, shared = retold(e.fit)
+    again = Explained(e.parts, Fitted(Model(tuple(shared), e.weighed.model.effects), fit, fit))
+    return max(e, again, key=lambda one: one.evidence)
 
 
 def _chosen(found: Sequence[Explained], best: Explained) -> Explained | None:

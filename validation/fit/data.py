@@ -15,10 +15,9 @@ from crane_exudyn.recording import Recording
 from crane_exudyn.signals import NO_SENSOR
 
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
-#: local error of a step in a fit, in units of the engine's: 0.3 bar and 1e-6 rad, what good sensors do not show; beyond
-#: it a step is halved. A ring of 30 Hz and 60 noise units is then followed within a few hundredths of its amplitude, in
-#: eight parts of a step and not in 32
-ACCURACY = 100.0
+#: local error of a step in a fit, in units of the engine's: 0.06 bar and 2e-7 rad, a fifth of what good sensors show;
+#: beyond it a step is halved. A ring of 30 Hz and 60 noise units takes 16 parts of a step, which a fit's run may have
+ACCURACY = 20.0
 #: seconds after a gap in the commands until the spools have forgotten it, and the shortest stretch between two gaps
 #: that is worth a start of its own
 _FORGOTTEN, _SHORTEST = 0.25, 0.5

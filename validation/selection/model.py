@@ -23,8 +23,20 @@ from crane_exudyn.recording import Recording
 
 from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
-from ..fit.solve import Fit
-from ..fit.staged import FINE, WHOLE, Stage, each_stage, residuals, rms, run_fitted, staged, timing_of, timings
+from ..fit.solve import Fit, fit
+from ..fit.staged import (
+    FINE,
+    STIFF,
+    WHOLE,
+    Stage,
+    each_stage,
+    informed_directions,
+    residuals,
+    rms,
+    run_fitted,
+    staged,
+    timing_of,
+)
 from ..fit.variables import (
     CurveDirection,
     EffectParameter,
@@ -172,27 +184,6 @@ class Fitted:
 F = TypeVar("F", bound=Fitted)
 
 
-def everything(
-    given: Crane, data: Data, keys: Sequence[str], before: Fit, crane: Crane
-) -> tuple[list[Variable], np.ndarray]:
-    """Return clocks, all uncertain parameters, what the crane states and effects of these names as variables, and their
-    values in a crane; clocks, and parameters that differ by recording, as a fit found them.
-    """
-    nominal = uncertain_parameters(given, data.own, len(data.parts))
-    stated, clocks, known = stated_effects(given), timings(data), values_of(before)
-    values: list[float] = [known.get(v.name, 0.0) for v in clocks]
-    for v in nominal:
-        name = next(iter(v.weights))
-        has = crane if v.recording is None else before.of(v.recording).crane
-        values.append((has[name] - given[name]) / v.weights[name])
-    values += [
-        v.to_u(parameters_of(crane, v.key)[v.parameter.name]) if isinstance(v, EffectParameter) else v.begin
-        for v in stated
-    ]
-    own = Model((), effects_of(crane, keys)).own(crane.layout)
-    return [*clocks, *nominal, *stated, *own], np.array([*values, *(v.begin for v in own)])
-
-
 def _moves(fit: Fit) -> np.ndarray:
     pairs = zip(fit.variables, fit.u, strict=True)
     return np.array([u / v.prior for v, u in pairs if math.isfinite(v.prior) and not isinstance(v, EffectVariable)])
@@ -292,6 +283,35 @@ def begin(variable: Variable, before: Fit | np.ndarray, known: Mapping[str, floa
         v.name: v.weights[v.name] for v in before.variables if isinstance(v, NominalDirection) and v.name in v.weights
     }
     return sum(weight / scale[name] * known[name] for name, weight in variable.weights.items())
+
+
+def retold(found: Fit) -> tuple[Fit, list[Variable]]:
+    """Return a stiff fit that goes on from another by the combinations of nominal parameters that the data speak about
+    there, and all of its variables but those of its effects that the crane does not state.
+
+    Which they are depends on where the machine goes: chosen at a crane without an effect, they would hold what one with
+    it tells, and leave what a second effect explains.
+    """
+    crane, data, given = found.origin, found.data, {v.name for v in stated_effects(found.origin)}
+    nominal = uncertain_parameters(crane, data.own, len(data.parts))
+    others = [(v, u) for v, u in zip(found.variables, found.u, strict=True) if not isinstance(v, NominalDirection)]
+    moved = [_moved(found, v) for v in nominal]
+    looked = fit(
+        crane, data, found.windows, found.knots, [*nominal, *(v for v, _ in others)],
+        np.array([*moved, *(u for _, u in others)]), stiffness=STIFF.stiffness, iterations=0,
+    )  # fmt: skip
+    effects = [v for v, _ in others if isinstance(v, EffectVariable)]
+    variables, known = [*informed_directions(looked), *effects], values_of(looked)
+    u = [known.get(v.name, begin(v, looked, known)) for v in variables]
+    again = staged(crane, data, variables, np.array(u), looked, (STIFF,))
+    return again, [v for v in variables if not isinstance(v, EffectVariable) or v.name in given]
+
+
+def _moved(found: Fit, v: NominalDirection) -> float:
+    """Return by how much a fit moved one nominal parameter, as a value of its variable."""
+    ((name, weight),) = v.weights.items()
+    crane = found.crane if v.recording is None else found.of(v.recording).crane
+    return float((crane[name] - found.origin[name]) / weight)
 
 
 def best_of_each(found: Sequence[F]) -> list[F]:

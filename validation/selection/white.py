@@ -16,13 +16,12 @@ from typing import Any
 from crane_exudyn.effects import registry
 
 from ..fit.evidence import log_evidence
-from ..fit.solve import Fit, fit
-from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, informed_directions, timings
-from ..fit.variables import stated_effects
+from ..fit.solve import Fit
+from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .lean import leaner
-from .model import Fitted, Model, best_of_each, effects_of, everything, excess, fitted, plausible, run_error, together
+from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, retold, run_error, together
 from .moves import scaled, starts
 from .screen import Score, best_starts, likely, screened
 from .search import Move, Path, Problem, Progress, Regime, Round, Stages
@@ -266,7 +265,9 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
     """
     problem, tasks = path.problem, list[tuple[Any, ...]]()
     best = min([*done, *more], key=lambda w: w.level, default=path.parameters)
-    for w in sorted(more, key=lambda w: w.move_cost - w.evidence)[: CRITERIA.further]:  # rather those helped less
+    first = sorted(more, key=lambda w: w.move_cost - w.evidence)  # rather those helped less
+    near = max((w.evidence for w in more), default=0.0) - CRITERIA.apart
+    for w in (w for i, w in enumerate(first) if i < CRITERIA.further or w.evidence > near):
         beaten = len(w.keys) > 1 or best.level < CRITERIA.left_level
         hopeless = beaten and w.level > CRITERIA.left_level
         if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
@@ -289,24 +290,12 @@ def _still_to_do(w: Fitted) -> Stages:
 
 
 def _on(problem: Problem, w: Fitted, stages: Stages) -> Fitted:
-    """Return a model fitted further; with the directions of parameters that it is informed of itself, where those were
-    chosen at the crane without effects.
-
-    A machine with an effect goes elsewhere, and tells of other parameters; held, these would leave what a second effect
-    explains.
-    """
+    """Return a model fitted further, at last by the combinations of parameters that it tells of itself."""
     found = fitted(problem.crane, problem.data, w.model, w.fit, stages) if stages else w
     if found.model.variables == problem.shared:
-        variables, u = everything(problem.crane, found.fit.data, w.keys, found.fit, found.fit.crane)
-        looked = fit(
-            problem.crane, found.fit.data, found.fit.windows, found.fit.knots, variables, u,
-            stiffness=STIFF.stiffness, iterations=0,
-        )  # fmt: skip
-        own = (*informed_directions(looked), *stated_effects(problem.crane))
-        found = max(
-            found, fitted(problem.crane, problem.data, Model(own, found.effects), looked, (STIFF,)),
-            key=lambda one: one.evidence,
-        )  # fmt: skip
+        fit, shared = retold(found.fit)
+        again = Fitted(Model(tuple(shared), found.effects), fit, found.loose)
+        found = max(found, again, key=lambda one: one.evidence)
     return replace(found, loose=w.loose)
 
 

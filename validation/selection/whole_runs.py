@@ -18,12 +18,12 @@ from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.linear import cut
 from ..fit.solve import Fit, fit, reknot
-from ..fit.staged import LONG, SHORT, Stage, first_knots, residuals, run_fitted, staged
-from ..fit.variables import EffectParameter, NominalDirection, Timing, Variable
+from ..fit.staged import LONG, SHORT, Stage, first_knots, residuals, run_fitted, staged, timings
+from ..fit.variables import EffectParameter, NominalDirection, Timing, Variable, stated_effects, uncertain_parameters
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import Errors, Levels, each_part, falls, levels_of, likelihoods
-from .model import Fitted, Model, everything, with_effects
+from .model import Fitted, Model, effects_of, parameters_of, values_of, with_effects
 from .search import Problem, Progress, silent
 
 Judged = tuple[Errors, Errors]
@@ -278,6 +278,26 @@ def _whole_run(problem: Problem, last: Sequence[Standing]) -> tuple[Fit, Standin
     return fits[best], models[best]
 
 
+def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
+    """Return clocks, all uncertain parameters and all effects as variables, and their values in a crane; clocks as a
+    fit found them.
+    """
+    given, data = problem.crane, problem.data
+    nominal = [believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
+    stated, clocks, known = stated_effects(given), timings(data), values_of(before)
+    values: list[float] = [known.get(v.name, 0.0) for v in clocks]
+    for v in nominal:
+        name = next(iter(v.weights))
+        has = crane if v.recording is None else before.of(v.recording).crane
+        values.append((has[name] - given[name]) / v.weights[name])
+    values += [
+        v.to_u(parameters_of(crane, v.key)[v.parameter.name]) if isinstance(v, EffectParameter) else v.begin
+        for v in stated
+    ]
+    own = Model((), effects_of(crane, keys)).own(crane.layout)
+    return [*clocks, *nominal, *stated, *own], np.array([*values, *(v.begin for v in own)])
+
+
 def believable(v: NominalDirection) -> NominalDirection:
     """Return a nominal parameter that stays within what can be believed of it."""
     return (
@@ -285,16 +305,9 @@ def believable(v: NominalDirection) -> NominalDirection:
     )
 
 
-def _believable_everything(
-    problem: Problem, keys: Sequence[str], before: Fit, crane: Crane
-) -> tuple[list[Variable], np.ndarray]:
-    variables, u = everything(problem.crane, problem.data, keys, before, crane)
-    return [believable(v) if isinstance(v, NominalDirection) else v for v in variables], u
-
-
 def _open_loop(problem: Problem, keys: Sequence[str], data: Data, before: Fit, crane: Crane, iterations: int) -> Fit:
     """Return everything fitted to one open-loop run, by way of long windows."""
-    variables, u = _believable_everything(problem, keys, before, crane)
+    variables, u = _everything(problem, keys, before, crane)
     windows = staged(problem.crane, data, variables, u, before, joined(iterations))
     return staged(problem.crane, data, variables, windows.u, windows, run(2 * iterations))
 
@@ -314,7 +327,7 @@ def _best_run(problem: Problem, keys: Sequence[str], final: Fit, without: str) -
     both.
     """
     crane, data = final.crane.without_effect(without), final.data
-    straight = staged(problem.crane, data, *_believable_everything(problem, keys, final, crane), final, run(8))
+    straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
     measured = replace(
         final, windows=tuple(cut(data, CRITERIA.window)), knots=first_knots(crane, data, CRITERIA.window)
     )
