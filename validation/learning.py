@@ -34,18 +34,6 @@ from .selection.screen import likely, screened
 from .selection.search import Problem, Progress, silent
 from .workers import in_parallel
 
-#: how many laws are fitted in loosely joined windows, and how many of these and of the library's effects are carried to
-#: the end
-LOOSELY, FITTED, CARRIED = 4, 3, 2
-#: laws are sifted in loosely joined windows with so many iterations
-SIFT = Stage(LOOSE.seconds, LOOSE.stiffness, 3)
-#: laws beside each other
-MOST = 2
-#: share of what a law gains where it was fitted that it must gain where it was not
-PREDICTED = 0.4
-#: standard deviations by which a curve may fall below what physics allows
-ASTRAY = 3.0
-
 
 @dataclass(frozen=True)
 class Learned:
@@ -148,7 +136,7 @@ def _searched(
     the problem with the variables that they share.
     """
     best, rivals = nothing, list[Explained]()
-    for step in range(MOST):
+    for step in range(CRITERIA.laws):
         if step and best.weighed.good:
             break
         progress("looking for another" if step else "screening all laws", 0.2 + 0.35 * step)
@@ -205,13 +193,13 @@ def _grown(problem: Problem, best: Explained, before: Fit, progress: Progress) -
         before = explain(problem.crane, problem.data, problem.shared, before, best.parts, (LOOSE,)).fit
     tried = [((*best.parts, part), fit) for fit in _starts(problem, before) for part in _promising(problem, fit)]
     progress("fitting the likely ones", 0.35)
-    found = _best_of_each(_explained(problem, tried, (SIFT,)))
+    found = _best_of_each(_explained(problem, tried, (replace(LOOSE, iterations=CRITERIA.sifted),)))
     if not found:
         return []
     least = found[0].evidence - CRITERIA.near * (found[0].evidence - log_evidence(before))
     near = [e for e in found if e.evidence > least]
     plain, curved = ([e for e in near if (len(e.laws) > len(best.laws)) == kind] for kind in (False, True))
-    curved = [e if plausible(e.fit) else _anew(problem, e) for e in curved[:CARRIED]]
+    curved = [e if plausible(e.fit) else _anew(problem, e) for e in curved[: CRITERIA.carried]]
     progress("carrying the leading ones to the end", 0.5)
     return _explained(problem, [(e.parts, e.fit) for e in (*curved, *plain[:1])], (TIGHT, STIFF))
 
@@ -252,11 +240,11 @@ def _promising(problem: Problem, fit: Fit) -> list[Part]:
     least = max(CRITERIA.proof, CRITERIA.hopeless * found[0].gain) if found else CRITERIA.proof
     laws = [Part.of(f) for f in found if allowed(f) and f.gain > least]
     effects = []
-    for score in likely(screened(fit, LOOSE.stiffness), FITTED, CRITERIA.promise):
+    for score in likely(screened(fit, LOOSE.stiffness), CRITERIA.beside, CRITERIA.promise):
         key = score.start.key
         variables = tuple(effect_variables(key, scaled(score.start, score.amplitude), problem.crane.layout))
         effects.append(Part(key, variables, np.array([v.begin for v in variables])))
-    return [*laws[:LOOSELY], *effects]
+    return [*laws[: CRITERIA.screened], *effects]
 
 
 def _sound(e: Explained) -> bool:
@@ -264,8 +252,8 @@ def _sound(e: Explained) -> bool:
     for part in e.laws:
         assert part.law is not None
         y, std = e.spread(part)
-        astray = (part.law.neutral - y) - ASTRAY * std
-        if part.law.one_sided and (astray > 0.1 * np.abs(y - part.law.neutral).max()).any():
+        astray = (part.law.neutral - y) - CRITERIA.astray * std
+        if part.law.one_sided and (astray > CRITERIA.below * np.abs(y - part.law.neutral).max()).any():
             return False
     return True
 
@@ -273,7 +261,7 @@ def _sound(e: Explained) -> bool:
 def _predicts(problem: Problem, before: Explained, after: Explained, notes: list[str]) -> bool:
     """Whether a law gains on blocks of time that were left out what it should, and leaves little enough."""
     outside, inside = left_out_gain(problem.crane, problem.shared, before, after, BLOCK)
-    if outside > PREDICTED * inside:
+    if outside > CRITERIA.predicts * inside:
         return True
     law = after.laws[-1]
     notes.append(

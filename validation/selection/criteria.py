@@ -24,7 +24,7 @@ class Criteria:
     told_apart: float = 3.0  # standard deviations from neutral; below, the model is fitted without the effect as well
     undetermined: float = 1e3  # standard deviation in typical sizes from which on the data say nothing
     at_end: float = 1e-3  # typical sizes from an end of its range, or from neutral, within which a parameter is there
-    astray: float = 1.3  # a run is so many times worse than its short windows only if its start went astray
+    lost: float = 1.3  # a run is so many times worse than its short windows only if its start went astray
     clock: float = 0.1  # share of what an effect does to commands that a shift of their clock may leave,
     shifts: int = 20  # so many of which are tried within a sampling interval
     moved: float = 0.1  # standard uncertainties from which on a parameter is listed as moved
@@ -90,6 +90,16 @@ class Criteria:
     alike: float = 0.9  # correlation from which on two variables are said not to be separated
     tried: int = 9  # effects that are fitted in a round
     worth: float = 0.1  # share by which what was not fitted must be predicted better
+
+    # what is learned
+    laws: int = 2  # beside each other
+    screened: int = 4  # laws that are fitted in loosely joined windows, beside so many
+    beside: int = 3  # effects of the library
+    sifted: int = 3  # iterations of these fits; and how many laws are carried to the end, with
+    carried: int = 2  # the best effect of the library
+    predicts: float = 0.4  # share of what a law gains where it was fitted that it must gain where it was not
+    astray: float = 3.0  # standard deviations by which a curve may fall below what physics allows,
+    below: float = 0.1  # if that is more than this share of its largest value
 
     # what an improvement says of its steps
     agreement: float = 0.05  # share by which the two engines' errors may differ before it is said

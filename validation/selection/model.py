@@ -354,7 +354,7 @@ def run_error(crane: Crane, recording: Recording, knots: Fit | None, own: Sequen
     start is looked for anew as well.
     """
     error = open_loop_error(crane, recording, knots, own)[0]
-    if knots is None or knots.error > CRITERIA.left_level or error < CRITERIA.astray * knots.error:
+    if knots is None or knots.error > CRITERIA.left_level or error < CRITERIA.lost * knots.error:
         return error
     return min(error, open_loop_error(crane, recording)[0])
 
