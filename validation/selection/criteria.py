@@ -88,7 +88,10 @@ class Criteria:
     doubted: float = 2.9  # doubted from this on
     told: float = 1.0  # and told from this on
     alike: float = 0.9  # correlation from which on two variables are said not to be separated
-    tried: int = 9  # effects that are fitted in a round
+    tried: int = 9  # effects that are fitted in a round, from several sides,
+    begun: int = 4  # with so many iterations;
+    chance: float = 0.25  # those that by then bring this share of what the best brings go on,
+    ended: int = 8  # with so many more
     worth: float = 0.1  # share by which what was not fitted must be predicted better
 
     # what is learned

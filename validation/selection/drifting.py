@@ -170,22 +170,37 @@ def _tried(path: DriftingPath, beam: Sequence[Standing], moves: Sequence[Move]) 
     """Return models with one effect more that the data demand, at least half as much as the first beside the same
     model.
 
-    Each is the likeliest fit in which all effects act, one that begins in long windows or one in short ones: in long
-    windows a ring has a false minimum a period, in short ones what adds up slowly is not seen, and may be lost. What
-    several models lead to is fitted once.
+    Each begins in three ways: where the model that it grows from stands, and anew in long windows and in short ones. In
+    long windows a ring has a false minimum a period, in short ones what adds up slowly is not seen, and may be lost; in
+    both, what was found before. The best is carried to the end, if it has a chance.
     """
     problem = replace(path.problem, data=beam[0].fit.data)
-    distinct = {frozenset(m.model.keys): m.model for m in reversed(moves)}
-    found = [
-        *_anew(problem, distinct.values(), CRITERIA.window, joined(12)),
-        *_anew(problem, distinct.values(), SHORT, (*loose(3), *joined(12))),
+    models = list({frozenset(m.model.keys): m.model for m in reversed(moves)}.values())
+    begun = [
+        *problem.run(moves, joined(CRITERIA.begun)),
+        *_anew(problem, models, CRITERIA.window, joined(CRITERIA.begun)),
+        *_anew(problem, models, SHORT, (*loose(3), *joined(CRITERIA.begun))),
     ]
-    acting = {frozenset(w.keys): w for w in best_of_each([w for w in found if _acting(w)])}
+    going_on = [Move(w.model, w.fit) for w in _sifted(beam, begun)]
+    ended = {frozenset(w.keys): w for w in problem.run(going_on, joined(CRITERIA.ended)) if _acting(w)}
     children = []
     for now in beam:
         own = [m.model.keys for m in moves if m.model.keys[:-1] == now.keys]
-        children += _demanded(now, {keys: acting[frozenset(keys)] for keys in own if frozenset(keys) in acting})
+        children += _demanded(now, {keys: ended[frozenset(keys)] for keys in own if frozenset(keys) in ended})
     return children
+
+
+def _sifted(beam: Sequence[Standing], begun: Sequence[Fitted]) -> list[Fitted]:
+    """Return of each model the best of its fits so far, one in which all effects act before one in which they do not;
+    no models that have brought far less than the best beside the same one.
+    """
+    best = {frozenset(w.keys): w for w in sorted(begun, key=lambda w: (_acting(w), w.evidence))}
+    kept = dict[frozenset[str], Fitted]()
+    for now in beam:
+        gains = {k: w.evidence - now.evidence for k, w in best.items() if k > set(now.keys)}
+        least = CRITERIA.chance * max(gains.values(), default=0.0)
+        kept |= {k: best[k] for k, gain in gains.items() if gain >= least}
+    return list(kept.values())
 
 
 def _anew(problem: Problem, models: Iterable[Model], seconds: float, stages: Sequence[Stage]) -> list[Fitted]:

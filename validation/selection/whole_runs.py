@@ -221,13 +221,13 @@ def proven(problem: Problem, last: Sequence[Standing], nominal: Errors, progress
     final, standing = _whole_run(problem, last)
     keys = list(standing.keys)
     each = range(len(problem.data.parts))
-    full = errors_of(problem, [final.of(i) for i in each])
+    progress("leaving out each effect once", 0.8)
+    left = _left_out(problem, keys, final)
+    again = _brought_back(problem, keys, final, left)
+    if again is not final:
+        final, left = again, _left_out(problem, keys, again)
     while True:
-        progress("leaving out each effect once", 0.8)
-        fits = in_parallel(
-            problem.jobs, [(_best_run, problem, [k for k in keys if k != key], final, key) for key in keys]
-        )
-        left = dict(zip(keys, fits, strict=True))
+        full = errors_of(problem, [final.of(i) for i in each])
         needed = {k: log_evidence(final) - log_evidence(f) for k, f in left.items()}
         without = {k: errors_of(problem, [f.of(i) for i in each]) for k, f in left.items()}
         unneeded = [k for k in keys if needed[k] < CRITERIA.demanded and not mends(without[k], full)]
@@ -236,6 +236,8 @@ def proven(problem: Problem, last: Sequence[Standing], nominal: Errors, progress
         weakest = min(unneeded, key=lambda k: needed[k])
         keys.remove(weakest)
         final = left[weakest]
+        progress("leaving out each effect once", 0.9)
+        left = _left_out(problem, keys, final)
     parts = problem.data.parts
     before = errors_of(problem, [run_fitted(problem.crane, p) for p in parts])
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
@@ -246,6 +248,30 @@ def proven(problem: Problem, last: Sequence[Standing], nominal: Errors, progress
         before, errors_of(problem, [final.of(i) for i in each]), needed, without,
         nominal, standing.predicted, _deviations(final, keys), _alike(final, keys), moved, ranges,
     )  # fmt: skip
+
+
+def _left_out(problem: Problem, keys: Sequence[str], final: Fit) -> dict[str, Fit]:
+    """Return the fits without each of the effects."""
+    rest = [[k for k in keys if k != key] for key in keys]
+    tasks = [(_best_run, problem, others, final, key) for others, key in zip(rest, keys, strict=True)]
+    return dict(zip(keys, in_parallel(problem.jobs, tasks), strict=True))
+
+
+def _brought_back(problem: Problem, keys: Sequence[str], final: Fit, left: Mapping[str, Fit]) -> Fit:
+    """Return the fit, or a likelier one to which an effect leads that is brought back, as large as is met in practice,
+    where all else has settled without it.
+
+    Two effects can hold each other in a false minimum: metering that hardly acts, and air that comes too late.
+    """
+    tasks = list[tuple[Any, ...]]()
+    for key, without in left.items():
+        sized = typical(final.crane, {key: parameters_of(final.crane, key)}).effect(key)
+        assert sized is not None
+        tasks.append((_settled, problem, keys, final.data, without, without.crane.with_effect(key, sized.parameters)))
+    found: list[Fit] = [final, *in_parallel(problem.jobs, tasks)]
+    likely = likelihoods(found, problem.data)
+    best = likely.index(max(likely))
+    return found[best] if likely[best] > likely[0] + CRITERIA.proof else final
 
 
 def mends(without: Errors, full: Errors) -> bool:
