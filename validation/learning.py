@@ -28,7 +28,7 @@ from .learned.screen import allowed
 from .learned.screen import screened as screened_laws
 from .selection.criteria import CRITERIA
 from .selection.lean import needed
-from .selection.model import Fitted, Model, excess, misled, plausible, retold, run_error, together
+from .selection.model import Model, excess, misled, plausible, retold, run_error, together
 from .selection.moves import scaled
 from .selection.screen import likely, screened
 from .selection.search import Problem, Progress, silent
@@ -165,9 +165,7 @@ def _retold(problem: Problem, chosen: Explained, found: Sequence[Explained]) -> 
 
 
 def _by_its_own(e: Explained) -> Explained:
-    fit, shared = retold(e.fit)
-    again = Explained(e.parts, Fitted(Model(tuple(shared), e.weighed.model.effects), fit, fit))
-    return max(e, again, key=lambda one: one.evidence)
+    return replace(e, weighed=retold(e.weighed))
 
 
 def _chosen(found: Sequence[Explained], best: Explained) -> Explained | None:

@@ -285,17 +285,18 @@ def begin(variable: Variable, before: Fit | np.ndarray, known: Mapping[str, floa
     return sum(weight / scale[name] * known[name] for name, weight in variable.weights.items())
 
 
-def retold(found: Fit) -> tuple[Fit, list[Variable]]:
-    """Return a stiff fit that goes on from another by the combinations of nominal parameters that the data speak about
-    there, and all of its variables but those of its effects that the crane does not state.
+def retold(w: F) -> F:
+    """Return a model fitted on stiffly by the combinations of nominal parameters that the data speak about where it
+    stands, or as it is where that is better supported.
 
     Which they are depends on where the machine goes: chosen at a crane without an effect, they would hold what one with
     it tells, and leave what a second effect explains.
     """
-    crane, data, given = found.origin, found.data, {v.name for v in stated_effects(found.origin)}
+    found, crane, data = w.fit, w.fit.origin, w.fit.data
+    given = {v.name for v in stated_effects(crane)}
     nominal = uncertain_parameters(crane, data.own, len(data.parts))
     others = [(v, u) for v, u in zip(found.variables, found.u, strict=True) if not isinstance(v, NominalDirection)]
-    moved = [_moved(found, v) for v in nominal]
+    moved = [moved_to(v, found.crane, found) for v in nominal]
     looked = fit(
         crane, data, found.windows, found.knots, [*nominal, *(v for v, _ in others)],
         np.array([*moved, *(u for _, u in others)]), stiffness=STIFF.stiffness, iterations=0,
@@ -303,15 +304,18 @@ def retold(found: Fit) -> tuple[Fit, list[Variable]]:
     effects = [v for v, _ in others if isinstance(v, EffectVariable)]
     variables, known = [*informed_directions(looked), *effects], values_of(looked)
     u = [known.get(v.name, begin(v, looked, known)) for v in variables]
+    shared = tuple(v for v in variables if not isinstance(v, EffectVariable) or v.name in given)
     again = staged(crane, data, variables, np.array(u), looked, (STIFF,))
-    return again, [v for v in variables if not isinstance(v, EffectVariable) or v.name in given]
+    return max(w, replace(w, model=replace(w.model, variables=shared), fit=again), key=lambda one: one.evidence)
 
 
-def _moved(found: Fit, v: NominalDirection) -> float:
-    """Return by how much a fit moved one nominal parameter, as a value of its variable."""
+def moved_to(v: NominalDirection, crane: Crane, found: Fit) -> float:
+    """Return the value of a variable of one nominal parameter that gives it as a crane has it; one that differs by
+    recording as a fit found it.
+    """
     ((name, weight),) = v.weights.items()
-    crane = found.crane if v.recording is None else found.of(v.recording).crane
-    return float((crane[name] - found.origin[name]) / weight)
+    has = crane if v.recording is None else found.of(v.recording).crane
+    return float((has[name] - found.origin[name]) / weight)
 
 
 def best_of_each(found: Sequence[F]) -> list[F]:

@@ -293,9 +293,7 @@ def _on(problem: Problem, w: Fitted, stages: Stages) -> Fitted:
     """Return a model fitted further, at last by the combinations of parameters that it tells of itself."""
     found = fitted(problem.crane, problem.data, w.model, w.fit, stages) if stages else w
     if found.model.variables == problem.shared:
-        fit, shared = retold(found.fit)
-        again = Fitted(Model(tuple(shared), found.effects), fit, found.loose)
-        found = max(found, again, key=lambda one: one.evidence)
+        found = retold(found)
     return replace(found, loose=w.loose)
 
 

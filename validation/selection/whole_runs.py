@@ -23,7 +23,7 @@ from ..fit.variables import EffectParameter, NominalDirection, Timing, Variable,
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import Errors, Levels, each_part, falls, levels_of, likelihoods
-from .model import Fitted, Model, effects_of, parameters_of, values_of, with_effects
+from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of, with_effects
 from .search import Problem, Progress, silent
 
 Judged = tuple[Errors, Errors]
@@ -245,7 +245,7 @@ def proven(problem: Problem, last: Sequence[Standing], nominal: Errors, progress
     moved = {v.name: float(u) for v, u in shared if isinstance(v, NominalDirection) and v.recording is None}
     return Proven(
         final.crane, tuple(t for t in standing.taken if t.key in keys),
-        before, errors_of(problem, [final.of(i) for i in each]), needed, without,
+        before, full, needed, without,
         nominal, standing.predicted, _deviations(final, keys), _alike(final, keys), moved, ranges,
     )  # fmt: skip
 
@@ -263,11 +263,10 @@ def _brought_back(problem: Problem, keys: Sequence[str], final: Fit, left: Mappi
 
     Two effects can hold each other in a false minimum: metering that hardly acts, and air that comes too late.
     """
-    tasks = list[tuple[Any, ...]]()
-    for key, without in left.items():
-        sized = typical(final.crane, {key: parameters_of(final.crane, key)}).effect(key)
-        assert sized is not None
-        tasks.append((_settled, problem, keys, final.data, without, without.crane.with_effect(key, sized.parameters)))
+    tasks = [
+        (_settled, problem, keys, final.data, without, typical(without.crane, effects_of(final.crane, [key])))
+        for key, without in left.items()
+    ]
     found: list[Fit] = [final, *in_parallel(problem.jobs, tasks)]
     likely = likelihoods(found, problem.data)
     best = likely.index(max(likely))
@@ -312,10 +311,7 @@ def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane
     nominal = [believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
     stated, clocks, known = stated_effects(given), timings(data), values_of(before)
     values: list[float] = [known.get(v.name, 0.0) for v in clocks]
-    for v in nominal:
-        name = next(iter(v.weights))
-        has = crane if v.recording is None else before.of(v.recording).crane
-        values.append((has[name] - given[name]) / v.weights[name])
+    values += [moved_to(v, crane, before) for v in nominal]
     values += [
         v.to_u(parameters_of(crane, v.key)[v.parameter.name]) if isinstance(v, EffectParameter) else v.begin
         for v in stated
