@@ -438,8 +438,8 @@ def _until_it_does(seed: int, s: _Setting) -> HiddenCase:
 
 def _try_case(seed: int, s: _Setting) -> HiddenCase:
     """Return a case of new manoeuvres and severities, or raise CraneError where they do not do."""
-    cylinders = s.machine.layout.cylinders
-    ends = {place for effect, place in map(registry.split_key, s.keys) if effect.beyond_stroke}
+    cylinders, effects = s.machine.layout.cylinders, s.keys if s.kind in HIDES else ()
+    ends = {place for effect, place in map(registry.split_key, effects) if effect.beyond_stroke}
     plan = [_PAST_THE_STOP[c] if name in ends else _PLANNED[c] for c, name in enumerate(cylinders)]
     manoeuvres = [draw_manoeuvre(s.rng, cycle=None if s.foreign else 0.01, plan=plan) for _ in range(2)]
     if s.kind == "unknown":
