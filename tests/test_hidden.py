@@ -131,10 +131,13 @@ def test_a_swapped_machine_runs_on_the_other_engine_and_agrees_far_below_the_noi
         assert 0.0 < apart < 0.5 * std, name
 
 
-def test_conditions_that_cannot_be_met_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hidden, "_MOST_DRAWS", 2)
-    with pytest.raises(CraneError, match=r"sensor_bias@z1.*2 draws failed.*noise units"):
-        hidden.make_case(1203, kind="effect", keys=["sensor_bias@z1"], visible=(1e9, math.inf))
+@pytest.mark.parametrize(("kind", "key"), [("effect", "sensor_bias@z1"), ("unknown", "orifice_leak")])
+def test_conditions_that_cannot_be_met_are_told(
+    monkeypatch: pytest.MonkeyPatch, short: None, kind: str, key: str
+) -> None:
+    monkeypatch.setattr(hidden, "_MOST_DRAWS", 1)
+    with pytest.raises(CraneError, match=rf"{key}.*1 draws failed.*noise units"):
+        hidden.make_case(1203, kind=kind, keys=[key], visible=(1e9, math.inf))
 
 
 # -- laws of their own -----------------------------------------------------------------------------------------------

@@ -38,12 +38,14 @@ class WhitePath(Path[Fitted]):
 
     Attributes:
         given: the crane as it is; fewest: with the fewest moved parameters that do, where that was needed.
+        whole: open-loop error of `parameters`, where in windows hardly more than noise is left.
         left_out: errors on blocks that were left out, before and after, of a model that leaves something, by its
             effects.
     """
 
     given: Fitted
     fewest: Fitted
+    whole: float = 1.0
     left_out: Mapping[frozenset[str], tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
@@ -113,9 +115,10 @@ def _begun(problem: Problem) -> WhitePath:
 def _with_parameters(path: WhitePath, parameters: Fitted) -> WhitePath:
     """Return the path with another fit of the machine without effects."""
     parameters = replace(parameters, loose=path.problem.base)
-    enough = parameters.good and not path.given.good
-    fewest = leaner(path.problem.crane, path.problem.data, parameters) if enough else parameters
-    return replace(path, parameters=parameters, fewest=fewest)
+    problem, enough = path.problem, parameters.good and not path.given.good
+    fewest = leaner(problem.crane, problem.data, parameters) if enough else parameters
+    whole = together(problem.recordings, problem.errors([parameters.fit])[0]) if parameters.near else 1.0
+    return replace(path, parameters=parameters, fewest=fewest, whole=whole)
 
 
 def _beam(path: WhitePath, most: int) -> Sequence[Fitted]:
@@ -133,22 +136,23 @@ def _beam(path: WhitePath, most: int) -> Sequence[Fitted]:
     return [ahead] if len(ahead.keys) < most and ahead.level < CRITERIA.misled else []
 
 
-def _is_near(parents: Sequence[Fitted]) -> bool:
+def _is_near(path: WhitePath, parents: Sequence[Fitted]) -> bool:
     """Whether a round goes on from one model that leaves hardly more than noise: what little is missing beside it shows
-    in stiffly joined windows only.
+    in stiffly joined windows only. Parameters may leave little in windows and much in one run: then much is missing.
     """
-    return len(parents) == 1 and parents[0].near
+    misses = not parents[0].keys and path.whole > CRITERIA.left_level
+    return len(parents) == 1 and parents[0].near and not misses
 
 
 def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
     """Return the likeliest effects beside each model of a beam, as the screen sees them from where it stands; beside
     one that is near those that must show.
     """
-    near, moves = _is_near(beam), list[Move]()
+    near, moves = _is_near(path, beam), list[Move]()
     for parent in beam:
         fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
         most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
-        least = CRITERIA.proof if near or parent.good else CRITERIA.promise
+        least = CRITERIA.proof if near else CRITERIA.promise
         scores = screened(fit, stiffness)
         offered = likely(best_starts(scores) if near else scores, most, least)
         variables = parent.model.variables if near else path.problem.shared
@@ -172,7 +176,7 @@ def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> li
     """Return the moves fitted, the best of each; near the end the cost is quadratic at once: no walk from loose to
     stiff.
     """
-    return best_of_each(path.problem.run(moves, (STIFF,)) if _is_near(beam) else _raced(path, beam, moves))
+    return best_of_each(path.problem.run(moves, (STIFF,)) if _is_near(path, beam) else _raced(path, beam, moves))
 
 
 def _raced(path: WhitePath, parents: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
@@ -208,7 +212,7 @@ def _as_given(path: WhitePath, parent: Fitted, moves: Sequence[Move]) -> list[Mo
 
 def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) -> Round[Fitted]:
     """Return the round, the leading models carried to the end."""
-    near = _is_near(beam)
+    near = _is_near(path, beam)
     done = _further(path, [], list(tried) if near else _carried(path, _leading(beam, tried)))
     done = _relocated(path, done) if not path.rounds else done
     done = best_of_each([*done, *_dropped(path, done, near)])
