@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -163,17 +164,23 @@ def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> N
         )
 
 
+@cache
+def _range_of(name: str) -> tuple[float, bool, Mapping[float, str]]:
+    """Return the smallest value of a parameter, whether it may be that itself; its only values where they are few."""
+    last = name.rsplit(".", 1)[-1]
+    least, allowed = (0.0, True) if name == "payload.mass" else _LIMITS.get(last, (-math.inf, False))
+    return least, allowed, _CHOICES.get(last, {})
+
+
 def _check_one(where: str, name: str, value: float) -> None:
+    least, allowed, choices = _range_of(name)
+    if least < value < math.inf and not choices:
+        return
     if not math.isfinite(value):
         raise CraneError(f"{where}: {name} = {value} is not finite. Give a number in {parameters.unit_of(name)}.")
-    last = name.rsplit(".", 1)[-1]
-    if value not in _CHOICES.get(last, (value,)):
-        known = " or ".join(f"{number:g} ({meaning})" for number, meaning in _CHOICES[last].items())
+    if choices and value not in choices:
+        known = " or ".join(f"{number:g} ({meaning})" for number, meaning in choices.items())
         raise CraneError(f"{where}: {name} = {value:g} is impossible: it must be {known}.")
-    limit = _LIMITS.get(last)
-    if limit is None:
-        return
-    least, allowed = limit if name != "payload.mass" else (0.0, True)
     if value < least or (value == least and not allowed):
         sign = ">=" if allowed else ">"
         raise CraneError(

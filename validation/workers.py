@@ -10,9 +10,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, Literal
+
+from threadpoolctl import ThreadpoolController
 
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
@@ -93,6 +95,16 @@ def in_parallel(jobs: int, tasks: Sequence[Task]) -> list[Any]:
     if (jobs == 1 and not _schedulers) or len(tasks) < 2:
         return [function(*arguments) for function, *arguments in tasks]
     return list(results_of(tasks, min(jobs, len(tasks))))
+
+
+def single_threaded() -> AbstractContextManager[Any]:
+    """Let linear algebra work without threads of its own inside: with small matrices they would only be in the way."""
+    return _linear_algebra().limit(limits=1)
+
+
+@functools.cache
+def _linear_algebra() -> ThreadpoolController:
+    return ThreadpoolController()  # looks through all that is loaded, which takes as long as a small fit's step
 
 
 @contextmanager

@@ -18,7 +18,6 @@ from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects.registry import events, slots_of, slots_of_events
@@ -26,6 +25,7 @@ from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import SENSING, Measurement
 
 from ..semi_recursive import kernel, sensitivity
+from ..workers import single_threaded
 from .data import ACCURACY, Data, FitData, Samples
 from .model import Model, model_of
 from .variables import Variable, acts, lateness, with_variables
@@ -676,9 +676,13 @@ def _each(task: Callable[[V, np.ndarray], T], windows: Sequence[V], knots: np.nd
     if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
         yield from map(task, windows, knots)
         return
-    # products of small matrices: threads of the linear algebra's own would only be in the way
-    with threadpool_limits(1), ThreadPoolExecutor(THREADS) as pool:
-        yield from pool.map(task, windows, knots)
+    with single_threaded():
+        yield from _threads().map(task, windows, knots)
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(THREADS)
 
 
 def _add_data(linear: Linear, k: int, part: Swept, channels: tuple[str, ...], scale: np.ndarray) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from threadpoolctl import threadpool_limits
 
 from crane_exudyn.crane import Crane
 
+from ..workers import single_threaded
 from .data import Data, FitData, Joint
 from .linear import Linear, Window, alike, follows, linearised, model_at, near
 from .model import Model
@@ -112,7 +112,7 @@ class Fit:
 
 def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
     """Eliminate the knots of the normal equations by block elimination along time."""
-    with threadpool_limits(1):  # small matrices: threads of the linear algebra's own would only be in the way
+    with single_threaded():
         return _eliminated(linear, guess, knots)
 
 

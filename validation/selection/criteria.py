@@ -56,6 +56,8 @@ class Criteria:
     near: float = 0.3
     apart: float = 100.0  # log evidence within which rivals are always fitted, and carried to the end
     first: int = 2  # moves that are fitted before the others, if they promise most
+    sifted: int = 3  # iterations after which fits go on only
+    chance: float = 0.25  # if they bring this share of what the best brings by then
     hopeless: float = 0.02  # share of the best promise below which a start is not fitted,
     sure: int = 3  # but so many are
     twice: float = 0.5  # and above which an effect is fitted from two starts: its values may have two minima
@@ -90,16 +92,14 @@ class Criteria:
     alike: float = 0.9  # correlation from which on two variables are said not to be separated
     tried: int = 9  # effects that are fitted in a round, from several sides,
     begun: int = 4  # with so many iterations;
-    chance: float = 0.25  # those that by then bring this share of what the best brings go on,
-    ended: int = 8  # with so many more
+    ended: int = 8  # and with so many more, where they have a `chance`
     worth: float = 0.1  # share by which what was not fitted must be predicted better
 
     # what is learned
     laws: int = 2  # beside each other
     screened: int = 4  # laws that are fitted in loosely joined windows, beside so many
     beside: int = 3  # effects of the library
-    sifted: int = 3  # iterations of these fits; and how many laws are carried to the end, with
-    carried: int = 2  # the best effect of the library
+    carried: int = 2  # of which so many are carried to the end, with the best effect of the library
     predicts: float = 0.4  # share of what a law gains where it was fitted that it must gain where it was not
     astray: float = 3.0  # standard deviations by which a curve may fall below what physics allows,
     below: float = 0.1  # if that is more than this share of its largest value

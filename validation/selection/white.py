@@ -184,14 +184,28 @@ def _raced(path: WhitePath, parents: Sequence[Fitted], moves: Sequence[Move]) ->
     help from parameters, the others only where they promise about as much, else also what the machine as given shows.
     """
     moves = sorted(moves, key=lambda m: -m.promise)
-    done = path.problem.run(moves[: CRITERIA.first], (LOOSE,))
+    done = _in_heats(path, parents, moves[: CRITERIA.first])
     rest = moves[CRITERIA.first :]
     if done and done[0].good and done[0].move_cost < CRITERIA.helped:
         most = moves[0].promise
         rest = [m for m in rest if m.promise > most - max(CRITERIA.apart, CRITERIA.left * most)]
     else:
         rest += [m for parent in parents for m in _as_given(path, parent, moves)]
-    return [*done, *path.problem.run(rest, (LOOSE,))]
+    return [*done, *_in_heats(path, parents, rest)]
+
+
+def _in_heats(path: WhitePath, parents: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
+    """Return the moves fitted loosely; after a few iterations those alone go on that are not far behind by then."""
+    begun = path.problem.run(moves, (replace(LOOSE, iterations=CRITERIA.sifted),))
+    least = _brought(parents, begun, CRITERIA.chance)
+    on, out = ([w for w in begun if (w.evidence >= least) == goes] for goes in (True, False))
+    return [*path.problem.run([Move(w.model, w.fit) for w in on], (LOOSE,)), *out]
+
+
+def _brought(parents: Sequence[Fitted], found: Sequence[Fitted], share: float) -> float:
+    """Return the evidence of a loose fit that brings a share of what the best of some brings where they grew from."""
+    before = log_evidence(parents[0].loose)
+    return before + share * max((w.evidence - before for w in found), default=0.0)
 
 
 def _as_given(path: WhitePath, parent: Fitted, moves: Sequence[Move]) -> list[Move]:
@@ -214,7 +228,7 @@ def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) ->
     """Return the round, the leading models carried to the end."""
     near = _is_near(path, beam)
     done = _further(path, [], list(tried) if near else _carried(path, _leading(beam, tried)))
-    done = _relocated(path, done) if not path.rounds else done
+    done = _relocated(path, done, beam, tried) if not path.rounds else done
     done = best_of_each([*done, *_dropped(path, done, near)])
     acting = tuple(w for w in done if w.keys)
     return Round(tuple(tried), acting, _deciding(path, acting), next((w for w in done if not w.keys), None))
@@ -226,12 +240,11 @@ def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]
     """
     if not tried:
         return []
-    best = tried[0].evidence
-    near = max(CRITERIA.apart, CRITERIA.near * (best - log_evidence(parents[0].loose)))
+    least = _near(parents, tried)
     most = 1 if tried[0].good else CRITERIA.finished
     leading = list(tried[:most])
     if not parents[0].keys:
-        leading += [w for w in tried[most : CRITERIA.finished + 1] if w.evidence > best - near]
+        leading += [w for w in tried[most : CRITERIA.finished + 1] if w.evidence > least]
     elif not leading[0].plausible:
         calmest = min(
             (w for w in tried if set(parents[0].keys) <= set(w.keys)), key=lambda w: w.move_cost, default=leading[0]
@@ -240,11 +253,16 @@ def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]
     return leading
 
 
+def _near(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> float:
+    """Return the evidence of loose fits from which on they may still lead at their end."""
+    return min(tried[0].evidence - CRITERIA.apart, _brought(parents, tried, 1.0 - CRITERIA.near))
+
+
 def _carried(path: WhitePath, leading: Sequence[Fitted]) -> list[Fitted]:
     return path.problem.run([Move(w.model, w.fit) for w in leading], (TIGHT, STIFF))
 
 
-def _relocated(path: WhitePath, done: list[Fitted]) -> list[Fitted]:
+def _relocated(path: WhitePath, done: list[Fitted], parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]:
     """Return the fits with the leading effect at its other places added, where moved parameters help it.
 
     An effect at the wrong place explains much of a recording if parameters may help, and they can hide the right place
@@ -252,12 +270,13 @@ def _relocated(path: WhitePath, done: list[Fitted]) -> list[Fitted]:
     """
     if not done or done[0].move_cost < CRITERIA.helped:
         return done
-    problem, tried = path.problem, {key for w in done for key in w.keys}
+    problem, known = path.problem, {key for w in done for key in w.keys}
     effect, _ = registry.split_key(done[0].keys[0])
     lay = problem.crane.layout
-    found = [s for s in starts(problem.crane, problem.data) if s.key in set(effect.keys(lay)) - tried]
+    found = [s for s in starts(problem.crane, problem.data) if s.key in set(effect.keys(lay)) - known]
     moves = [Move(Model(problem.shared, {s.key: s.values}), problem.base) for s in found]
-    leading = best_of_each(problem.run(moves, (LOOSE,)))[:1]
+    least = _near(parents, tried)
+    leading = [w for w in _in_heats(path, parents, moves)[:1] if w.evidence > least]
     return _further(path, done, _carried(path, leading))
 
 
