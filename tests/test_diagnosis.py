@@ -104,7 +104,8 @@ def model(keys: str = "", evidence: float = 0.0, good: bool = True, **more: obje
         "far": (),
         "fit": SimpleNamespace(variables=(), u=()),
     }
-    return SimpleNamespace(keys=tuple(keys.split()), evidence=evidence, good=good, **asked | more)
+    effects = tuple(keys.split())
+    return SimpleNamespace(keys=effects, names=effects, evidence=evidence, good=good, **asked | more)
 
 
 def path(

@@ -22,7 +22,7 @@ from validation.fit.data import FitData
 from validation.fit.staged import LOOSE, first_knots, staged
 from validation.history import added, learned, removed, without_learned
 from validation.improvement import Step, improve
-from validation.learned.laws import BLOCK, COUNT, Law, curve_at, knots, laws_of, often_met
+from validation.learned.laws import BLOCK, COUNT, Law, curve_at, knots, often_met, possible_laws
 from validation.learned.own_effect import own_effect
 from validation.learned.resembles import resembles
 from validation.learned.screen import best_prior, screened
@@ -221,7 +221,7 @@ def test_a_screen_needs_nothing_that_moves():
     data = FitData.of(_recorded("learn", CRANE.with_effect("internal_leakage@lift", {"k": 2e-11}), 1), CRANE)
     fit = staged(CRANE, data, (), np.zeros(0), first_knots(CRANE, data), (LOOSE,))
     assert screen(fit, starts(CRANE, data), 1.0)[0].start.key == "internal_leakage@lift"
-    assert screened(fit, laws_of(fit), 1.0)[0].law.key == "learned_leakage@lift"
+    assert screened(fit, possible_laws(fit), 1.0)[0].law.key == "learned_leakage@lift"
 
 
 def test_a_soft_mount_is_seen_where_it_is():

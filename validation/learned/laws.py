@@ -57,6 +57,15 @@ class Law:
     told: np.ndarray | None = field(default=None, repr=False)
 
     @property
+    def name(self) -> str:
+        """The effect with its place, over what it runs, and how it acts where it could act otherwise."""
+        kinds = self.over.against
+        plain = len(kinds) < 2 or self.against == kinds[0]
+        return (
+            f"{self.key} over {self.over.name}{'' if plain else ' against motion' if self.against else ' as a spring'}"
+        )
+
+    @property
     def neutral(self) -> np.ndarray:
         """The neutral curve at the knots."""
         return np.array([self.over.neutral(x) for x in self.x])
@@ -171,7 +180,7 @@ def spread_along(
     return best
 
 
-def laws_of(fit: Fit) -> list[Law]:
+def possible_laws(fit: Fit) -> list[Law]:
     """Return every law that could act along a fitted run and that its crane does not have; those over a range that was
     hardly visited are left out.
     """

@@ -17,7 +17,7 @@ from ..fit.data import FitData
 from ..fit.linear import Columns, pack
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit
-from ..fit.variables import prior_root
+from ..fit.variables import EffectVariable, curve_variables, prior_root
 from ..selection.screen import projected
 from .laws import Law
 
@@ -33,23 +33,48 @@ class Found:
     Attributes:
         gain: log evidence against a model without this law, linearly.
         size, length: of the prior, see `prior_root`.
-        root: (K, m) of the prior, y = neutral + root u.
-        u: (m,) most likely; y: (K,) the curve there.
+        root: (K, m) of the prior, y = about + root u.
+        u: (m,) most likely, where fits begin.
+        about: (K,) the neutral curve, or the form along which alone the law moves.
     """
 
     law: Law
     gain: float
     root: np.ndarray
     u: np.ndarray
-    y: np.ndarray
+    about: np.ndarray
     size: float = 0.0
     length: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Of the law."""
+        return self.law.name
+
+    @property
+    def y(self) -> np.ndarray:
+        """The most likely curve, (K,)."""
+        return self.about + self.root @ self.u
+
+    @property
+    def variables(self) -> list[EffectVariable]:
+        """What its values move along, and where these begin."""
+        moves = curve_variables(self.law.key, self.law.values(self.about), self.root)
+        return [replace(v, begin=float(x)) for v, x in zip(moves, self.u, strict=True)]
+
+    def beginning(self, u: np.ndarray) -> Found:
+        """Return the same with its variables beginning at u (m,)."""
+        return replace(self, u=u)
 
     def reknotted(self, law: Law, y: np.ndarray) -> Found:
         """Return the same law and prior with other knots, beginning at the curve that is y (K,) at its own."""
         root = prior_root(law.table(law.neutral), self.size, self.length)
-        before = law.curve(self.law.x, y)
-        return replace(self, law=law, root=root, u=np.linalg.lstsq(root, before - law.neutral, rcond=None)[0], y=before)
+        u = np.linalg.lstsq(root, law.curve(self.law.x, y) - law.neutral, rcond=None)[0]
+        return replace(self, law=law, root=root, u=u, about=law.neutral)
+
+    def along(self, law: Law, y: np.ndarray, root: np.ndarray) -> Found:
+        """Return a law that moves from the curve y (K,) along the columns of root (K, m) alone."""
+        return replace(self, law=law, root=root, u=np.zeros(root.shape[1]), about=y)
 
 
 def screened(fit: Fit, laws: Sequence[Law], stiffness: float) -> list[Found]:
@@ -98,9 +123,7 @@ def best_prior(law: Law, H: np.ndarray, b: np.ndarray) -> Found:
             gain = 0.5 * float((size**2 * c**2 / stretched).sum() - np.log(stretched).sum())
             if best is None or gain > best.gain:
                 u = vectors @ (size * c / stretched)
-                best = Found(
-                    law, gain, size * root, u, law.neutral + size * root @ u, size * abs(law.over.size), length
-                )
+                best = Found(law, gain, size * root, u, law.neutral, size * abs(law.over.size), length)
     assert best is not None
     return best
 

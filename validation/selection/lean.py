@@ -8,6 +8,7 @@ with the nominal parameters held, and those are let go one by one that bring mor
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from ..fit.solve import Fit, reduce, with_prior
 from ..fit.staged import STIFF, timings
 from ..fit.variables import Variable, stated_effects, uncertain_parameters
 from .criteria import CRITERIA
-from .model import Fitted, Model, fitted
+from .model import Fitted, fitted
 
 
 def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
@@ -38,7 +39,7 @@ def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
 
 
 def _with(crane: Crane, data: Data, full: Fitted, before: Fit, variables: Sequence[Variable]) -> Fitted:
-    return fitted(crane, data, Model(tuple(variables), full.model.effects), before, (STIFF,))
+    return fitted(crane, data, replace(full.model, variables=tuple(variables)), before, (STIFF,))
 
 
 def needed(crane: Crane, fit: Fit, most: int) -> list[Variable]:

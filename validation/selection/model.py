@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -50,23 +50,48 @@ from ..fit.variables import (
 from .criteria import CRITERIA
 
 
+class Curve(Protocol):
+    """An effect whose law is learned, with a prior of its own."""
+
+    @property
+    def name(self) -> str:
+        """The effect with its place, and over what it runs."""
+
+    @property
+    def variables(self) -> Sequence[EffectVariable]:
+        """What its values move along, and where these begin."""
+
+    def beginning(self, u: np.ndarray) -> Curve:
+        """Return the same with its variables beginning at u (m,)."""
+
+
 @dataclass(frozen=True)
 class Model:
     """What might be: effects with parameter values (SI) to start from, beside variables that all models of a search
-    share.
+    share; those of its effects that are learned have curves.
     """
 
     variables: tuple[Variable, ...]
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    curves: Mapping[str, Curve] = field(default_factory=dict)
 
     @property
     def keys(self) -> tuple[str, ...]:
         """The effects' names with their places."""
         return tuple(self.effects)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The same, with what each curve runs over."""
+        return tuple(self.curves[k].name if k in self.curves else k for k in self.effects)
+
     def own(self, layout: Layout) -> list[EffectVariable]:
         """Return the variables of its effects."""
-        return [v for key, values in self.effects.items() for v in effect_variables(key, values, layout)]
+        return [
+            v
+            for key, values in self.effects.items()
+            for v in (self.curves[key].variables if key in self.curves else effect_variables(key, values, layout))
+        ]
 
 
 @dataclass(frozen=True)
@@ -88,9 +113,21 @@ class Fitted:
         return self.model.keys
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Its effects, with what their curves run over."""
+        return self.model.names
+
+    @property
     def effects(self) -> dict[str, dict[str, float]]:
         """Its effects with their fitted parameters (SI)."""
         return effects_of(self.fit.crane, self.keys)
+
+    @property
+    def as_found(self) -> Model:
+        """Its model, to start from where it ended."""
+        pairs = [(v, u) for v, u in zip(self.fit.variables, self.fit.u, strict=True) if isinstance(v, CurveDirection)]
+        curves = {k: c.beginning(np.array([u for v, u in pairs if v.key == k])) for k, c in self.model.curves.items()}
+        return replace(self.model, effects=self.effects, curves=curves)
 
     @cached_property
     def evidence(self) -> float:
@@ -319,10 +356,10 @@ def moved_to(v: NominalDirection, crane: Crane, found: Fit) -> float:
 
 
 def best_of_each(found: Sequence[F]) -> list[F]:
-    """Return the fits, best first, only the best of those with the same effects."""
+    """Return the fits, best first, only the best of those with the same effects and curves over the same."""
     seen: dict[frozenset[str], F] = {}
     for w in sorted(found, key=lambda w: -w.evidence):
-        seen.setdefault(frozenset(w.keys), w)
+        seen.setdefault(frozenset(w.names), w)
     return list(seen.values())
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -25,6 +25,8 @@ from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
 from .manoeuvre import best_manoeuvre
 from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of, with_effects
+from .moves import scaled
+from .screen import Score
 
 Progress = Callable[[str, float], None]
 Stages = Sequence[Stage]
@@ -44,6 +46,18 @@ class Move:
     model: Model
     before: Fit | np.ndarray
     promise: float = math.inf
+
+
+def moves_of(model: Model, scores: Sequence[Score], before: Fit) -> list[Move]:
+    """Return the models that add what was screened to a model, each once: a start of another size may have come to the
+    same.
+    """
+    found = dict[tuple[object, ...], Move]()
+    for s in scores:
+        values = scaled(s.start, s.amplitude)
+        alike = (s.start.key, *(f"{x:.2g}" for x in values.values()))
+        found.setdefault(alike, Move(replace(model, effects={**model.effects, s.start.key: values}), before, s.gain))
+    return list(found.values())
 
 
 @dataclass(frozen=True)
@@ -152,6 +166,10 @@ class Problem:
         windows.
         """
         return all_parameters(unmoving(with_effects(self.crane, effects)), self.data)
+
+    def anew(self, w: Fitted, stages: Stages) -> Fitted:
+        """Return a model fitted anew at the crane as given with its effects as they were found."""
+        return fitted(self.crane, self.data, w.as_found, self.with_effects(w.effects), stages)
 
     def unmoved(self, fit: Fit, model: Model) -> Fit:
         """Return a fit of the crane as given with effects, in which all uncertain parameters may move from where the

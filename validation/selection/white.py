@@ -15,16 +15,15 @@ from typing import Any
 
 from crane_exudyn.effects import registry
 
-from ..fit.evidence import log_evidence
-from ..fit.solve import Fit
 from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .lean import leaner
 from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, retold, run_error, together
-from .moves import scaled, starts
-from .screen import Score, best_starts, likely, screened
-from .search import Move, Path, Problem, Progress, Regime, Round, Stages
+from .moves import starts
+from .race import in_heats, raced, still_leading
+from .screen import best_starts, likely, screened
+from .search import Move, Path, Problem, Progress, Regime, Round, Stages, moves_of
 from .whole_runs import end_of_learned, first_part
 
 #: one run over the whole recording, from which windows begin anew: the first state of one may be caught in a false
@@ -156,56 +155,18 @@ def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
         scores = screened(fit, stiffness)
         offered = likely(best_starts(scores) if near else scores, most, least)
         variables = parent.model.variables if near else path.problem.shared
-        moves += _moves(Model(variables, effects_of(fit.crane, parent.keys)), offered, fit)
+        moves += moves_of(Model(variables, effects_of(fit.crane, parent.keys)), offered, fit)
     return moves
-
-
-def _moves(model: Model, scores: Sequence[Score], before: Fit) -> list[Move]:
-    """Return the models that add what was screened to a model, each once: a start of another size may have come to the
-    same.
-    """
-    found = dict[tuple[object, ...], Move]()
-    for s in scores:
-        values = scaled(s.start, s.amplitude)
-        alike = (s.start.key, *(f"{x:.2g}" for x in values.values()))
-        found.setdefault(alike, Move(replace(model, effects={**model.effects, s.start.key: values}), before, s.gain))
-    return list(found.values())
 
 
 def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
     """Return the moves fitted, the best of each; near the end the cost is quadratic at once: no walk from loose to
     stiff.
     """
-    return best_of_each(path.problem.run(moves, (STIFF,)) if _is_near(path, beam) else _raced(path, beam, moves))
-
-
-def _raced(path: WhitePath, parents: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
-    """Return the moves fitted loosely, those first that promise most; once one leaves hardly more than noise and has no
-    help from parameters, the others only where they promise about as much, else also what the machine as given shows.
-    """
-    moves = sorted(moves, key=lambda m: -m.promise)
-    done = _in_heats(path, parents, moves[: CRITERIA.first])
-    rest = moves[CRITERIA.first :]
-    if done and done[0].good and done[0].move_cost < CRITERIA.helped:
-        most = moves[0].promise
-        rest = [m for m in rest if m.promise > most - max(CRITERIA.apart, CRITERIA.left * most)]
-    else:
-        rest += [m for parent in parents for m in _as_given(path, parent, moves)]
-    return [*done, *_in_heats(path, parents, rest)]
-
-
-def _in_heats(path: WhitePath, parents: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
-    """Return the moves fitted loosely; after a few iterations those alone go on that are not far behind by then."""
-    begun = path.problem.run(moves, (replace(LOOSE, iterations=CRITERIA.sifted),))
-    least = _brought(parents, begun, CRITERIA.chance)
-    on, out = ([w for w in begun if (w.evidence >= least) == goes] for goes in (True, False))
-    return [*path.problem.run([Move(w.model, w.fit) for w in on], (LOOSE,)), *out]
-
-
-def _brought(parents: Sequence[Fitted], found: Sequence[Fitted], share: float) -> float:
-    """Return the evidence of a loose fit that brings a share of what the best of some brings where they grew from."""
-    before = log_evidence(parents[0].loose)
-    return before + share * max((w.evidence - before for w in found), default=0.0)
+    if _is_near(path, beam):
+        return best_of_each(path.problem.run(moves, (STIFF,)))
+    given = lambda: [m for parent in beam for m in _as_given(path, parent, moves)]  # noqa: E731
+    return best_of_each(raced(path.problem, beam, moves, given))
 
 
 def _as_given(path: WhitePath, parent: Fitted, moves: Sequence[Move]) -> list[Move]:
@@ -221,7 +182,7 @@ def _as_given(path: WhitePath, parent: Fitted, moves: Sequence[Move]) -> list[Mo
     known = {frozenset(m.model.keys) for m in moves}
     more = likely(screened(held, LOOSE.stiffness), CRITERIA.as_given + len(moves), CRITERIA.promise)
     new = [s for s in more if frozenset((*parent.keys, s.start.key)) not in known]
-    return _moves(model, new[: CRITERIA.as_given], held)
+    return moves_of(model, new[: CRITERIA.as_given], held)
 
 
 def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) -> Round[Fitted]:
@@ -240,7 +201,7 @@ def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]
     """
     if not tried:
         return []
-    least = _near(parents, tried)
+    least = still_leading(parents, tried)
     most = 1 if tried[0].good else CRITERIA.finished
     leading = list(tried[:most])
     if not parents[0].keys:
@@ -251,11 +212,6 @@ def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]
         )
         leading += [calmest] if all(calmest is not w for w in leading) else []
     return leading
-
-
-def _near(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> float:
-    """Return the evidence of loose fits from which on they may still lead at their end."""
-    return min(tried[0].evidence - CRITERIA.apart, _brought(parents, tried, 1.0 - CRITERIA.near))
 
 
 def _carried(path: WhitePath, leading: Sequence[Fitted]) -> list[Fitted]:
@@ -275,8 +231,8 @@ def _relocated(path: WhitePath, done: list[Fitted], parents: Sequence[Fitted], t
     lay = problem.crane.layout
     found = [s for s in starts(problem.crane, problem.data) if s.key in set(effect.keys(lay)) - known]
     moves = [Move(Model(problem.shared, {s.key: s.values}), problem.base) for s in found]
-    least = _near(parents, tried)
-    leading = [w for w in _in_heats(path, parents, moves)[:1] if w.evidence > least]
+    least = still_leading(parents, tried)
+    leading = [w for w in in_heats(problem, parents, moves)[:1] if w.evidence > least]
     return _further(path, done, _carried(path, leading))
 
 
@@ -296,7 +252,7 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
         if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
             continue
         if not w.plausible:
-            tasks.append((_anew, problem, Model(w.model.variables, w.effects)))
+            tasks.append((problem.anew, w, (WHOLE, STIFF)))
         elif (stages := _still_to_do(w)) or w.model.variables == problem.shared:
             tasks.append((_on, problem, w, stages))
     further = (w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))
@@ -318,10 +274,6 @@ def _on(problem: Problem, w: Fitted, stages: Stages) -> Fitted:
     if found.model.variables == problem.shared:
         found = retold(found)
     return replace(found, loose=w.loose)
-
-
-def _anew(problem: Problem, model: Model) -> Fitted:
-    return fitted(problem.crane, problem.data, model, problem.with_effects(model.effects), (WHOLE, STIFF))
 
 
 def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[Fitted]:
