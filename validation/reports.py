@@ -15,6 +15,7 @@ from typing import Any
 from crane_exudyn.crane import Crane
 from crane_exudyn.display import engineering, rounded
 from crane_exudyn.effects import registry
+from crane_exudyn.effects.registry import in_words
 from crane_exudyn.recording import Recording
 
 from .comparison import Comparison, from_one_start
@@ -24,7 +25,6 @@ from .findings import VIOLATED, balance_words, people_unit
 from .improvement import Improvement
 from .learned.report import curve_parts
 from .report import Mood, Part, Picture, Section, Table, write_report
-from .selection.plots import in_words
 
 Parameters = Mapping[str, Mapping[str, Any]]
 

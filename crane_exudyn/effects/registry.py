@@ -78,6 +78,17 @@ def split_key(key: str, layout: Layout | None = None) -> tuple[type[Effect], str
     return effect, place
 
 
+def in_words(key: str) -> str:
+    """Return effects as people say them: "internal leakage (lift)" of "internal_leakage@lift", several joined by " +
+    ".
+    """
+    said = []
+    for part in key.split(" + "):
+        name, _, place = part.partition("@")
+        said.append(name.replace("_", " ") + (f" ({place})" if place else ""))
+    return " + ".join(said)
+
+
 def all_keys(layout: Layout) -> list[str]:
     """Return "name@place" of every effect at every place of a machine."""
     return [key for effect in known() for key in effect.keys(layout)]

@@ -24,7 +24,7 @@ from crane_exudyn.effects.registry import events, slots_of, slots_of_events
 from crane_exudyn.layout import Layout
 from crane_exudyn.measurement import SENSING, Measurement
 
-from ..semi_recursive import kernel, sensitivity
+from ..semi_recursive import sensitivity
 from ..workers import single_threaded
 from .data import ACCURACY, Data, FitData, Samples
 from .model import Model, model_of
@@ -282,11 +282,7 @@ def ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
     base: the model of the whole recording: a spool does not begin anew with a window.
     """
     data = window.data
-    W = base.W[window.start : window.start + len(data.time)]
-    X, status, last = base.run(x0, W, data.time, data.step)
-    if status != kernel.OK:
-        X[last + 1 :] = X[last]
-    return X, status
+    return base.whole(x0, base.W[window.start : window.start + len(data.time)], data.time, data.step)
 
 
 def left_in(window: Window, X: np.ndarray, base: Model) -> list[np.ndarray]:

@@ -64,6 +64,13 @@ class Model:
         )
         return X, status, last
 
+    def whole(self, x0: np.ndarray, W: np.ndarray, time: np.ndarray, step: float) -> tuple[np.ndarray, int]:
+        """Return the states and the status of a run that stands still from where it leaves what the crane can do."""
+        X, status, last = self.run(x0, W, time, step)
+        if status != kernel.OK:
+            X[last + 1 :] = X[last]
+        return X, status
+
 
 def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None = None) -> Model:
     """Return the model of a crane driven by the commands of a recording, `late` seconds after their stamps.

@@ -14,7 +14,6 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 
-from ..semi_recursive import kernel
 from .data import Data, FitData
 from .linear import Window, cut, with_states
 from .model import Model, model_of
@@ -160,9 +159,8 @@ def residuals(
         simulate: (x0, time (n,), inputs (n, valves + 2)) -> states (n, nx); by default the semi-recursive engine.
     """
     model = model_of(crane, data, late)
-    X = _states(
-        crane, data, model, np.atleast_2d(np.asarray(starts, dtype=float)), simulate or _simulated(model, data.step)
-    )
+    own = lambda x0, time, W: model.whole(x0, W, time, data.step)[0]  # noqa: E731
+    X = _states(crane, data, model, np.atleast_2d(np.asarray(starts, dtype=float)), simulate or own)
     found = {}
     times = {id(s.index): data.time[s.index] + s.fraction * data.step for s in data.samples}
     for s in data.samples:  # one by one: all of ten minutes would be another hundred megabytes
@@ -181,18 +179,6 @@ def _states(crane: Crane, data: FitData, model: Model, starts: np.ndarray, simul
         X[first : last + 1] = simulate(x0, data.time[first : last + 1], model.W[first : last + 1])
         X[last + 1 :] = X[last]
     return X
-
-
-def _simulated(model: Model, step: float) -> Simulate:
-    """Return the semi-recursive engine's run; where it leaves what the crane can do it stands still."""
-
-    def simulate(x0: np.ndarray, time: np.ndarray, W: np.ndarray) -> np.ndarray:
-        X, status, last = model.run(x0, W, time, step)
-        if status != kernel.OK:
-            X[last + 1 :] = X[last]
-        return np.asarray(X)
-
-    return simulate
 
 
 def rms(parts: dict[str, tuple[np.ndarray, np.ndarray]]) -> float:

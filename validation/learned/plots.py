@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from crane_exudyn.effects.registry import in_words
+
 from ..plots import OTHERS, style
 from ..plots import figure as new_figure
-from ..selection.plots import in_words
 from .laws import curve_at
 from .learned_law import LearnedLaw
 from .resembles import read_in

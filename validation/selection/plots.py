@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from crane_exudyn.effects.registry import in_words
+
 from ..plots import OTHERS, figure, legend_above, style
 
 if TYPE_CHECKING:
@@ -14,17 +16,6 @@ if TYPE_CHECKING:
 
 _PLAIN, _CHOSEN = "#b8c4ce", OTHERS[2].color
 _HATCH = "///"
-
-
-def in_words(key: str) -> str:
-    """Return effects as people say them: "internal leakage (lift)" of "internal_leakage@lift", several joined by " +
-    ".
-    """
-    said = []
-    for part in key.split(" + "):
-        name, _, place = part.partition("@")
-        said.append(name.replace("_", " ") + (f" ({place})" if place else ""))
-    return " + ".join(said)
 
 
 def diagnosis_figure(gains: Mapping[str, float], chosen: str, errors: Mapping[str, Sequence[float]]) -> Figure:
