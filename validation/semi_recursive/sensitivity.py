@@ -245,18 +245,27 @@ def new_moving(topology, nx, m, columns, n_inputs):
 
 
 @njit(cache=False)
-def evaluate(base, v, k, share, t, into, probes):
-    """Fill v.now from its state, and the tangents there, at `share` of the way from sample k to k + 1; those of the
-    probes too, or only Y and G.
-    """
+def stand(base, v, k, share, t):
+    """Fill v.now from its state, at `share` of the way from sample k to k + 1."""
     w = v.inputs[2]
     between(base.W_all[0, k], base.W_all[0, min(k + 1, base.W_all.shape[1] - 1)], share, w)
     begin(v.now, w, t, base.P, base.E, v.sheet)
-    if probes:  # first those for which the mechanics of the base stand
-        take_probes(base, v, k, share, t, False, into)
-    tangents_at(v.now, w, t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
-    if probes:
-        take_probes(base, v, k, share, t, True, into)
+
+
+@njit(cache=False)
+def evaluate_base(base, v, k, share, t, into):
+    """Fill v.now from its state, and Y and G of the tangents there."""
+    stand(base, v, k, share, t)
+    tangents_at(v.now, v.inputs[2], t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
+
+
+@njit(cache=False)
+def evaluate(base, v, k, share, t, into):
+    """Fill v.now from its state, and the tangents there with those of the probes."""
+    stand(base, v, k, share, t)
+    take_probes(base, v, k, share, t, False, into)  # first those for which the mechanics of the base stand
+    tangents_at(v.now, v.inputs[2], t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
+    take_probes(base, v, k, share, t, True, into)
 
 
 @njit(cache=False)
@@ -343,7 +352,7 @@ def advance_sample(base, k, v, work):
         if status == OK:
             done += 0.5**level
             end = done / base.substeps
-            evaluate(base, v, k, end, base.t0 + (k + end) * base.h, v.after, True)
+            evaluate(base, v, k, end, base.t0 + (k + end) * base.h, v.after)
             if not linear_step(base, h, v.before, v.after, v):
                 return NOT_CONVERGED
             copy_tangents(v.after, v.before)
@@ -371,17 +380,18 @@ def advance_two(base, k, v, work, X, S):
     sample) are filled with what is in the middle.
     """
     M, h = S.shape[1], base.h
-    status, _ = step_part(base, k, 0.0, 0, v, work)
+    whole = k - k  # level 0: a literal would have step_part, and all that it calls, compiled once more
+    status, _ = step_part(base, k, 0.0, whole, v, work)
     if status != OK:
         halve_next(work)
         return 0, OK
     between_samples = base.t0 + (k + 1) * h
     X[:] = v.now.x
-    evaluate(base, v, k + 1, 0.0, between_samples, v.middle, False)
-    status, _ = step_part(base, k + 1, 0.0, 0, v, work)
+    evaluate_base(base, v, k + 1, 0.0, between_samples, v.middle)
+    status, _ = step_part(base, k + 1, 0.0, whole, v, work)
     both = status == OK
     if both:
-        evaluate(base, v, k + 1, 1.0, between_samples + h, v.after, True)
+        evaluate(base, v, k + 1, 1.0, between_samples + h, v.after)
         for j in range(base.delta.size):
             for i in range(v.now.x.size):
                 v.middle.b[i, j] = 0.5 * (v.before.b[i, j] + v.after.b[i, j])
@@ -389,7 +399,7 @@ def advance_two(base, k, v, work, X, S):
                 v.middle.c[i, j] = 0.5 * (v.before.c[i, j] + v.after.c[i, j])
     else:
         halve_next(work)
-        evaluate(base, v, k + 1, 0.0, between_samples, v.middle, True)
+        evaluate(base, v, k + 1, 0.0, between_samples, v.middle)
     if not linear_step(base, h, v.before, v.middle, v):
         return 1, NOT_CONVERGED
     S[:] = v.S[:, :M]
@@ -410,7 +420,7 @@ def begin_window(base, k, start, v, work):
     v.now.x[:] = start
     v.S[:] = 0.0
     set_identity(v.S, 0)
-    evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before, True)
+    evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before)
     work.made[:] = 0.0
     forget(work)
 
