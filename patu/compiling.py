@@ -83,7 +83,7 @@ def _sides(parts: tuple[Part, ...]) -> list[tuple[Part, ...]]:
     """
     fitted: tuple[Part, ...] = ("semi-recursive", "fit") if "exudyn" in parts else ("semi-recursive", "filter", "fit")
     rest = tuple(p for p in fitted if p in parts)
-    other = tuple(p for p in ("exudyn", "filter", "check") if p in parts and p not in fitted)
+    other = tuple(p for p in ("check", "exudyn", "filter") if p in parts and p not in fitted)
     return [side for side in (rest, other) if side]
 
 
