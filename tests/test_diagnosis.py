@@ -114,7 +114,12 @@ def path(
     """Return a path that weighed these models, best first."""
     asked = {"fewest": parameters, "left_out": {}, "problem": None, "bare": max(given.evidence, parameters.evidence)}
     return SimpleNamespace(
-        given=given, parameters=parameters, weighed=weighed, best=weighed[0] if weighed else None, **asked | more
+        given=given,
+        parameters=parameters,
+        weighed=weighed,
+        done=weighed,
+        best=weighed[0] if weighed else None,
+        **asked | more,
     )
 
 

@@ -22,7 +22,7 @@ from crane_exudyn.recording import Recording
 from .fit.solve import Fit
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
-from .selection.model import Fitted, misled, together
+from .selection.model import Fitted, best_of_each, misled, together
 from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .selection.white import WHITE, WhitePath
@@ -285,7 +285,8 @@ def _candidates(path: WhitePath, verdict: Verdict, lean: Fitted) -> tuple[Candid
     """Return all that was weighed, best first, by the evidence of fits to the same point; what was chosen with its
     fewest moved parameters.
     """
-    everything = sorted([path.parameters, *path.weighed], key=lambda w: -w.evidence)
+    named = [w for w in (verdict.chosen, *verdict.ties) if w.keys]
+    everything = best_of_each([path.parameters, *path.weighed, *named])
     weights = np.exp(np.clip([w.evidence - everything[0].evidence for w in everything], -700, 0))
     shown = {verdict.chosen.keys: lean, (): path.fewest}
     pairs = zip(everything, weights / weights.sum(), strict=True)

@@ -15,7 +15,7 @@ from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
 from .diagnosis import looked_at
-from .fit.staged import STIFF
+from .fit.staged import STIFF, TIGHT
 from .history import added
 from .learned.fits import curve, laws_of, spread, told
 from .learned.laws import Law, unit_over
@@ -26,7 +26,8 @@ from .learned.screen import Found
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.model import Fitted, fitted, misled, run_error, together
-from .selection.search import Problem, Progress, search, silent
+from .selection.moves import starts
+from .selection.search import Move, Problem, Progress, search, silent
 from .workers import in_parallel
 
 
@@ -150,6 +151,26 @@ def _along_forms(problem: Problem, best: Fitted) -> Fitted:
     return best
 
 
+def _by_name(problem: Problem, best: Fitted) -> Fitted:
+    """Return the model with effects of the library in place of laws that resemble theirs, where these do as well: the
+    screen may not have offered them.
+    """
+    for key in laws_of(best):
+        named = _form(problem, best, key).library
+        if not named or problem.crane.effect(named) is not None:
+            continue
+        rest = {k: values for k, values in best.effects.items() if k != key}
+        curves = {k: c for k, c in best.as_found.curves.items() if k != key}
+        models = [
+            replace(best.model, effects={**rest, named: start.values}, curves=curves)
+            for start in starts(problem.crane, problem.data) if start.key == named
+        ]  # fmt: skip
+        tried = problem.run([Move(model, best.fit) for model in models], (TIGHT, STIFF))
+        if tried and tried[0].evidence > best.evidence - CRITERIA.proof:
+            best = tried[0]
+    return best
+
+
 def _with_curves(problem: Problem, best: Fitted, curves: Mapping[str, Found]) -> Fitted:
     """Return the model fitted again with other curves for its laws."""
     kept = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in curves]
@@ -164,13 +185,14 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
     problem, nothing, best = path.problem, path.parameters, path.best
     given = Learned(problem.data.name, problem.crane, problem.crane)
     unchanged = _with_errors(given, nothing, problem, check)
-    if not best.model.curves:
-        if best.keys:
-            notes.append(f"effects of the library do as well: {', '.join(best.keys)}. Go on with `patu diagnose`")
+    formed = _by_name(problem, _along_forms(problem, _refined(problem, best))) if best.model.curves else best
+    if not formed.model.curves:
+        if formed.keys:
+            notes.append(f"effects of the library do as well: {', '.join(formed.keys)}. Go on with `patu diagnose`")
         elif best.good and unchanged.error_before > CRITERIA.level:
             notes.append("nominal parameters within their uncertainty explain it. Go on with `patu diagnose`")
         return replace(unchanged, notes=tuple(notes))
-    lean = leaner(problem.crane, problem.data, _along_forms(problem, _refined(problem, best)))
+    lean = leaner(problem.crane, problem.data, formed)
     evidence, laws = lean.evidence - nothing.evidence, laws_of(lean)
     found = lean.fit.crane
     for key, f in laws.items():

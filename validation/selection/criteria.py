@@ -33,7 +33,7 @@ class Criteria:
     proof: float = 12.0  # log evidence over the best model with fewer effects: 1 in 150 000 by chance
     tie: float = 6.0  # log evidence within which two models are not told apart: 400 to 1
     shown: float = 18.0  # and within which a candidate's open-loop errors are computed: three times that
-    promise: float = 1.0  # fall of the cost that the screen must expect where much is left, `proof` where little is
+    promise: float = 1.0  # fall of the cost that the screen must expect where much is left, a `tie` where little is
     # share of the excess squared error that a further effect may leave: many make good a little of a nearly right law
     left: float = 0.5
     repaired: float = 0.8  # what leaves something explains all the same if it repairs this share of the windows

@@ -37,13 +37,16 @@ def verdict_of(path: WhitePath) -> Verdict:
     enough = path.given.good or moved.good
     proven = best is not None and best.evidence > path.bare + CRITERIA.proof
     if enough and not (proven and best is not None and not within_clocks(path.problem, best)):
-        at_once = _at_once(path) if path.fewest.beyond_uncertainty else None
+        at_once = _at_once(path, path.fewest, moved.evidence)
         if at_once is not None:
             return Verdict("tied", at_once, (path.fewest,), _bounds(at_once))
         adequate = path.given.good and moved.evidence < path.given.evidence + CRITERIA.proof
         return Verdict("adequate", path.given) if adequate else Verdict("parameters", path.fewest)
     if best is None or not explains(path, best):
         return Verdict("unknown", path.given)
+    at_once = _at_once(path, best, best.evidence)
+    if at_once is not None:
+        return Verdict("tied", at_once, (best,), _bounds(at_once))
     ties = tuple(
         w for w in path.weighed[1:]
         if w.evidence > best.evidence - CRITERIA.tie and len(w.keys) <= len(best.keys)
@@ -72,10 +75,15 @@ def _predicts(path: WhitePath, w: Fitted) -> bool:
     return after < CRITERIA.left_level and excess(after) < CRITERIA.left_of_rest * excess(before)
 
 
-def _at_once(path: WhitePath) -> Fitted | None:
-    """Return the best effect that explains at once what parameters explain only by several far moves."""
-    single = (w for w in path.weighed if len(w.keys) == 1 and w.good and len(w.far) < CRITERIA.several)
-    return next((w for w in single if not w.inactive and w.evidence > path.parameters.evidence - CRITERIA.tie), None)
+def _at_once(path: WhitePath, w: Fitted, evidence: float) -> Fitted | None:
+    """Return the best model with one effect more that explains at once what parameters explain beside those of another
+    only by several far moves; None where they need no such moves.
+    """
+    if not w.beyond_uncertainty:
+        return None
+    more = (v for v in path.done if len(v.keys) == len(w.keys) + 1 and set(w.keys) <= set(v.keys) and v.good)
+    able = (v for v in more if len(v.far) < CRITERIA.several and not v.inactive)
+    return next((v for v in able if v.evidence > evidence - CRITERIA.tie), None)
 
 
 def _bounds(w: Fitted) -> tuple[str, ...]:

@@ -151,7 +151,7 @@ def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
     for parent in beam:
         fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
         most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
-        least = CRITERIA.proof if near else CRITERIA.promise
+        least = CRITERIA.tie if near else CRITERIA.promise
         scores = screened(fit, stiffness)
         offered = likely(best_starts(scores) if near else scores, most, least)
         variables = parent.model.variables if near else path.problem.shared
