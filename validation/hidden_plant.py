@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import registry
 from crane_exudyn.engine import ExudynEngine
+from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath, play
 from crane_exudyn.statics import visible
 
@@ -217,10 +219,6 @@ def _quadratic_line(crane: Crane, name: str, sign: float, which: int, drop: floa
     return law
 
 
-def _log(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(rng.uniform(*np.log([low, high]))))
-
-
 @dataclass(frozen=True)
 class Hidden:
     """A law for the study of learning: what acts, and what is to be found: effect with place, argument, and the curve
@@ -242,96 +240,140 @@ class Hidden:
         return {"effect": self.effect, "over": self.over, "x": x.tolist(), "y": self.curve(x).tolist()}
 
 
+@dataclass(frozen=True)
+class _Draw:
+    """Where a law is hidden, and what its numbers are drawn with: a cylinder and the joint that it moves; `visited`
+    are "s1", "s2", "z1", "z4" along the manoeuvre.
+    """
+
+    crane: Crane
+    rng: np.random.Generator
+    visited: Mapping[str, np.ndarray]
+    cylinder: int
+
+    @property
+    def place(self) -> str:
+        """The cylinder's name."""
+        return self.crane.layout.cylinders[self.cylinder]
+
+    @property
+    def joint(self) -> str:
+        """The joint's name."""
+        return self.crane.layout.joints[self.cylinder]
+
+    def log(self, low: float, high: float) -> float:
+        """Return a number whose logarithm is equally likely everywhere."""
+        return float(np.exp(self.rng.uniform(*np.log([low, high]))))
+
+
+def _draw_scored_bore(d: _Draw) -> Hidden:
+    seen = d.visited[f"s{d.cylinder + 1}"]
+    low, high = np.quantile(seen, [0.15, 0.85])
+    told: dict[str, Any] = {"cylinder": d.cylinder, "force": d.log(3000.0, 20000.0)}
+    told |= {"middle": float(d.rng.uniform(low, high))}
+    told |= {"width": float(d.rng.uniform(0.08, 0.25) * max(high - low, 0.05))}
+    bump = lambda x: told["force"] * np.exp(-(((x - told["middle"]) / told["width"]) ** 2))  # noqa: E731
+    return Hidden(scored_bore(d.crane, **told), f"learned_force@{d.place}", "stroke", bump, told)
+
+
+def _draw_hunting_pump(d: _Draw) -> Hidden:
+    told = {
+        "share": d.rng.uniform(0.04, 0.2),
+        "frequency": d.rng.uniform(0.25, 2.0),
+        "phase": d.rng.uniform(0.0, 2.0 * math.pi),
+    }
+    return Hidden(hunting_pump(d.crane, **told), "", "", None, told)
+
+
+def _draw_progressive_spool(d: _Draw) -> Hidden:
+    n = float(d.rng.uniform(1.2, 1.8))
+    law = _progressive_spool(d.crane, d.cylinder, d.place, n)
+    power = lambda x: np.sign(x) * np.abs(x) ** n  # noqa: E731
+    return Hidden(law, f"learned_opening@{d.place}", "spool", power, {"exponent": n})
+
+
+def _draw_choked_valve(d: _Draw) -> Hidden:
+    share, drop = float(d.rng.uniform(0.3, 0.7)), float(d.rng.uniform(20e5, 60e5))
+    law = _choked_valve(d.crane, d.cylinder, d.place, share, drop)
+    factor = lambda x: 1.0 - share * x * x / (x * x + drop * drop)  # noqa: E731
+    return Hidden(law, f"learned_opening@{d.place}", "pressure_drop", factor, {"share": share, "drop": drop})
+
+
+def _draw_quadratic_drag(d: _Draw) -> Hidden:
+    drag = d.log(3e4, 3e5)
+    law = _quadratic_drag(d.crane, d.cylinder, d.place, drag)
+    return Hidden(law, f"learned_force@{d.place}", "speed", lambda x: drag * x * x, {"drag": drag})
+
+
+def _draw_root_friction(d: _Draw) -> Hidden:
+    force = d.log(1500.0, 8000.0)
+    law = _root_friction(d.crane, d.cylinder, d.place, force)
+    return Hidden(
+        law, f"learned_force@{d.place}", "pressure_drop", lambda x: force * np.sqrt(x / 50e5), {"force": force}
+    )
+
+
+def _draw_orifice_leak(d: _Draw) -> Hidden:
+    flow = d.log(1e-5, 1e-4)
+    law = _orifice_leak(d.crane, d.cylinder, flow)
+    return Hidden(
+        law, f"learned_leakage@{d.place}", "pressure_drop", lambda x: flow * np.sqrt(x / 50e5), {"flow": flow}
+    )
+
+
+def _draw_early_relief(d: _Draw) -> Hidden:
+    chamber, flow, opens = d.crane.layout.loaded[d.cylinder], d.log(1e-5, 1e-4), float(d.rng.uniform(25e5, 45e5))
+    ramp = lambda x: flow * np.maximum(x - opens, 0.0) / 20e5  # noqa: E731
+    told = {"opens": opens, "flow": flow}
+    return Hidden(_early_relief(d.crane, chamber, opens, flow), f"learned_flow@{chamber}", "pressure", ramp, told)
+
+
+def _draw_hose_spring(d: _Draw) -> Hidden:
+    middle, torque = float(np.median(d.visited[d.crane.layout.coordinates[d.cylinder]])), d.log(300.0, 3000.0)
+    law = _hose_spring(d.crane, d.cylinder, d.joint, torque, middle)
+    spring = lambda x: -0.5 * torque * ((x - middle) / 0.5 + ((x - middle) / 0.5) ** 3)  # noqa: E731
+    return Hidden(law, f"learned_torque@{d.joint}", "angle", spring, {"torque": torque})
+
+
+def _draw_churning_joint(d: _Draw) -> Hidden:
+    torque = d.log(300.0, 3000.0)
+    law = _churning_joint(d.crane, d.cylinder, d.joint, torque)
+    return Hidden(law, f"learned_torque@{d.joint}", "rate", lambda x: torque * x * x / 0.09, {"torque": torque})
+
+
+def _draw_thin_line(d: _Draw, pump: bool) -> Hidden:
+    drop = d.log(3e5, 30e5)
+    supply, sign, which = ("supply.pump_pressure", -1.0, 2) if pump else ("supply.tank_pressure", 1.0, 3)
+    law = _quadratic_line(d.crane, supply, sign, which, drop)
+    effect = "learned_supply" if pump else "learned_return"
+    return Hidden(law, effect, "flow", lambda x: drop * (x / (40.0 / 60e3)) ** 2, {"drop": drop})
+
+
+#: the laws of the study of learning, each with how it is drawn; none of them is in an effect file
+LEARNABLE: Mapping[str, Callable[[_Draw], Hidden]] = {
+    "scored_bore": _draw_scored_bore,
+    "hunting_pump": _draw_hunting_pump,
+    "progressive_spool": _draw_progressive_spool,
+    "choked_valve": _draw_choked_valve,
+    "quadratic_drag": _draw_quadratic_drag,
+    "root_friction": _draw_root_friction,
+    "orifice_leak": _draw_orifice_leak,
+    "early_relief": _draw_early_relief,
+    "hose_spring": _draw_hose_spring,
+    "churning_joint": _draw_churning_joint,
+    "thin_supply_line": partial(_draw_thin_line, pump=True),
+    "thin_return_line": partial(_draw_thin_line, pump=False),
+}
+
+
 def draw_law(name: str, crane: Crane, rng: np.random.Generator, visited: Mapping[str, np.ndarray]) -> Hidden:
     """Return a law of LEARNABLE with random severity at a random place; `visited` are "s1", "s2", "z1", "z4" along the
     manoeuvre.
     """
-    c = int(rng.integers(2)) if name != "hunting_pump" else 0
-    place, joint = crane.layout.cylinders[c], crane.layout.joints[c]
-    told: dict[str, Any]
-    match name:
-        case "scored_bore":
-            seen = visited[f"s{c + 1}"]
-            low, high = np.quantile(seen, [0.15, 0.85])
-            told = {"cylinder": c, "force": _log(rng, 3000.0, 20000.0), "middle": float(rng.uniform(low, high))}
-            told |= {"width": float(rng.uniform(0.08, 0.25) * max(high - low, 0.05))}
-            bump = lambda x: told["force"] * np.exp(-(((x - told["middle"]) / told["width"]) ** 2))  # noqa: E731
-            return Hidden(scored_bore(crane, **told), f"learned_force@{place}", "stroke", bump, told)
-        case "hunting_pump":
-            told = {
-                "share": rng.uniform(0.04, 0.2),
-                "frequency": rng.uniform(0.25, 2.0),
-                "phase": rng.uniform(0.0, 2.0 * math.pi),
-            }
-            return Hidden(hunting_pump(crane, **told), "", "", None, told)
-        case "progressive_spool":
-            n = float(rng.uniform(1.2, 1.8))
-            power = lambda x: np.sign(x) * np.abs(x) ** n  # noqa: E731
-            return Hidden(
-                _progressive_spool(crane, c, place, n), f"learned_opening@{place}", "spool", power, {"exponent": n}
-            )
-        case "choked_valve":
-            share, drop = float(rng.uniform(0.3, 0.7)), float(rng.uniform(20e5, 60e5))
-            factor = lambda x: 1.0 - share * x * x / (x * x + drop * drop)  # noqa: E731
-            told = {"share": share, "drop": drop}
-            return Hidden(
-                _choked_valve(crane, c, place, share, drop), f"learned_opening@{place}", "pressure_drop", factor, told
-            )
-        case "quadratic_drag":
-            d = _log(rng, 3e4, 3e5)
-            return Hidden(
-                _quadratic_drag(crane, c, place, d), f"learned_force@{place}", "speed", lambda x: d * x * x, {"drag": d}
-            )
-        case "root_friction":
-            f = _log(rng, 1500.0, 8000.0)
-            root = lambda x: f * np.sqrt(x / 50e5)  # noqa: E731
-            return Hidden(
-                _root_friction(crane, c, place, f), f"learned_force@{place}", "pressure_drop", root, {"force": f}
-            )
-        case "orifice_leak":
-            q = _log(rng, 1e-5, 1e-4)
-            root = lambda x: q * np.sqrt(x / 50e5)  # noqa: E731
-            return Hidden(_orifice_leak(crane, c, q), f"learned_leakage@{place}", "pressure_drop", root, {"flow": q})
-        case "early_relief":
-            chamber, q, p0 = crane.layout.loaded[c], _log(rng, 1e-5, 1e-4), float(rng.uniform(25e5, 45e5))
-            ramp = lambda x: q * np.maximum(x - p0, 0.0) / 20e5  # noqa: E731
-            return Hidden(
-                _early_relief(crane, chamber, p0, q),
-                f"learned_flow@{chamber}",
-                "pressure",
-                ramp,
-                {"opens": p0, "flow": q},
-            )
-        case "hose_spring":
-            middle, t = float(np.median(visited[crane.layout.coordinates[c]])), _log(rng, 300.0, 3000.0)
-            spring = lambda x: -0.5 * t * ((x - middle) / 0.5 + ((x - middle) / 0.5) ** 3)  # noqa: E731
-            return Hidden(
-                _hose_spring(crane, c, joint, t, middle), f"learned_torque@{joint}", "angle", spring, {"torque": t}
-            )
-        case "churning_joint":
-            t = _log(rng, 300.0, 3000.0)
-            return Hidden(
-                _churning_joint(crane, c, joint, t),
-                f"learned_torque@{joint}",
-                "rate",
-                lambda x: t * x * x / 0.09,
-                {"torque": t},
-            )
-        case "thin_supply_line" | "thin_return_line":
-            pump, drop = name == "thin_supply_line", _log(rng, 3e5, 30e5)
-            supply, sign, which = ("supply.pump_pressure", -1.0, 2) if pump else ("supply.tank_pressure", 1.0, 3)
-            square = lambda x: drop * (x / (40.0 / 60e3)) ** 2  # noqa: E731
-            effect = "learned_supply" if pump else "learned_return"
-            return Hidden(_quadratic_line(crane, supply, sign, which, drop), effect, "flow", square, {"drop": drop})
-    raise ValueError(name)
-
-
-#: the laws of the study of learning; none of them is in an effect file
-LEARNABLE = (
-    "scored_bore", "hunting_pump", "progressive_spool", "choked_valve", "quadratic_drag", "root_friction",
-    "orifice_leak", "early_relief",
-    "hose_spring", "churning_joint", "thin_supply_line", "thin_return_line",
-)  # fmt: skip
+    if name not in LEARNABLE:
+        raise CraneError(f"There is no law {name!r} to hide. There are {', '.join(LEARNABLE)}.")
+    cylinder = int(rng.integers(2)) if name != "hunting_pump" else 0  # the pump has no place
+    return LEARNABLE[name](_Draw(crane, rng, visited, cylinder))
 
 
 # -- the library's effects in a dialect ------------------------------------------------------------------------------

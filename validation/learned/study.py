@@ -36,8 +36,8 @@ def planned(seed: int) -> dict[str, Any]:
     """Return the arguments of `make_case` for a seed: the laws in turn, every fifth machine without one."""
     if seed % 5 == 4:
         return dict(_WITHOUT[seed // 5 % len(_WITHOUT)])
-    turn = seed - seed // 5
-    return {"kind": "unknown", "keys": [LEARNABLE[turn % len(LEARNABLE)]], "visible": (5.0, math.inf)}
+    names, turn = list(LEARNABLE), seed - seed // 5
+    return {"kind": "unknown", "keys": [names[turn % len(names)]], "visible": (5.0, math.inf)}
 
 
 def judge(answer: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
