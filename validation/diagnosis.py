@@ -151,10 +151,10 @@ def sentence(d: Diagnosis) -> str:
         return d.notes[0].removesuffix("?")
     if d.verdict == "unknown":
         return f"something is missing that no known effect explains (error {d.error_before:.3g} noise units)"
-    names = " and ".join(d.effects)
+    missing = f"{' and '.join(d.effects)} {'is' if len(d.effects) == 1 else 'are'} missing"
     if d.verdict == "tied":
-        return f"{names} is missing, or {', or '.join(d.tied_with)}: this recording cannot tell ({fall})"
-    return f"{names} is missing ({fall})"
+        return f"{missing}, or {', or '.join(d.tied_with)}: this recording cannot tell ({fall})"
+    return f"{missing} ({fall})"
 
 
 def own_values(entry: Mapping[str, Any]) -> str:

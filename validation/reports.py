@@ -200,7 +200,7 @@ def verdict(d: Diagnosis) -> str:
     chosen = next((c for c in d.candidates if c.effects == d.effects), None)
     named = " and ".join(_with_size(e, chosen.parameters if chosen else {}) for e in d.effects)
     keys = ", ".join(f"`{e}`" for e in d.effects)
-    text = f"{named} is missing ({keys})"
+    text = f"{named} {'is' if len(d.effects) == 1 else 'are'} missing ({keys})"
     if d.verdict == "tied":
         text += f", or {' or '.join(in_words(e) for e in d.tied_with)}: this recording cannot tell"
     check = f", of the check recording from {d.check_error_before:.3g} to {d.check_error_after:.3g}"
