@@ -77,11 +77,12 @@ class Misfit(NamedTuple):
 
     Attributes:
         off: 0 where both sides agree or nothing is to be seen, 1 where one side knows nothing of the other, up to 2.
-        told: whether its sides are well above their noise.
+        told: whether its sides are well above their noise; seen: whether there is any stretch on which it holds.
     """
 
     off: float
     told: bool = True
+    seen: bool = True
 
 
 #: by (kind, what it is of)
@@ -500,7 +501,7 @@ def _proportional(left: np.ndarray, right: np.ndarray, noise: float) -> Misfit:
     gain = float(np.clip(across / other, 1.0 / _GAIN, _GAIN)) if other > 0.0 else 1.0
     size, blur = own + gain**2 * other, len(left) * noise**2
     if size <= 0.0:
-        return Misfit(0.0, False)
+        return Misfit(0.0, False, len(left) > 0)
     off = max(own - 2.0 * gain * across + gain**2 * other - blur, 0.0) / size
     clear = size / (size + _CLEAR**2 * blur)
     return Misfit(off * clear, clear > 0.5)

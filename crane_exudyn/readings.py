@@ -67,14 +67,16 @@ class Weighed:
         """Whether the balances that are better under it close, as they do on a worn machine; more than one of them for
         values made smaller.
         """
-        better = [k for k, m in self.before.items() if k in self.after and _ratio(k, m, self.after[k]) > _MOVED]
+        kind = self.reading.kind
+        better = [k for k, m in self.before.items() if k in self.after and _counted(kind, k, m, self.after[k]) > _MOVED]
         enough = 2 if any(abs(s.factor) < 1.0 for s in self.reading.made.values()) else 1
         return len(better) >= enough and all(self.after[k].off <= CLOSES[k[0]] for k in better)
 
     @property
     def best(self) -> tuple[tuple[str, str], float, float]:
         """Return the balance that gains most, its misfit before and after."""
-        key = max(set(self.before) & set(self.after), key=lambda k: _ratio(k, self.before[k], self.after[k]))
+        kind, both = self.reading.kind, set(self.before) & set(self.after)
+        key = max(both, key=lambda k: _counted(kind, k, self.before[k], self.after[k]))
         return key, self.before[key].off, self.after[key].off
 
 
@@ -208,12 +210,16 @@ def _within(poses: Misfits, before: Misfits) -> bool:
 
 
 def _gain(kind: Kind, before: Misfits, after: Misfits) -> float:
-    """Return by how much better balances close. Values that another unit makes small enough vanish in the noise, which
-    closes nothing.
+    """Return by how much better balances close."""
+    return sum(_counted(kind, k, m, after[k]) for k, m in before.items() if k in after) - FAR_FETCHED[kind]
+
+
+def _counted(kind: Kind, key: tuple[str, str], before: Misfit, after: Misfit) -> float:
+    """Return by how much better a balance closes. One that holds nowhere any more (a chamber said to be empty has no
+    oil shut in), and values that another unit makes small enough to vanish in the noise, close nothing.
     """
-    ratios = {k: _ratio(k, m, after[k]) for k, m in before.items() if k in after}
-    counted = (r if after[k].told or kind != "scale" else min(r, 0.0) for k, r in ratios.items())
-    return sum(counted) - FAR_FETCHED[kind]
+    ratio = _ratio(key, before, after)
+    return ratio if after.seen and (after.told or kind != "scale") else min(ratio, 0.0)
 
 
 def mistaken(machine: Figures, grid: Grid, least: float) -> tuple[list[list[Weighed]], Grid]:

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 from crane_exudyn.channels import Channel
+from crane_exudyn.consistency import Misfit
 from crane_exudyn.crane import Crane
 from crane_exudyn.mapping import load_map
+from crane_exudyn.readings import Reading, Source, Weighed
 from crane_exudyn.recording import Recording
 from crane_exudyn.vetting import Finding, mended_columns, vet
 from patu.reading import load_checked
@@ -172,3 +174,11 @@ def test_samples_are_what_they_say(patu: Callable[..., SimpleNamespace], tmp_pat
     assert logged["p1"].values == pytest.approx(Recording.load(tmp_path / "clean.csv")["p1"].values)
     found: list[Finding] = vet(Recording.load(tmp_path / "mistaken.csv"), CRANE)
     assert {f.kind for f in found if f.severity == "error"} == {"sign", "swapped"}
+
+
+def test_a_balance_that_holds_nowhere_any_more_does_not_close():
+    """A pressure that is read from a nearly empty chamber shuts no oil in: nothing speaks against that, nor for it."""
+    reading = Reading("swapped", ("p2", "p3"), "exchanged", {"p2": Source("p3"), "p3": Source("p2")})
+    before = {("trapped", "p3"): Misfit(0.97)}
+    for after, closes in ((Misfit(0.0, told=False, seen=False), False), (Misfit(0.0, told=False), True)):
+        assert Weighed(reading, 1.0, before, {("trapped", "p3"): after}).closes == closes
