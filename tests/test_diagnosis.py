@@ -1,6 +1,7 @@
 """The diagnosis on recordings of an independent simulation, whose answers are open; and its refusals."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import pytest
 from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.channels import Channel
 from validation import hidden
-from validation.diagnosis import Diagnosis, diagnose, held_to_check, sentence
+from validation.diagnosis import Diagnosis, diagnose, held_to_runs, sentence
 from validation.fit.data import FitData
 from validation.fitness import check_check
 from validation.selection.moves import Start, around, starts
@@ -268,13 +269,22 @@ def concluded(verdict: str, before: float, after: float) -> Diagnosis:
 )
 def test_what_does_not_predict_the_check_recording_is_said_first_and_is_no_plain_verdict(verdict, before, after, plain):
     given = concluded(verdict, before, after)
-    found = held_to_check(given)
+    found = held_to_runs(given)
     if plain:
         assert found is given
         return
     assert found.verdict == "unknown" and not found.effects and found.crane is given.given
     assert "does not predict the check recording" in found.notes[0] and found.notes[1:] == ("a note",)
     assert "does not predict the check recording" in sentence(found)
+
+
+@pytest.mark.parametrize("verdict", ["effect", "parameters", "adequate"])
+def test_what_leaves_much_in_one_run_is_no_explanation_though_short_windows_forgive_it(verdict):
+    given = replace(concluded(verdict, 60.0, 6.0), error_before=50.0, error_after=2.7)
+    found = held_to_runs(given)
+    assert found.verdict == "unknown" and not found.effects and not found.parameters and not found.misses_check
+    assert found.error_after == 50.0 and "leaves 2.7 times the noise in one run" in found.notes[0]
+    assert held_to_runs(replace(given, error_after=1.3)).verdict == verdict
 
 
 def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):

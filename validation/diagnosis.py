@@ -241,27 +241,32 @@ def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] 
         next_manoeuvre=problem.telling(lean.fit.crane, verdict.ties[0].fit.crane) if verdict.ties else "",
         notes=(*verdict.notes, *notes), late=lean.fit.late,
     )  # fmt: skip
-    if verdict.kind == "unknown":
+    result = held_to_runs(_with_errors(result, path, check))
+    if result.verdict == "unknown" and not result.misses_check:
         result = replace(result, where=_where(problem) or left_over(path.best or path.parameters))
-    return held_to_check(_with_errors(result, path, check))
+    return result
 
 
-def held_to_check(d: Diagnosis) -> Diagnosis:
-    """Return the diagnosis; "unknown", if what explains the recording leaves most of what is wrong on the check
-    recording.
+def held_to_runs(d: Diagnosis) -> Diagnosis:
+    """Return the diagnosis; "unknown", if what explains short windows leaves much of the recording in one run, or most
+    of what is wrong on the check recording.
 
     Then the candidates stay, but none of them is what the machine lacks, or the check recording is of another machine.
     """
     after, before = d.check_error_after, d.check_error_before
-    if d.verdict == "unknown" or not misled(before, after):
+    drifts = d.error_after > CRITERIA.misled
+    if d.verdict == "unknown" or not (drifts or misled(before, after)):
         return d
     found = " and ".join(d.effects) or "the model" + " with moved parameters" * (d.verdict == "parameters")
     note = (
-        f"{found} explains the recording, but does not predict the check recording (error {before:.3g} -> {after:.3g} "
-        "noise units). Is it of the same machine, with the same load and the same units?"
+        f"{found} explains short stretches of the recording, but leaves {d.error_after:.3g} times the noise in one run"
+        if drifts
+        else f"{found} explains the recording, but does not predict the check recording (error {before:.3g} -> "
+        f"{after:.3g} noise units). Is it of the same machine, with the same load and the same units?"
     )
     return replace(
-        d, verdict="unknown", crane=d.given, effects=(), tied_with=(), next_manoeuvre="", misses_check=True,
+        d, verdict="unknown", crane=d.given, parameters={}, effects=(), tied_with=(), next_manoeuvre="",
+        misses_check=not drifts,
         notes=(note, *d.notes),
         error_after=d.error_before, check_error_after=before,
     )  # fmt: skip
