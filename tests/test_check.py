@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from crane_exudyn.channels import Channel
-from crane_exudyn.consistency import Misfit
+from crane_exudyn.consistency import Figures, Grid, Misfit, motions
 from crane_exudyn.crane import Crane
 from crane_exudyn.mapping import load_map
 from crane_exudyn.readings import Reading, Source, Weighed
 from crane_exudyn.recording import Recording
+from crane_exudyn.simulation import simulate
 from crane_exudyn.vetting import Finding, mended_columns, vet
 from patu.reading import load_checked
 from validation.loggers import Mistake, mistakes
@@ -182,3 +183,17 @@ def test_a_balance_that_holds_nowhere_any_more_does_not_close():
     before = {("trapped", "p3"): Misfit(0.97)}
     for after, closes in ((Misfit(0.0, told=False, seen=False), False), (Misfit(0.0, told=False), True)):
         assert Weighed(reading, 1.0, before, {("trapped", "p3"): after}).closes == closes
+
+
+def test_flows_are_those_of_the_valve_that_the_crane_file_describes(tmp_path: Path) -> None:
+    """Behind a compensator of 2 bar an orifice six times as large lets through what a usual one does."""
+    crane = Crane.load("patu655")
+    wide = crane.with_parameters({"valves.lift.flow_coefficient": 6.0 * crane["valves.lift.flow_coefficient"]})
+    held = wide.with_effect("pressure_compensation@lift", {"dpc": 2e5})
+    time = np.arange(0.0, 6.0, 0.01)
+    opened = np.where((time > 1.0) & (time < 4.0), 0.25, 0.0)
+    driven = Recording("lift", {"u1": Channel(time, opened), "u2": Channel(time, np.zeros_like(time))})
+    simulate(held, driven).save(tmp_path / "run.csv")
+    shown = Recording.load(tmp_path / "run.csv")
+    off = [motions(Figures(c), Grid.of(shown, c))["flow", "p1"].off for c in (held, wide)]
+    assert off[0] < 0.01 < 0.2 < off[1]
