@@ -17,9 +17,9 @@ import numpy as np
 
 from .crane import Crane
 from .description import Uncertainty
-from .effects import registry
 from .errors import CraneError
 from .geometry import cylinder_lengths
+from .hydraulics import supply_drops
 from .inputs import SpoolPath
 from .recording import Recording
 from .signals import noise_std, sampling_rate
@@ -146,7 +146,7 @@ class Figures:
     """What is known of a crane without a recording of it; lengths and forces of poses are computed once."""
 
     def __init__(self, crane: Crane) -> None:
-        self.crane, self.layout = crane, crane.layout
+        self.crane, self.layout, self.effects = crane, crane.layout, crane.effect_vector()
         self.cylinders = {
             c: {
                 w: crane[f"cylinders.{c}.{w}"]
@@ -365,21 +365,8 @@ def _valve(machine: Figures, ch: Channels, c: int, side: int, spool: np.ndarray)
     )
     filling, word, valve = (spool > 0.0) == (side == 0), ("piston", "rod")[side], f"valves.{lay.cylinders[c]}"
     edge = np.where(filling, crane[f"{valve}.edges.pump_to_{word}"], crane[f"{valve}.edges.{word}_to_tank"])
-    drop = np.where(filling, _held_drop(crane, c, pump - p), tank - p)
+    drop = np.where(filling, supply_drops(machine.effects, c, pump - p), tank - p)
     return np.asarray(crane[f"{valve}.flow_coefficient"] * edge * np.abs(spool) * np.sign(drop) * np.sqrt(np.abs(drop)))
-
-
-def _held_drop(crane: Crane, c: int, drop: np.ndarray) -> np.ndarray:
-    """Return what effects of the crane, say a compensator, leave of the pressure drops (N,) at a valve's pump edge."""
-    lay = crane.layout
-    for acting in (e for e in crane.effects if e.place == lay.cylinders[c]):
-        effect = registry.find(acting.name)
-        hook = effect.hooks().get("supply_drop")
-        if hook is not None:
-            of_curve = crane.effect_vector(), registry.slot(acting.name, acting.place, lay)
-            given = [acting.parameters[p.name] for p in effect.parameters] if effect.curve is None else of_curve
-            drop = np.array([hook(*given, float(dp)) for dp in drop])
-    return drop
 
 
 def _noise_of_length(machine: Figures, grid: Grid, c: int, length: np.ndarray) -> float:

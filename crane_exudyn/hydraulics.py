@@ -336,6 +336,15 @@ def pressure_rates(balances, out):
 
 
 @njit
+def supply_drops(E, c, drops):
+    """Return what the effects at valve c leave of the pressure drops (n,) over its pump edge, in Pa."""
+    left = np.empty(drops.size)
+    for i in range(drops.size):
+        left[i] = hooks.supply_drop(E, c, drops[i])
+    return left
+
+
+@njit
 def all_pressure_rates(topology, P, E, w, lines, y, out):
     """Fill out (chambers,) with the rates of the state's pressures in Pa/s, (34)."""
     balances = np.empty((N_BALANCES, y.size))

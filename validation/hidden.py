@@ -27,7 +27,7 @@ from crane_exudyn.machine_toml import usual_layout
 from crane_exudyn.measurement import Measurement
 from crane_exudyn.recording import Recording
 
-from .seeds import seed_range
+from .seeds import log_uniform, seed_range
 
 if TYPE_CHECKING:
     from .hidden_plant import Dialect, Law
@@ -76,17 +76,13 @@ class HiddenCase:
 # -- severities ------------------------------------------------------------------------------------------------------
 
 
-def _log(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(rng.uniform(math.log(low), math.log(high))))
-
-
 def _sign(rng: np.random.Generator) -> float:
     return 1.0 if rng.random() < 0.5 else -1.0
 
 
 def _seal(rng: np.random.Generator, _: Any) -> dict[str, float]:
-    coulomb = _log(rng, 150.0, 6000.0)
-    return {"dFc": coulomb, "dFs": coulomb * rng.uniform(1.0, 1.6), "vs": _log(rng, 2e-3, 2e-2)}
+    coulomb = log_uniform(rng, 150.0, 6000.0)
+    return {"dFc": coulomb, "dFs": coulomb * rng.uniform(1.0, 1.6), "vs": log_uniform(rng, 2e-3, 2e-2)}
 
 
 def _counterbalance(rng: np.random.Generator, _: Any) -> dict[str, float]:
@@ -96,50 +92,50 @@ def _counterbalance(rng: np.random.Generator, _: Any) -> dict[str, float]:
 
 
 def _payload(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
-    dm = _sign(rng) * _log(rng, 3.0, 200.0)
+    dm = _sign(rng) * log_uniform(rng, 3.0, 200.0)
     return {"dm": dm if dm > -0.8 * about["payload"] else -dm, "T": rng.uniform(3.0, 20.0)}
 
 
 def _stuck(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
     """A seal that stands, when the recording to learn from begins, within twice its deformation of holding nothing."""
-    delta = _log(rng, 1e-4, 2e-3)
-    return {"Fc": _log(rng, 300.0, 1e4), "l0": about["length"] + rng.uniform(-2.0, 2.0) * delta, "delta": delta}
+    delta = log_uniform(rng, 1e-4, 2e-3)
+    return {"Fc": log_uniform(rng, 300.0, 1e4), "l0": about["length"] + rng.uniform(-2.0, 2.0) * delta, "delta": delta}
 
 
 def _bias(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
-    size = math.radians(_log(rng, 0.05, 5.0)) if about["place"][0] == "z" else _log(rng, 0.3e5, 20e5)
+    size = math.radians(log_uniform(rng, 0.05, 5.0)) if about["place"][0] == "z" else log_uniform(rng, 0.3e5, 20e5)
     return {"b": _sign(rng) * size}
 
 
 #: how the parameters of each effect are drawn (SI), from hardly visible to plainly broken
 SEVERITIES: Mapping[str, Draw] = {
-    "internal_leakage": lambda r, _: {"k": _log(r, 1e-13, 2e-11)},
-    "external_leakage": lambda r, _: {"k": _log(r, 1e-13, 1e-11)},
-    "dead_band": lambda r, _: {"lower": _log(r, 0.003, 0.15), "upper": _log(r, 0.003, 0.15)},
+    "internal_leakage": lambda r, _: {"k": log_uniform(r, 1e-13, 2e-11)},
+    "external_leakage": lambda r, _: {"k": log_uniform(r, 1e-13, 1e-11)},
+    "dead_band": lambda r, _: {"lower": log_uniform(r, 0.003, 0.15), "upper": log_uniform(r, 0.003, 0.15)},
     "meter_out_restriction": lambda r, _: {"r": r.uniform(0.02, 0.8)},
-    "pressure_compensation": lambda r, _: {"dpc": _log(r, 3e5, 60e5)},
-    "command_delay": lambda r, _: {"T": _log(r, 0.005, 0.3)},
-    "spool_hysteresis": lambda r, _: {"b": _log(r, 0.002, 0.12)},
-    "spool_creep": lambda r, _: {"kappa": _log(r, 0.01, 0.4), "tau": _log(r, 0.2, 4.0)},
+    "pressure_compensation": lambda r, _: {"dpc": log_uniform(r, 3e5, 60e5)},
+    "command_delay": lambda r, _: {"T": log_uniform(r, 0.005, 0.3)},
+    "spool_hysteresis": lambda r, _: {"b": log_uniform(r, 0.002, 0.12)},
+    "spool_creep": lambda r, _: {"kappa": log_uniform(r, 0.01, 0.4), "tau": log_uniform(r, 0.2, 4.0)},
     "counterbalance_valve": _counterbalance,
-    "entrained_air": lambda r, _: {"alpha": _log(r, 3e-4, 0.1)},
-    "released_air": lambda r, _: {"alpha": _log(r, 3e-3, 0.3), "ps": r.uniform(2e5, 10e5)},
-    "pump_droop": lambda r, _: {"R": _log(r, 2e8, 3e10)},
-    "return_back_pressure": lambda r, _: {"R": _log(r, 2e8, 3e10)},
+    "entrained_air": lambda r, _: {"alpha": log_uniform(r, 3e-4, 0.1)},
+    "released_air": lambda r, _: {"alpha": log_uniform(r, 3e-3, 0.3), "ps": r.uniform(2e5, 10e5)},
+    "pump_droop": lambda r, _: {"R": log_uniform(r, 2e8, 3e10)},
+    "return_back_pressure": lambda r, _: {"R": log_uniform(r, 2e8, 3e10)},
     "seal_friction": _seal,
     "stuck_seal": _stuck,
-    "pressure_dependent_friction": lambda r, _: {"mu": _log(r, 2e-5, 2e-3)},
-    "joint_coulomb_friction": lambda r, _: {"T": _log(r, 30.0, 2500.0)},
-    "joint_viscous_friction": lambda r, _: {"c": _log(r, 100.0, 2e4)},
-    "structural_compliance": lambda r, _: {"stiffness": _log(r, 1e6, 1e8)},
+    "pressure_dependent_friction": lambda r, _: {"mu": log_uniform(r, 2e-5, 2e-3)},
+    "joint_coulomb_friction": lambda r, _: {"T": log_uniform(r, 30.0, 2500.0)},
+    "joint_viscous_friction": lambda r, _: {"c": log_uniform(r, 100.0, 2e4)},
+    "structural_compliance": lambda r, _: {"stiffness": log_uniform(r, 1e6, 1e8)},
     "payload_change": _payload,
-    "payload_swing": lambda r, _: {"length": _log(r, 0.3, 3.0), "damping": _log(r, 0.5, 30.0)},
-    "tip_contact_force": lambda r, _: {"F": _sign(r) * _log(r, 30.0, 2000.0), "T": r.uniform(3.0, 20.0)},
-    "base_tilt": lambda r, _: {"gamma": _sign(r) * _log(r, 2e-3, 0.2)},
-    "end_stop": lambda r, _: {"stiffness": _log(r, 1e7, 3e8), "damping": _log(r, 1e4, 3e5)},
+    "payload_swing": lambda r, _: {"length": log_uniform(r, 0.3, 3.0), "damping": log_uniform(r, 0.5, 30.0)},
+    "tip_contact_force": lambda r, _: {"F": _sign(r) * log_uniform(r, 30.0, 2000.0), "T": r.uniform(3.0, 20.0)},
+    "base_tilt": lambda r, _: {"gamma": _sign(r) * log_uniform(r, 2e-3, 0.2)},
+    "end_stop": lambda r, _: {"stiffness": log_uniform(r, 1e7, 3e8), "damping": log_uniform(r, 1e4, 3e5)},
     "sensor_bias": _bias,
-    "sensor_scale": lambda r, _: {"a": 1.0 + _sign(r) * _log(r, 0.005, 0.25)},
-    "sensor_lag": lambda r, _: {"tau": _log(r, 0.005, 0.5)},
+    "sensor_scale": lambda r, _: {"a": 1.0 + _sign(r) * log_uniform(r, 0.005, 0.25)},
+    "sensor_lag": lambda r, _: {"tau": log_uniform(r, 0.005, 0.5)},
 }
 
 

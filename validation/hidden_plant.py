@@ -26,6 +26,8 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath, play
 from crane_exudyn.statics import visible
 
+from .seeds import log_uniform
+
 
 @dataclass(frozen=True)
 class Now:
@@ -261,15 +263,11 @@ class _Draw:
         """The joint's name."""
         return self.crane.layout.joints[self.cylinder]
 
-    def log(self, low: float, high: float) -> float:
-        """Return a number whose logarithm is equally likely everywhere."""
-        return float(np.exp(self.rng.uniform(*np.log([low, high]))))
-
 
 def _draw_scored_bore(d: _Draw) -> Hidden:
     seen = d.visited[f"s{d.cylinder + 1}"]
     low, high = np.quantile(seen, [0.15, 0.85])
-    told: dict[str, Any] = {"cylinder": d.cylinder, "force": d.log(3000.0, 20000.0)}
+    told: dict[str, Any] = {"cylinder": d.cylinder, "force": log_uniform(d.rng, 3000.0, 20000.0)}
     told |= {"middle": float(d.rng.uniform(low, high))}
     told |= {"width": float(d.rng.uniform(0.08, 0.25) * max(high - low, 0.05))}
     bump = lambda x: told["force"] * np.exp(-(((x - told["middle"]) / told["width"]) ** 2))  # noqa: E731
@@ -300,13 +298,13 @@ def _draw_choked_valve(d: _Draw) -> Hidden:
 
 
 def _draw_quadratic_drag(d: _Draw) -> Hidden:
-    drag = d.log(3e4, 3e5)
+    drag = log_uniform(d.rng, 3e4, 3e5)
     law = _quadratic_drag(d.crane, d.cylinder, d.place, drag)
     return Hidden(law, f"learned_force@{d.place}", "speed", lambda x: drag * x * x, {"drag": drag})
 
 
 def _draw_root_friction(d: _Draw) -> Hidden:
-    force = d.log(1500.0, 8000.0)
+    force = log_uniform(d.rng, 1500.0, 8000.0)
     law = _root_friction(d.crane, d.cylinder, d.place, force)
     return Hidden(
         law, f"learned_force@{d.place}", "pressure_drop", lambda x: force * np.sqrt(x / 50e5), {"force": force}
@@ -314,7 +312,7 @@ def _draw_root_friction(d: _Draw) -> Hidden:
 
 
 def _draw_orifice_leak(d: _Draw) -> Hidden:
-    flow = d.log(1e-5, 1e-4)
+    flow = log_uniform(d.rng, 1e-5, 1e-4)
     law = _orifice_leak(d.crane, d.cylinder, flow)
     return Hidden(
         law, f"learned_leakage@{d.place}", "pressure_drop", lambda x: flow * np.sqrt(x / 50e5), {"flow": flow}
@@ -322,27 +320,34 @@ def _draw_orifice_leak(d: _Draw) -> Hidden:
 
 
 def _draw_early_relief(d: _Draw) -> Hidden:
-    chamber, flow, opens = d.crane.layout.loaded[d.cylinder], d.log(1e-5, 1e-4), float(d.rng.uniform(25e5, 45e5))
+    chamber, flow, opens = (
+        d.crane.layout.loaded[d.cylinder],
+        log_uniform(d.rng, 1e-5, 1e-4),
+        float(d.rng.uniform(25e5, 45e5)),
+    )
     ramp = lambda x: flow * np.maximum(x - opens, 0.0) / 20e5  # noqa: E731
     told = {"opens": opens, "flow": flow}
     return Hidden(_early_relief(d.crane, chamber, opens, flow), f"learned_flow@{chamber}", "pressure", ramp, told)
 
 
 def _draw_hose_spring(d: _Draw) -> Hidden:
-    middle, torque = float(np.median(d.visited[d.crane.layout.coordinates[d.cylinder]])), d.log(300.0, 3000.0)
+    middle, torque = (
+        float(np.median(d.visited[d.crane.layout.coordinates[d.cylinder]])),
+        log_uniform(d.rng, 300.0, 3000.0),
+    )
     law = _hose_spring(d.crane, d.cylinder, d.joint, torque, middle)
     spring = lambda x: -0.5 * torque * ((x - middle) / 0.5 + ((x - middle) / 0.5) ** 3)  # noqa: E731
     return Hidden(law, f"learned_torque@{d.joint}", "angle", spring, {"torque": torque})
 
 
 def _draw_churning_joint(d: _Draw) -> Hidden:
-    torque = d.log(300.0, 3000.0)
+    torque = log_uniform(d.rng, 300.0, 3000.0)
     law = _churning_joint(d.crane, d.cylinder, d.joint, torque)
     return Hidden(law, f"learned_torque@{d.joint}", "rate", lambda x: torque * x * x / 0.09, {"torque": torque})
 
 
 def _draw_thin_line(d: _Draw, pump: bool) -> Hidden:
-    drop = d.log(3e5, 30e5)
+    drop = log_uniform(d.rng, 3e5, 30e5)
     supply, sign, which = ("supply.pump_pressure", -1.0, 2) if pump else ("supply.tank_pressure", 1.0, 3)
     law = _quadratic_line(d.crane, supply, sign, which, drop)
     effect = "learned_supply" if pump else "learned_return"

@@ -159,12 +159,11 @@ def _by_name(problem: Problem, best: Fitted) -> Fitted:
         named = _form(problem, best, key).library
         if not named or problem.crane.effect(named) is not None:
             continue
-        rest = {k: values for k, values in best.effects.items() if k != key}
-        curves = {k: c for k, c in best.as_found.curves.items() if k != key}
-        models = [
-            replace(best.model, effects={**rest, named: start.values}, curves=curves)
-            for start in starts(problem.crane, problem.data) if start.key == named
-        ]  # fmt: skip
+        found = best.as_found
+        rest = {k: values for k, values in found.effects.items() if k != key}
+        curves = {k: curve for k, curve in found.curves.items() if k != key}
+        values = [s.values for s in starts(problem.crane, problem.data) if s.key == named]
+        models = [replace(found, effects={**rest, named: v}, curves=curves) for v in values]
         tried = problem.run([Move(model, best.fit) for model in models], (TIGHT, STIFF))
         if tried and tried[0].evidence > best.evidence - CRITERIA.proof:
             best = tried[0]

@@ -60,10 +60,9 @@ class Law:
     def name(self) -> str:
         """The effect with its place, over what it runs, and how it acts where it could act otherwise."""
         kinds = self.over.against
-        plain = len(kinds) < 2 or self.against == kinds[0]
-        return (
-            f"{self.key} over {self.over.name}{'' if plain else ' against motion' if self.against else ' as a spring'}"
-        )
+        usual = len(kinds) < 2 or self.against == kinds[0]
+        how = "" if usual else " against motion" if self.against else " as a spring"
+        return f"{self.key} over {self.over.name}{how}"
 
     @property
     def neutral(self) -> np.ndarray:

@@ -99,13 +99,12 @@ def _judged(path: LearningPath, beam: Sequence[Fitted], tried: Sequence[Fitted])
     if not tried:
         return Round((), ())
     problem, (parent,) = path.problem, beam
-    near = [w for w in tried if w.evidence >= still_leading(beam, tried)]
-    curved, plain = (
-        [w for w in near if (len(w.model.curves) > len(parent.model.curves)) == one] for one in (True, False)
-    )
+    least, laws = still_leading(beam, tried), len(parent.model.curves)
+    near = [w for w in tried if w.evidence >= least]
+    curved = [w for w in near if len(w.model.curves) > laws]
+    plain = [w for w in near if len(w.model.curves) == laws]
     leading = [w if w.plausible else _anew(problem, w) for w in curved[: CRITERIA.carried]]
-    done = problem.run([Move(w.model, w.fit) for w in (*leading, *plain[:1])], (TIGHT, STIFF))
-    return Round(tuple(tried), tuple(done))
+    return Round(tuple(tried), tuple(problem.further([*leading, *plain[:1]], (TIGHT, STIFF))))
 
 
 def _anew(problem: Problem, w: Fitted) -> Fitted:

@@ -181,8 +181,8 @@ def _tried(path: DriftingPath, beam: Sequence[Standing], moves: Sequence[Move]) 
         *_anew(problem, models, CRITERIA.window, joined(CRITERIA.begun)),
         *_anew(problem, models, SHORT, (*loose(3), *joined(CRITERIA.begun))),
     ]
-    going_on = [Move(w.model, w.fit) for w in _sifted(beam, begun)]
-    ended = {frozenset(w.keys): w for w in problem.run(going_on, joined(CRITERIA.ended)) if _acting(w)}
+    going_on = problem.further(_sifted(beam, begun), joined(CRITERIA.ended))
+    ended = {frozenset(w.keys): w for w in going_on if _acting(w)}
     children = []
     for now in beam:
         own = [m.model.keys for m in moves if m.model.keys[:-1] == now.keys]

@@ -25,16 +25,16 @@ def raced(
         rest = [m for m in rest if m.promise > most - max(CRITERIA.apart, CRITERIA.left * most)]
     else:
         rest += more()
-    return sorted([*done, *in_heats(problem, parents, rest)], key=lambda w: -w.evidence)
+    return [*done, *in_heats(problem, parents, rest)]
 
 
 def in_heats(problem: Problem, parents: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
     """Return the moves fitted loosely, best first; after a few iterations those alone go on that are not far behind."""
     begun = problem.run(moves, (replace(LOOSE, iterations=CRITERIA.sifted),))
     least = _brought(parents, begun, CRITERIA.chance)
-    on, out = ([w for w in begun if (w.evidence >= least) == goes] for goes in (True, False))
-    ended = problem.run([Move(w.model, w.fit) for w in on], (LOOSE,))
-    return sorted([*ended, *out], key=lambda w: -w.evidence)
+    ended = problem.further([w for w in begun if w.evidence >= least], (LOOSE,))
+    stopped = [w for w in begun if w.evidence < least]
+    return sorted([*ended, *stopped], key=lambda w: -w.evidence)
 
 
 def still_leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> float:

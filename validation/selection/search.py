@@ -150,6 +150,10 @@ class Problem:
         found = in_parallel(self.jobs, [(fitted, self.crane, self.data, m.model, m.before, stages) for m in moves])
         return sorted((w for w in found if math.isfinite(w.evidence)), key=lambda w: -w.evidence)
 
+    def further(self, fits: Sequence[Fitted], stages: Stages) -> list[Fitted]:
+        """Return fits taken further from where they stand, best first."""
+        return self.run([Move(w.model, w.fit) for w in fits], stages)
+
     def errors(self, fits: Sequence[Fit], check: Recording | None = None) -> list[list[float]]:
         """Return by fit the open-loop errors of cranes as they were fitted, by recording and last on the check
         recording.

@@ -37,20 +37,23 @@ class WhitePath(Path[Fitted]):
 
     Attributes:
         given: the crane as it is; fewest: with the fewest moved parameters that do, where that was needed.
-        whole: open-loop error of `parameters`, where in windows hardly more than noise is left.
         left_out: errors on blocks that were left out, before and after, of a model that leaves something, by its
             effects.
     """
 
     given: Fitted
     fewest: Fitted
-    whole: float = 1.0
     left_out: Mapping[frozenset[str], tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
     def bare(self) -> float:
         """Evidence of the better model without effects."""
         return max(self.given.evidence, self.parameters.evidence)
+
+    @cached_property
+    def whole(self) -> float:
+        """Open-loop error of the machine without effects, its parameters moved."""
+        return together(self.problem.recordings, self.problem.errors([self.parameters.fit])[0])
 
     @property
     def beyond_uncertainty(self) -> bool:
@@ -116,8 +119,7 @@ def _with_parameters(path: WhitePath, parameters: Fitted) -> WhitePath:
     parameters = replace(parameters, loose=path.problem.base)
     problem, enough = path.problem, parameters.good and not path.given.good
     fewest = leaner(problem.crane, problem.data, parameters) if enough else parameters
-    whole = together(problem.recordings, problem.errors([parameters.fit])[0]) if parameters.near else 1.0
-    return replace(path, parameters=parameters, fewest=fewest, whole=whole)
+    return replace(path, parameters=parameters, fewest=fewest)
 
 
 def _beam(path: WhitePath, most: int) -> Sequence[Fitted]:
@@ -139,8 +141,8 @@ def _is_near(path: WhitePath, parents: Sequence[Fitted]) -> bool:
     """Whether a round goes on from one model that leaves hardly more than noise: what little is missing beside it shows
     in stiffly joined windows only. Parameters may leave little in windows and much in one run: then much is missing.
     """
-    misses = not parents[0].keys and path.whole > CRITERIA.left_level
-    return len(parents) == 1 and parents[0].near and not misses
+    near = len(parents) == 1 and parents[0].near
+    return near and (bool(parents[0].keys) or path.whole <= CRITERIA.left_level)
 
 
 def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
@@ -188,7 +190,7 @@ def _as_given(path: WhitePath, parent: Fitted, moves: Sequence[Move]) -> list[Mo
 def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) -> Round[Fitted]:
     """Return the round, the leading models carried to the end."""
     near = _is_near(path, beam)
-    done = _further(path, [], list(tried) if near else _carried(path, _leading(beam, tried)))
+    done = _further(path, [], tried if near else path.problem.further(_leading(beam, tried), (TIGHT, STIFF)))
     done = _relocated(path, done, beam, tried) if not path.rounds else done
     done = best_of_each([*done, *_dropped(path, done, near)])
     acting = tuple(w for w in done if w.keys)
@@ -214,10 +216,6 @@ def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]
     return leading
 
 
-def _carried(path: WhitePath, leading: Sequence[Fitted]) -> list[Fitted]:
-    return path.problem.run([Move(w.model, w.fit) for w in leading], (TIGHT, STIFF))
-
-
 def _relocated(path: WhitePath, done: list[Fitted], parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]:
     """Return the fits with the leading effect at its other places added, where moved parameters help it.
 
@@ -233,7 +231,7 @@ def _relocated(path: WhitePath, done: list[Fitted], parents: Sequence[Fitted], t
     moves = [Move(Model(problem.shared, {s.key: s.values}), problem.base) for s in found]
     least = still_leading(parents, tried)
     leading = [w for w in in_heats(problem, parents, moves)[:1] if w.evidence > least]
-    return _further(path, done, _carried(path, leading))
+    return _further(path, done, problem.further(leading, (TIGHT, STIFF)))
 
 
 def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) -> list[Fitted]:
