@@ -19,7 +19,7 @@ from .crane import Crane
 from .description import Uncertainty
 from .errors import CraneError
 from .geometry import cylinder_lengths
-from .hydraulics import supply_drops
+from .hydraulics import held_amounts, supply_drops
 from .inputs import SpoolPath
 from .recording import Recording
 from .signals import noise_std, sampling_rate
@@ -41,6 +41,8 @@ _VOID = 2e5
 _CLOSED = 0.01
 #: share of windows in which a pose must be within reach
 _MOST = 0.8
+#: windows that a balance must hold on: of fewer, which overlap, one moment decides
+_FEWEST = 8
 #: standard deviations of the noise beyond which something moves
 _CLEAR = 4.0
 #: m by which a cylinder may seem longer or shorter than it can be: pins and zero points are known to that
@@ -146,16 +148,10 @@ class Figures:
     """What is known of a crane without a recording of it; lengths and forces of poses are computed once."""
 
     def __init__(self, crane: Crane) -> None:
-        self.crane, self.layout, self.effects = crane, crane.layout, crane.effect_vector()
-        self.cylinders = {
-            c: {
-                w: crane[f"cylinders.{c}.{w}"]
-                for w in ("empty_length", "chamber_range", "hose_volume_piston", "hose_volume_rod")
-            }
-            for c in crane.layout.cylinders
-        }
-        oil, hose = crane["fluid.oil_bulk_modulus"], crane["fluid.hose_bulk_modulus"]
-        self.softness = (1.0 / oil, 1.0 / oil + 1.0 / hose)
+        self.crane, self.layout = crane, crane.layout
+        self.parameters, self.effects = crane.parameter_vector(), crane.effect_vector()
+        self.shortest = np.array([crane[f"cylinders.{c}.empty_length"] for c in crane.layout.cylinders])
+        self.longest = self.shortest + [crane[f"cylinders.{c}.chamber_range"] for c in crane.layout.cylinders]
         self.floor = vapour_pressure(crane)
         self._loads = [crane.with_parameters({"payload.mass": m}) for m in _payloads(crane)]
         self._lengths: dict[bytes, np.ndarray] = {}
@@ -166,17 +162,12 @@ class Figures:
         """Return the areas (m²) of a cylinder's piston side and rod side."""
         return self.crane.areas(self.layout.cylinders[c])
 
-    def volumes(self, c: int, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return how much oil (m³/Pa) a pressure presses into a cylinder's chambers, and their hoses, at its lengths
-        (N,).
+    def held(self, c: int, side: int, length: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how much oil (m³) a cylinder's chamber holds at its lengths (N,) and pressures (N,), and how much a
+        pressure presses into it (m³/Pa).
         """
-        size, (a, b) = self.cylinders[self.layout.cylinders[c]], self.areas(c)
-        stroke = np.clip(length - size["empty_length"], 0.0, size["chamber_range"])
-        oil, hose = self.softness
-        return (
-            a * stroke * oil + size["hose_volume_piston"] * hose,
-            b * (size["chamber_range"] - stroke) * oil + size["hose_volume_rod"] * hose,
-        )
+        held, slopes = held_amounts(self.parameters, self.effects, c, bool(side), length, pressure)
+        return np.asarray(held), np.asarray(slopes)
 
     def lengths(self, z: np.ndarray) -> np.ndarray:
         """Return pin-to-pin lengths (N, cylinders) in m at coordinates z (N, n); NaN out of reach."""
@@ -187,9 +178,7 @@ class Figures:
 
     def reaches(self, lengths: np.ndarray) -> np.ndarray:
         """Return whether each cylinder can have its lengths (N, cylinders)."""
-        low = np.array([self.cylinders[c]["empty_length"] for c in self.layout.cylinders])
-        high = low + np.array([self.cylinders[c]["chamber_range"] for c in self.layout.cylinders])
-        return np.asarray((lengths > low - PLAY) & (lengths < high + PLAY))
+        return np.asarray((lengths > self.shortest - PLAY) & (lengths < self.longest + PLAY))
 
     def holding(self, z: np.ndarray) -> np.ndarray:
         """Return the forces (2, K, cylinders) in N that hold the machine near z (K, n), with the least and the greatest
@@ -317,10 +306,11 @@ def reach(machine: Figures, grid: Grid) -> Misfits:
 
 
 def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarray, spool: np.ndarray) -> Misfits:
-    """What flows into a chamber moves its piston and presses its oil, X + C = Y in m; with the valve closed the first
-    presses the second.
+    """What flows into a chamber is what it holds more, in metres of its piston; with the valve closed its motion
+    presses the oil.
 
-    Slow motion with the valve closed is leakage, so that only its changes from one span to the next count there.
+    Where it may hold a void or gas it tells nothing. Slow motion with the valve closed is leakage, so that only its
+    changes from one span to the next count there.
     """
     lay, out = machine.layout, {}
     if np.isnan(length).all():
@@ -331,17 +321,19 @@ def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarra
         noise = _noise_of_length(machine, grid, c, length)
     moved = change(smooth(length))
     still = mean((np.abs(spool) > _CLOSED).astype(float)) == 0.0
-    soft = machine.volumes(c, length)
     for side, name in enumerate(lay.sides[c]):
         area, sign = machine.areas(c)[side], 1.0 - 2.0 * side
         if name not in ch:
             continue
-        by_pressure = mean(soft[side]) / area * sign
-        pressed = by_pressure * change(smooth(ch[name]))
+        held, soft = machine.held(c, side, length, ch[name])
+        gained = sign / area * change(smooth(held))
+        pressed = gained - moved
         flowed = sign / area * SPAN * mean(smooth(_valve(machine, ch, c, side, spool)))
-        blurred = 1.5 * float(np.hypot(noise, np.nanmean(np.abs(by_pressure)) * grid.noise[name]))
-        whole = mean((ch[name] < machine.floor + _VOID).astype(float)) == 0.0
-        out["flow", name] = _proportional(moved + np.where(whole, pressed, 0.0), flowed, blurred)
+        blurred = 1.5 * float(np.hypot(noise, np.nanmean(soft) / area * grid.noise[name]))
+        stiff = machine.held(c, side, length, np.full(len(length), machine.crane["supply.pump_pressure"]))[1]
+        empty = (ch[name] < machine.floor + _VOID) | (soft > _GAIN * stiff)
+        whole = mean(empty.astype(float)) == 0.0
+        out["flow", name] = _proportional(gained[whole], flowed[whole], blurred)
         shut = still & whole
         out["trapped", name] = _proportional(_bend(moved, shut), -_bend(pressed, shut), 1.7 * blurred)
     if not out:
@@ -498,11 +490,13 @@ def _proportional(left: np.ndarray, right: np.ndarray, noise: float) -> Misfit:
     if len(there) and there.mean() < _MOST:
         return Misfit(1.0)
     left, right = left[there], right[there]
+    if len(left) < _FEWEST:
+        return Misfit(0.0, False, False)
     across, own, other = float(left @ right), float(left @ left), float(right @ right)
     gain = float(np.clip(across / other, 1.0 / _GAIN, _GAIN)) if other > 0.0 else 1.0
     size, blur = own + gain**2 * other, len(left) * noise**2
     if size <= 0.0:
-        return Misfit(0.0, False, len(left) > 0)
+        return Misfit(0.0, False)
     off = max(own - 2.0 * gain * across + gain**2 * other - blur, 0.0) / size
     clear = size / (size + _CLEAR**2 * blur)
     return Misfit(off * clear, clear > 0.5)

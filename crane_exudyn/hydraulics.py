@@ -345,6 +345,20 @@ def supply_drops(E, c, drops):
 
 
 @njit
+def held_amounts(P, E, c, rod_side, s, p):
+    """Return (amounts of oil in m^3, their derivatives by pressure in m^3/Pa), (n,) each, that a chamber of cylinder c
+    holds at pin-to-pin lengths s (n,) in m and pressures p (n,); a spring in series is taken for stiff.
+    """
+    k, (area_a, area_b), (softness, hose, vapour, zero) = CYLINDER + N_CYLINDER * c, areas(P, c), fluid(P)
+    held, slopes = np.empty(s.size), np.empty(s.size)
+    for i in range(s.size):
+        la, lb = chamber_lengths(s[i], P[k + EMPTY], P[k + RANGE])
+        volume, own = (area_b * lb, P[k + HOSE_B]) if rod_side else (area_a * la, P[k + HOSE_A])
+        held[i], slopes[i], _, _ = filling(E, p[i], volume, own, softness, hose, vapour, zero)
+    return held, slopes
+
+
+@njit
 def all_pressure_rates(topology, P, E, w, lines, y, out):
     """Fill out (chambers,) with the rates of the state's pressures in Pa/s, (34)."""
     balances = np.empty((N_BALANCES, y.size))
