@@ -91,7 +91,7 @@ def _as_given(problem: Problem, parent: Fitted) -> list[Move]:
     """
     if parent.keys or plausible(parent.loose):
         return []
-    return _promising(problem, parent, problem.unmoved(problem.nominal, Model(problem.shared)))
+    return _promising(problem, parent, problem.as_given({}))
 
 
 def _judged(path: LearningPath, beam: Sequence[Fitted], tried: Sequence[Fitted]) -> Round[Fitted]:

@@ -51,7 +51,7 @@ class Projected:
 def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     """Return the score of every start at a fit, best first; a start that changes nothing scores 0."""
     room = len(fit.crane.layout.all_states) - fit.knots.shape[1]  # for a pendulum
-    soft = np.array([bool(_SOFTENS & set(split_key(s.key)[0].hooks())) for s in starts], dtype=bool)
+    soft = np.array([_softens(s) for s in starts], dtype=bool)
 
     def probes(base: Model, data: FitData, recording: int) -> Columns:
         models = [model_of(base.crane.with_effect(s.key, s.values), data, base.late) for s in starts]
@@ -74,6 +74,20 @@ def screened(fit: Fit, stiffness: float) -> list[Score]:
     found = screen(fit, starts(fit.crane, fit.data), stiffness)
     closer = [start for score in best_starts(found) for start in around(score.start)]
     return sorted([*found, *screen(fit, closer, stiffness)], key=lambda s: -s.gain) if closer else found
+
+
+def _softens(start: Start) -> bool:
+    return bool(_SOFTENS & set(split_key(start.key)[0].hooks()))
+
+
+def unseen(fit: Fit) -> list[Start]:
+    """Return a start of each effect that softens: where parameters stand for it already, not even a run tells what
+    follows, only a fit.
+    """
+    found: dict[str, Start] = {}
+    for start in filter(_softens, starts(fit.crane, fit.data)):
+        found.setdefault(start.key, start)
+    return list(found.values())
 
 
 def best_starts(scores: Sequence[Score]) -> list[Score]:

@@ -175,15 +175,14 @@ class Problem:
         """Return a model fitted anew at the crane as given with its effects as they were found."""
         return fitted(self.crane, self.data, w.as_found, self.with_effects(w.effects), stages)
 
-    def unmoved(self, fit: Fit, model: Model) -> Fit:
-        """Return a fit of the crane as given with effects, in which all uncertain parameters may move from where the
-        crane states them.
+    def as_given(self, effects: Mapping[str, Mapping[str, float]]) -> Fit:
+        """Return the crane as given with effects as they were found, in loosely joined windows; all uncertain
+        parameters may move from where the crane states them.
         """
-        known = values_of(fit)
-        own = model.own(self.crane.layout)
-        variables = (*self.base.variables, *own)
+        fit = self.with_effects(effects) if effects else self.nominal
+        known, own = values_of(fit), Model(self.shared, effects).own(self.crane.layout)
         u = [known.get(v.name, 0.0) for v in self.base.variables] + [v.begin for v in own]
-        return fit.begun(self.crane, variables, np.array(u))
+        return fit.begun(self.crane, (*self.base.variables, *own), np.array(u))
 
     def telling(self, first: Crane, second: Crane) -> str:
         """Return in words the manoeuvre on which two explanations differ most, as these sensors see them."""

@@ -22,7 +22,7 @@ from .lean import leaner
 from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, retold, run_error, together
 from .moves import starts
 from .race import in_heats, raced, still_leading
-from .screen import best_starts, likely, screened
+from .screen import Score, best_starts, likely, screened, unseen
 from .search import Move, Path, Problem, Progress, Regime, Round, Stages, moves_of
 from .whole_runs import end_of_learned, first_part
 
@@ -147,11 +147,13 @@ def _is_near(path: WhitePath, parents: Sequence[Fitted]) -> bool:
 
 def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
     """Return the likeliest effects beside each model of a beam, as the screen sees them from where it stands; beside
-    one that is near those that must show.
+    one that is near those that must show; beside one whose parameters do an effect's work from the machine as given.
     """
     near, moves = _is_near(path, beam), list[Move]()
     for parent in beam:
         fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
+        if parent.keys and not (near or parent.plausible):
+            fit = path.problem.as_given(parent.effects)
         most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
         least = CRITERIA.tie if near else CRITERIA.promise
         scores = screened(fit, stiffness)
@@ -163,28 +165,32 @@ def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
 
 def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
     """Return the moves fitted, the best of each; near the end the cost is quadratic at once: no walk from loose to
-    stiff.
+    stiff. Where moved parameters brought it there, what no screen sees is fitted too.
     """
     if _is_near(path, beam):
-        return best_of_each(path.problem.run(moves, (STIFF,)))
-    given = lambda: [m for parent in beam for m in _as_given(path, parent, moves)]  # noqa: E731
-    return best_of_each(raced(path.problem, beam, moves, given))
+        found = path.problem.run(moves, (STIFF,))
+        if not (beam[0].keys or path.given.good):
+            found += path.problem.run(_unseen(path.problem), (LOOSE, TIGHT, STIFF))
+        return best_of_each(found)
+    return best_of_each(raced(path.problem, beam, moves, lambda: _hidden(path, beam, moves)))
 
 
-def _as_given(path: WhitePath, parent: Fitted, moves: Sequence[Move]) -> list[Move]:
-    """Return the likeliest effects that the machine as given shows beside those of a model, and no move adds yet: where
-    parameters may do an effect's work.
+def _unseen(problem: Problem) -> list[Move]:
+    """Return the effects that no screen sees, which moved parameters may stand for."""
+    scores = [Score(s, 0.0, 1.0) for s in unseen(problem.base)]
+    return moves_of(Model(problem.shared), scores, problem.base)
+
+
+def _hidden(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Move]:
+    """Return the likeliest effects that the machine as given shows and no move adds yet, where parameters may do an
+    effect's work.
     """
-    if parent.plausible if parent.keys else not path.beyond_uncertainty:
+    if beam[0].keys or not path.beyond_uncertainty:
         return []
-    problem, own = path.problem, effects_of(parent.loose.crane, parent.keys)
-    held = problem.with_effects(own) if own else problem.nominal
-    model = Model(problem.shared, own)
-    held = problem.unmoved(held, model)
-    known = {frozenset(m.model.keys) for m in moves}
+    held, known = path.problem.as_given({}), {key for m in moves for key in m.model.keys}
     more = likely(screened(held, LOOSE.stiffness), CRITERIA.as_given + len(moves), CRITERIA.promise)
-    new = [s for s in more if frozenset((*parent.keys, s.start.key)) not in known]
-    return moves_of(model, new[: CRITERIA.as_given], held)
+    new = [s for s in more if s.start.key not in known]
+    return moves_of(Model(path.problem.shared), new[: CRITERIA.as_given], held)
 
 
 def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) -> Round[Fitted]:
