@@ -22,7 +22,7 @@ from .lean import leaner
 from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, retold, run_error, together
 from .moves import starts
 from .race import in_heats, raced, still_leading
-from .screen import Score, best_starts, likely, screened, unseen
+from .screen import best_starts, likely, screened, unseen
 from .search import Move, Path, Problem, Progress, Regime, Round, Stages, moves_of
 from .whole_runs import end_of_learned, first_part
 
@@ -176,9 +176,9 @@ def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> li
 
 
 def _unseen(problem: Problem) -> list[Move]:
-    """Return the effects that no screen sees, which moved parameters may stand for."""
-    scores = [Score(s, 0.0, 1.0) for s in unseen(problem.base)]
-    return moves_of(Model(problem.shared), scores, problem.base)
+    """Return the effects that no screen sees and moved parameters may stand for, on the machine as given."""
+    models = [Model(problem.shared, {s.key: s.values}) for s in unseen(problem.base)]
+    return [Move(model, problem.as_given(model.effects)) for model in models]
 
 
 def _hidden(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Move]:
