@@ -21,17 +21,25 @@ class CounterbalanceValve(Effect):
     places = CYLINDERS
     parameters = (
         Parameter(
-            "setting", "Pa", 0.0, 0.0, 400e5, 120e5, "pilot sum at which the valve begins to open; 0 means absent"
+            "setting",
+            "Pa",
+            0.0,
+            0.0,
+            400e5,
+            120e5,
+            "pilot sum at which the valve begins to open; 0 means absent",
+            threshold=True,
         ),
         Parameter("ratio", "", 3.0, 0.0, 12.0, 3.0, "pilot ratio", shape=True),
     )
+    # from a valve that holds too much a search finds back; one that is open all the time has no slope
     probes = (
         {"setting": 60e5, "ratio": 1.0},
-        {"setting": 100e5, "ratio": 1.0},
-        {"setting": 150e5, "ratio": 2.0},
-        {"setting": 150e5, "ratio": 4.0},
-        {"setting": 250e5, "ratio": 4.0},
-        {"setting": 250e5, "ratio": 8.0},
+        {"setting": 110e5, "ratio": 1.0},
+        {"setting": 160e5, "ratio": 1.0},
+        {"setting": 170e5, "ratio": 2.0},
+        {"setting": 240e5, "ratio": 2.0},
+        {"setting": 350e5, "ratio": 4.0},
     )
 
     @staticmethod

@@ -115,13 +115,13 @@ def around(start: Start) -> list[Start]:
 
 def scaled(start: Start, amplitude: float) -> dict[str, float]:
     """Return the start's values with its acting parameters scaled by an amplitude (1 = as they are), within their
-    range.
+    range; thresholds as they are.
     """
     effect, _ = registry.split_key(start.key)
     values = {}
     for p in effect.parameters:
         value = start.values.get(p.name, p.neutral)
-        if not p.shape:
+        if not (p.shape or p.threshold):
             value = (
                 value / max(amplitude, 1e-6) if math.isinf(p.neutral) else p.neutral + amplitude * (value - p.neutral)
             )
