@@ -19,7 +19,7 @@ from .crane import Crane
 from .description import Uncertainty
 from .errors import CraneError
 from .geometry import cylinder_lengths
-from .hydraulics import held_amounts, supply_drops
+from .hydraulics import held_amounts, valve_flows
 from .inputs import SpoolPath
 from .recording import Recording
 from .signals import noise_std, sampling_rate
@@ -348,17 +348,17 @@ def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarra
 
 
 def _valve(machine: Figures, ch: Channels, c: int, side: int, spool: np.ndarray) -> np.ndarray:
-    """Return the flow (N,) in m³/s that a valve lets into a chamber."""
+    """Return the flow (N,) in m³/s that a valve lets into a chamber that was measured; the other one counts as empty
+    where it was not.
+    """
     crane, lay = machine.crane, machine.layout
-    p = ch[lay.sides[c][side]]
     pump, tank = (
-        ch.get(n, np.full(len(p), crane[f"supply.{w}_pressure"]))
+        ch.get(n, np.full(len(spool), crane[f"supply.{w}_pressure"]))
         for n, w in zip(lay.supply, ("pump", "tank"), strict=True)
     )
-    filling, word, valve = (spool > 0.0) == (side == 0), ("piston", "rod")[side], f"valves.{lay.cylinders[c]}"
-    edge = np.where(filling, crane[f"{valve}.edges.pump_to_{word}"], crane[f"{valve}.edges.{word}_to_tank"])
-    drop = np.where(filling, supply_drops(machine.effects, c, pump - p), tank - p)
-    return np.asarray(crane[f"{valve}.flow_coefficient"] * edge * np.abs(spool) * np.sign(drop) * np.sqrt(np.abs(drop)))
+    pa, pb = (ch.get(n, tank) for n in lay.sides[c])
+    P, E = machine.parameters, machine.effects
+    return np.asarray(valve_flows(crane.machine.topology, P, E, c, spool, pump, tank, pa, pb)[side])
 
 
 def _noise_of_length(machine: Figures, grid: Grid, c: int, length: np.ndarray) -> float:

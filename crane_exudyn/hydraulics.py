@@ -336,12 +336,15 @@ def pressure_rates(balances, out):
 
 
 @njit
-def supply_drops(E, c, drops):
-    """Return what the effects at valve c leave of the pressure drops (n,) over its pump edge, in Pa."""
-    left = np.empty(drops.size)
-    for i in range(drops.size):
-        left[i] = hooks.supply_drop(E, c, drops[i])
-    return left
+def valve_flows(topology, P, E, c, spools, pp, pt, pa, pb):
+    """Return the flows (n,) into the piston side and into the rod side in m^3/s that valve c lets through at spools
+    (n,), supply pressures and pressures of the chambers (n,).
+    """
+    into_a, into_b = np.empty(spools.size), np.empty(spools.size)
+    for i in range(spools.size):
+        q_a, q_b, _, _ = port_flows(topology, P, E, c, spools[i], pp[i], pt[i], pa[i], pb[i])
+        into_a[i], into_b[i] = q_a, -q_b
+    return into_a, into_b
 
 
 @njit
