@@ -320,7 +320,8 @@ def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarra
     else:
         noise = _noise_of_length(machine, grid, c, length)
     moved = change(smooth(length))
-    still = mean((np.abs(spool) > _CLOSED).astype(float)) == 0.0
+    still = _nowhere(np.abs(spool) > _CLOSED)
+    flows = _valve(machine, ch, c, spool)
     for side, name in enumerate(lay.sides[c]):
         area, sign = machine.areas(c)[side], 1.0 - 2.0 * side
         if name not in ch:
@@ -328,11 +329,10 @@ def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarra
         held, soft = machine.held(c, side, length, ch[name])
         gained = sign / area * change(smooth(held))
         pressed = gained - moved
-        flowed = sign / area * SPAN * mean(smooth(_valve(machine, ch, c, side, spool)))
+        flowed = sign / area * SPAN * mean(smooth(flows[side]))
         blurred = 1.5 * float(np.hypot(noise, np.nanmean(soft) / area * grid.noise[name]))
         stiff = machine.held(c, side, length, np.full(len(length), machine.crane["supply.pump_pressure"]))[1]
-        empty = (ch[name] < machine.floor + _VOID) | (soft > _GAIN * stiff)
-        whole = mean(empty.astype(float)) == 0.0
+        whole = _nowhere((ch[name] < machine.floor + _VOID) | (soft > _GAIN * stiff))
         out["flow", name] = _proportional(gained[whole], flowed[whole], blurred)
         shut = still & whole
         out["trapped", name] = _proportional(_bend(moved, shut), -_bend(pressed, shut), 1.7 * blurred)
@@ -347,9 +347,9 @@ def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarra
     return out
 
 
-def _valve(machine: Figures, ch: Channels, c: int, side: int, spool: np.ndarray) -> np.ndarray:
-    """Return the flow (N,) in m³/s that a valve lets into a chamber that was measured; the other one counts as empty
-    where it was not.
+def _valve(machine: Figures, ch: Channels, c: int, spool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the flows (N,) in m³/s that a valve lets into the piston side and the rod side; a chamber that was not
+    measured counts as empty.
     """
     crane, lay = machine.crane, machine.layout
     pump, tank = (
@@ -358,7 +358,8 @@ def _valve(machine: Figures, ch: Channels, c: int, side: int, spool: np.ndarray)
     )
     pa, pb = (ch.get(n, tank) for n in lay.sides[c])
     P, E = machine.parameters, machine.effects
-    return np.asarray(valve_flows(crane.machine.topology, P, E, c, spool, pump, tank, pa, pb)[side])
+    into_a, into_b = valve_flows(crane.machine.topology, P, E, c, spool, pump, tank, pa, pb)
+    return np.asarray(into_a), np.asarray(into_b)
 
 
 def _noise_of_length(machine: Figures, grid: Grid, c: int, length: np.ndarray) -> float:
@@ -426,7 +427,7 @@ def _load_changes(
     for side, (p, area) in enumerate(zip(measured, (a, -b), strict=True)):
         if p is not None:
             force += area * p * (1.0 if measured[1 - side] is not None else 1.5)
-    still = mean((np.abs(spool) > _CLOSED).astype(float), LOAD_SPAN) == 0.0
+    still = _nowhere(np.abs(spool) > _CLOSED, LOAD_SPAN)
     load = change(np.interp(grid.time, grid.time[at], np.nan_to_num(asked)), LOAD_SPAN)
     noise = 1.5 * max(grid.noise[n] for n in names if n in ch) * a
     return _proportional(change(force, LOAD_SPAN)[still], load[still], float(noise))
@@ -476,6 +477,11 @@ def mean(y: np.ndarray, span: float = SPAN) -> np.ndarray:
     k = round(span / STEP)
     total = np.concatenate([[0.0], np.cumsum(y)])
     return np.asarray(((total[k + 1 :] - total[: -k - 1]) / (k + 1))[::_EVERY])
+
+
+def _nowhere(there: np.ndarray, span: float = SPAN) -> np.ndarray:
+    """Return whether something (N,) is nowhere the case in each window."""
+    return mean(there.astype(float), span) == 0.0
 
 
 def _bend(y: np.ndarray, chosen: np.ndarray) -> np.ndarray:

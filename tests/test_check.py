@@ -185,30 +185,42 @@ def test_a_balance_that_holds_nowhere_any_more_does_not_close():
         assert Weighed(reading, 1.0, before, {("trapped", "p3"): after}).closes == closes
 
 
-def test_flows_are_those_of_the_valve_that_the_crane_file_describes(tmp_path: Path) -> None:
-    """Behind a compensator of 2 bar an orifice six times as large lets through what a usual one does."""
+def driven(crane: Crane, lift: np.ndarray, tilt: np.ndarray, *sensors: str) -> Recording:
+    """Return what sensors show of a crane whose spools were commanded every 10 ms."""
+    time = 0.01 * np.arange(len(lift))
+    commands = Recording("driven", {"u1": Channel(time, lift), "u2": Channel(time, tilt)})
+    return simulate(crane, commands).recording().select(("u1", "u2", *sensors))
+
+
+def pulse(begin: float, end: float, opening: float, length: float) -> np.ndarray:
+    time = np.arange(0.0, length, 0.01)
+    return np.where((time > begin) & (time < end), opening, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "wider"), [("pressure_compensation", {"dpc": 2e5}, 6.0), ("dead_band", {"upper": 0.22}, 1.0)]
+)
+def test_flows_are_those_of_the_valve_that_the_crane_file_describes(
+    effect: str, values: dict[str, float], wider: float
+) -> None:
+    """Behind a compensator of 2 bar an orifice six times as large lets through what a usual one does; a spool that
+    opens from 0.22 on lets through a sixth.
+    """
     crane = Crane.load("patu655")
-    wide = crane.with_parameters({"valves.lift.flow_coefficient": 6.0 * crane["valves.lift.flow_coefficient"]})
-    held = wide.with_effect("pressure_compensation@lift", {"dpc": 2e5})
-    time = np.arange(0.0, 6.0, 0.01)
-    opened = np.where((time > 1.0) & (time < 4.0), 0.25, 0.0)
-    driven = Recording("lift", {"u1": Channel(time, opened), "u2": Channel(time, np.zeros_like(time))})
-    simulate(held, driven).save(tmp_path / "run.csv")
-    shown = Recording.load(tmp_path / "run.csv")
+    wide = crane.with_parameters({"valves.lift.flow_coefficient": wider * crane["valves.lift.flow_coefficient"]})
+    held = wide.with_effect(f"{effect}@lift", values)
+    shown = driven(held, pulse(1.0, 4.0, 0.25, 6.0), np.zeros(600), "z1", "z4", "p1", "p2", "p3", "p4")
     off = [motions(Figures(c), Grid.of(shown, c))["flow", "p1"].off for c in (held, wide)]
     assert off[0] < 0.01 < 0.2 < off[1]
 
 
 @pytest.mark.parametrize(("less_loaded", "air"), [(1e5, 0.3), (3e5, 0.3), (6e5, 0.02)])
-def test_balances_close_on_a_machine_whose_oil_gives_off_air(tmp_path: Path, less_loaded: float, air: float) -> None:
+def test_balances_close_on_a_machine_whose_oil_gives_off_air(less_loaded: float, air: float) -> None:
     """A chamber holds oil and the gas that its file describes; nearly empty, or for a moment, it tells nothing."""
     crane = Crane.load("patu655")
     low = replace(crane, initial=replace(crane.initial, less_loaded_pressure=less_loaded))
     airy = low.with_effect("released_air", {"alpha": air, "ps": 8e5})
-    time = np.arange(0.0, 10.0, 0.01)
-    lift = np.where((time > 1.0) & (time < 3.0), 0.25, 0.0) - np.where((time > 4.0) & (time < 6.0), 0.25, 0.0)
-    tilt = np.where((time > 7.0) & (time < 9.0), 0.3, 0.0)
-    simulate(airy, Recording("both", {"u1": Channel(time, lift), "u2": Channel(time, tilt)})).save(tmp_path / "run.csv")
-    shown = Recording.load(tmp_path / "run.csv").select(("u1", "u2", "z1", "z4", "p1", "p2", "p3", "p4"))
+    lift = pulse(1.0, 3.0, 0.25, 10.0) - pulse(4.0, 6.0, 0.25, 10.0)
+    shown = driven(airy, lift, pulse(7.0, 9.0, 0.3, 10.0), "z1", "z4", "p1", "p2", "p3", "p4")
     found = motions(Figures(airy), Grid.of(shown, airy))
     assert {k: m for k, m in found.items() if m.off > (0.002 if k[0] == "flow" else 0.15)} == {}

@@ -320,21 +320,16 @@ def _draw_orifice_leak(d: _Draw) -> Hidden:
 
 
 def _draw_early_relief(d: _Draw) -> Hidden:
-    chamber, flow, opens = (
-        d.crane.layout.loaded[d.cylinder],
-        log_uniform(d.rng, 1e-5, 1e-4),
-        float(d.rng.uniform(25e5, 45e5)),
-    )
+    chamber = d.crane.layout.loaded[d.cylinder]
+    flow, opens = log_uniform(d.rng, 1e-5, 1e-4), float(d.rng.uniform(25e5, 45e5))
     ramp = lambda x: flow * np.maximum(x - opens, 0.0) / 20e5  # noqa: E731
     told = {"opens": opens, "flow": flow}
     return Hidden(_early_relief(d.crane, chamber, opens, flow), f"learned_flow@{chamber}", "pressure", ramp, told)
 
 
 def _draw_hose_spring(d: _Draw) -> Hidden:
-    middle, torque = (
-        float(np.median(d.visited[d.crane.layout.coordinates[d.cylinder]])),
-        log_uniform(d.rng, 300.0, 3000.0),
-    )
+    middle = float(np.median(d.visited[d.crane.layout.coordinates[d.cylinder]]))
+    torque = log_uniform(d.rng, 300.0, 3000.0)
     law = _hose_spring(d.crane, d.cylinder, d.joint, torque, middle)
     spring = lambda x: -0.5 * torque * ((x - middle) / 0.5 + ((x - middle) / 0.5) ** 3)  # noqa: E731
     return Hidden(law, f"learned_torque@{d.joint}", "angle", spring, {"torque": torque})

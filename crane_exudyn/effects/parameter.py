@@ -20,10 +20,10 @@ class Parameter:
             one.
         along_stroke: True for a length of the piston-side chamber that is a place of the stroke: searches start it
             around where the recording begins.
-        threshold: True for a value at which the effect begins: a little more of it is no more of the same term, so that
-            searches start it where it stands
         moment: True for the time of an event, counted from the start of the recording, before which the effect does
             nothing and after which it acts alike at all times: searches try it all along the recording.
+        threshold: True for a value at which the effect begins: a little more of it is no more of the same term, so that
+            searches start it where it stands.
     """
 
     name: str
