@@ -132,6 +132,20 @@ def test_a_clean_recording_is_explained_down_to_its_noise(nominal):
     assert result.error == pytest.approx(1.0, abs=4.0 / math.sqrt(2.0 * n) + 0.01)  # 1 % for the estimated noise
 
 
+def test_a_window_whose_run_fails_neither_ends_a_fit_nor_bends_it(nominal):
+    crane, data = nominal
+    windows, knots = cut(data, 0.25), first_knots(crane, data)
+    usual = fit(crane, data, windows, knots, (), stiffness=10.0)
+    astray = knots.copy()
+    astray[5] = 1e6
+    for given, failed in ((astray, False), (np.full_like(knots, 1e6), True)):
+        assert fit(crane, data, windows, given, (), stiffness=10.0, iterations=0).linear.failed == failed
+    found = fit(crane, data, windows, astray, (), stiffness=10.0)
+    assert found.linear.window_error[6:] == pytest.approx(usual.linear.window_error[6:], rel=0.05)
+    assert found.linear.window_error[:5] == pytest.approx(usual.linear.window_error[:5], rel=0.05)
+    assert found.linear.window_error[5] > 100.0
+
+
 @pytest.mark.parametrize(
     ("key", "true", "start"),
     [

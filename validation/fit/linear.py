@@ -47,6 +47,8 @@ _KEPT = 25_000_000
 #: that the minimum is theirs; derivatives but for some hundredths lead to it as well. What probes do is then taken at
 #: every second step
 DERIVED = 2.5e-3
+#: error that a window counts with whose run fails, in noise units: it explains nothing, whatever the model
+_LOST = 1e3
 #: by the unit of a sensor: what it shows at the start of a window where it lags is known to its lag times this rate
 RATE: Mapping[str, float] = {"rad": 0.3, "m": 0.3, "rad/s": 0.3, "m/s": 0.3, "Pa": 5e7}
 
@@ -261,18 +263,26 @@ def near(
 def _run_again(window_and_kept: tuple[Window, Swept | None], x0: np.ndarray, base: Model, m: int) -> Swept:
     """Return what a run of a window leaves, with the derivatives of an earlier sweep; zeros where it was not kept."""
     window, kept = window_and_kept
-    data, (X, status), nx = window.data, ran(window, x0, base), len(x0)
-    n, counts = nx + m, [len(s.values) for s in data.samples]
-    none = Swept([math.nan] * len(counts), counts, np.zeros((n, n)), np.zeros(n), X[-1], np.zeros((nx, n)), 0.0, True)
+    X, status = ran(window, x0, base)
+    if kept is None or kept.J is None:
+        kept = replace(_lost(window, x0, m), J=None)
     if status != 0 or not np.isfinite(X[-1]).all():
-        return none
+        return _lost(window, x0, m, kept.J)
     residuals = left_in(window, X, base)
     squares = [float(r @ r) for r in residuals]
     if not math.isfinite(sum(squares)):
-        return none
-    if kept is None or kept.J is None:
-        return replace(none, squares=squares, failed=False)
-    return replace(kept, squares=squares, Jr=kept.J.T @ np.concatenate(residuals), end=X[-1])
+        return _lost(window, x0, m, kept.J)
+    Jr = kept.Jr if kept.J is None else kept.J.T @ np.concatenate(residuals)
+    return replace(kept, squares=squares, Jr=Jr, end=X[-1], failed=False)
+
+
+def _lost(window: Window, x0: np.ndarray, m: int, J: np.ndarray | None = None) -> Swept:
+    """Return a window whose run fails, as one that explains nothing and does not say which way to go."""
+    counts, nx = [len(s.values) for s in window.data.samples], len(x0)
+    n = nx + m
+    return Swept(
+        [_LOST**2 * c for c in counts], counts, np.zeros((n, n)), np.zeros(n), x0, np.zeros((nx, n)), 0.0, True, J,
+    )  # fmt: skip
 
 
 def ran(window: Window, x0: np.ndarray, base: Model) -> tuple[np.ndarray, int]:
@@ -638,13 +648,19 @@ def _swept(
     window: Window, x0: np.ndarray, base: Model, columns: Columns, channels: tuple[str, ...], keep: bool
 ) -> Swept:
     found = sweep_window(window, x0, base, columns, channels)
+    if found.failed:
+        n = len(x0) + len(columns.size)
+        found = _lost(window, x0, len(columns.size), np.zeros((window.data.count, n)))
     return found if keep else replace(found, J=None)
 
 
 def _summed(
     windows: Sequence[Window], knots: np.ndarray, parts: Iterable[Swept], base: Model, m: int, stiffness: float
 ) -> Linear:
-    """Return the normal equations of swept windows and the jumps between them."""
+    """Return the normal equations of swept windows and the jumps between them; a model of which no window runs fails.
+
+    A window whose run fails is not joined to the next; its first state goes towards the end of the one before.
+    """
     K, nx = len(windows), knots.shape[1]
     scale = jump_of(base.crane.layout)[:nx]
     weak = (scale / _guess_of(base.crane.layout)[:nx]) ** 2
@@ -652,16 +668,14 @@ def _summed(
         np.zeros((K, nx, nx)), np.zeros((max(K - 1, 0), nx, nx)), np.zeros((K, nx, m)), np.zeros((m, m)),
         np.zeros((K, nx)), np.zeros(m), {}, {}, np.zeros(K), np.zeros(K), np.zeros(max(K - 1, 0)), scale, weak,
     )  # fmt: skip
-    swept = []
+    swept, linear.failed = [], True
     for k, part in enumerate(parts):
-        linear.failed |= part.failed
-        if linear.failed:
-            return linear
+        linear.failed &= part.failed
         if part.J is not None:
             swept.append(part)
         linear.volume += part.volume
         _add_data(linear, k, part, windows[0].data.channels, scale)
-        if k + 1 < K and follows(windows[k], windows[k + 1]):
+        if not part.failed and k + 1 < K and follows(windows[k], windows[k + 1]):
             _add_jump(linear, k, part, knots[k + 1], scale, stiffness)
     linear.swept = tuple(swept) if len(swept) == K else ()
     return linear
