@@ -111,7 +111,7 @@ def _anew(problem: Problem, w: Fitted) -> Fitted:
     """Return a model fitted anew from the crane as given, where that does no worse: parameters that did a law's work
     before it was there come back slowly.
     """
-    return max(w, problem.anew(w, (LOOSE,)), key=lambda one: one.evidence)
+    return max(w, problem.anew(w.as_found, (LOOSE,)), key=lambda one: one.evidence)
 
 
 def _after(path: LearningPath, found: Round[Fitted]) -> LearningPath:

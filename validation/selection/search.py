@@ -171,9 +171,9 @@ class Problem:
         """
         return all_parameters(unmoving(with_effects(self.crane, effects)), self.data)
 
-    def anew(self, w: Fitted, stages: Stages) -> Fitted:
-        """Return a model fitted anew at the crane as given with its effects as they were found."""
-        return fitted(self.crane, self.data, w.as_found, self.with_effects(w.effects), stages)
+    def anew(self, model: Model, stages: Stages) -> Fitted:
+        """Return a model fitted from the crane as given with its effects."""
+        return fitted(self.crane, self.data, model, self.with_effects(model.effects), stages)
 
     def as_given(self, effects: Mapping[str, Mapping[str, float]]) -> Fit:
         """Return the crane as given with effects as they were found, in loosely joined windows; all uncertain

@@ -165,20 +165,24 @@ def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
 
 def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Fitted]:
     """Return the moves fitted, the best of each; near the end the cost is quadratic at once: no walk from loose to
-    stiff. Where moved parameters brought it there, what no screen sees is fitted too.
+    stiff.
     """
     if _is_near(path, beam):
-        found = path.problem.run(moves, (STIFF,))
-        if not (beam[0].keys or path.given.good):
-            found += path.problem.run(_unseen(path.problem), (LOOSE, TIGHT, STIFF))
-        return best_of_each(found)
+        return best_of_each(path.problem.run(moves, (STIFF,)))
     return best_of_each(raced(path.problem, beam, moves, lambda: _hidden(path, beam, moves)))
 
 
-def _unseen(problem: Problem) -> list[Move]:
-    """Return the effects that no screen sees and moved parameters may stand for, on the machine as given."""
-    models = [Model(problem.shared, {s.key: s.values}) for s in unseen(problem.base)]
-    return [Move(model, problem.as_given(model.effects)) for model in models]
+def _unseen(path: WhitePath, parent: Fitted) -> list[Fitted]:
+    """Return the effects that no screen sees fitted from the machine as given, beside a model that leaves hardly more
+    than noise because its parameters moved: they may stand for one.
+    """
+    moved = parent.move_cost >= CRITERIA.helped if parent.keys else not path.given.good
+    if not (parent.near and moved):
+        return []
+    problem = path.problem
+    models = [Model(problem.shared, {**parent.effects, s.key: s.values}) for s in unseen(parent.fit)]
+    found = in_parallel(problem.jobs, [(problem.anew, model, (LOOSE, TIGHT, STIFF)) for model in models])
+    return [w for w in found if math.isfinite(w.evidence)]
 
 
 def _hidden(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Move]:
@@ -196,7 +200,8 @@ def _hidden(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> l
 def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) -> Round[Fitted]:
     """Return the round, the leading models carried to the end."""
     near = _is_near(path, beam)
-    done = _further(path, [], tried if near else path.problem.further(_leading(beam, tried), (TIGHT, STIFF)))
+    led = tried if near else path.problem.further(_leading(beam, tried), (TIGHT, STIFF))
+    done = _further(path, [], [*led, *_unseen(path, beam[0])])
     done = _relocated(path, done, beam, tried) if not path.rounds else done
     done = best_of_each([*done, *_dropped(path, done, near)])
     acting = tuple(w for w in done if w.keys)
@@ -256,7 +261,7 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
         if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
             continue
         if not w.plausible:
-            tasks.append((problem.anew, w, (WHOLE, STIFF)))
+            tasks.append((problem.anew, w.as_found, (WHOLE, STIFF)))
         elif (stages := _still_to_do(w)) or w.model.variables == problem.shared:
             tasks.append((_on, problem, w, stages))
     further = (w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))
