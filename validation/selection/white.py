@@ -124,17 +124,19 @@ def _with_parameters(path: WhitePath, parameters: Fitted) -> WhitePath:
 
 def _beam(path: WhitePath, most: int) -> Sequence[Fitted]:
     """Return the models that a round goes on from, the leading one first: the best alone if it leaves hardly more than
-    noise.
+    noise. No round goes on from the same effects again, unless these leave so little that other windows tell of more.
     """
     best, ahead = path.best, path.ahead
     if not path.rounds:
         return [path.parameters]
     if best is None or ahead is None or (path.parameters.good and best.evidence < path.bare + CRITERIA.proof):
         return []
+    first = path.rounds[0].tried[: CRITERIA.beam]
     if len(path.rounds) == 1 and not (best.good or path.parameters.good):
-        return path.rounds[0].tried[: CRITERIA.beam]
+        return first
     most = most if ahead.near else CRITERIA.most
-    return [ahead] if len(ahead.keys) < most and ahead.level < CRITERIA.misled else []
+    again = len(path.rounds) > 1 and not ahead.near and ahead.keys in [w.keys for w in first]
+    return [ahead] if len(ahead.keys) < most and ahead.level < CRITERIA.misled and not again else []
 
 
 def _is_near(path: WhitePath, parents: Sequence[Fitted]) -> bool:
