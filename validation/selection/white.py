@@ -272,9 +272,9 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
 
 def _still_to_do(w: Fitted) -> Stages:
     """Return the stages that take a fit to its end: windows that begin anew on its own run, where little is left that
-    is more than noise; more iterations, where it had not converged.
+    is more than noise, be it in a single window; more iterations, where it had not converged.
     """
-    if w.level < CRITERIA.left_level and not w.good:
+    if w.level < CRITERIA.left_level and (not w.good or w.bad.any()):
         return _RUN, STIFF
     return () if w.fit.converged else (STIFF, STIFF)
 
