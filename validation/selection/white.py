@@ -29,6 +29,8 @@ from .whole_runs import end_of_learned, first_part
 #: one run over the whole recording, from which windows begin anew: the first state of one may be caught in a false
 #: minimum, where its errors count by their logarithm only
 _RUN = replace(WHOLE, iterations=2)
+#: windows that end elsewhere: the moment of an event may be caught at the end of one, which the jump makes good
+_ELSEWHERE = replace(STIFF, seconds=0.6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,8 +111,8 @@ def _begun(problem: Problem) -> WhitePath:
     given = fitted(crane, data, Model(tuple(timings(data))), problem.nominal, (TIGHT, STIFF))
     given = replace(given, loose=problem.nominal)
     parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
-    if parameters.plausible and parameters.level < CRITERIA.left_level and (stages := _still_to_do(parameters)):
-        parameters = max(parameters, _on(problem, parameters, stages), key=lambda w: w.evidence)
+    if parameters.plausible and parameters.level < CRITERIA.left_level and (ways := _still_to_do(parameters)):
+        parameters = _on(problem, parameters, ways)
     return _with_parameters(WhitePath(problem, parameters, given=given, fewest=parameters), parameters)
 
 
@@ -264,24 +266,31 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
             continue
         if not w.plausible:
             tasks.append((problem.anew, w.as_found, (WHOLE, STIFF)))
-        elif (stages := _still_to_do(w)) or w.model.variables == problem.shared:
-            tasks.append((_on, problem, w, stages))
+        elif (ways := _still_to_do(w)) or w.model.variables == problem.shared:
+            tasks.append((_on, problem, w, ways))
     further = (w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))
     return best_of_each([*done, *more, *further])
 
 
-def _still_to_do(w: Fitted) -> Stages:
-    """Return the stages that take a fit to its end: windows that begin anew on its own run, where little is left that
-    is more than noise, be it in a single window; more iterations, where it had not converged.
+def _still_to_do(w: Fitted) -> Sequence[Stages]:
+    """Return ways to take a fit to its end: windows that begin anew on its own run, or end elsewhere, where little is
+    left that is more than noise, be it in a single window; more iterations, where it had not converged.
     """
     if w.level < CRITERIA.left_level and (not w.good or w.bad.any()):
-        return _RUN, STIFF
-    return () if w.fit.converged else (STIFF, STIFF)
+        return (_RUN, STIFF), (_ELSEWHERE, STIFF)
+    return () if w.fit.converged else ((STIFF, STIFF),)
 
 
-def _on(problem: Problem, w: Fitted, stages: Stages) -> Fitted:
-    """Return a model fitted further, at last by the combinations of parameters that it tells of itself."""
-    found = fitted(problem.crane, problem.data, w.model, w.fit, stages) if stages else w
+def _on(problem: Problem, w: Fitted, ways: Sequence[Stages]) -> Fitted:
+    """Return a model fitted further, a second way where the first leaves a few windows unexplained; at last by the
+    combinations of parameters that it tells of itself.
+    """
+    found = w
+    for stages in ways:
+        further = fitted(problem.crane, problem.data, w.model, w.fit, stages)
+        found = max(found, further, key=lambda one: one.evidence)
+        if not (found.near and found.bad.any()):
+            break
     if found.model.variables == problem.shared:
         found = retold(found)
     return replace(found, loose=w.loose)
