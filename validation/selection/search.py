@@ -20,7 +20,7 @@ from crane_exudyn.recording import Recording
 
 from ..fit.data import Data, data_of
 from ..fit.solve import Fit
-from ..fit.staged import Stage, all_parameters, informed_directions
+from ..fit.staged import LOOSE, Stage, all_parameters, informed_directions, staged, timings
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
 from .manoeuvre import best_manoeuvre
@@ -165,21 +165,25 @@ class Problem:
         found: list[float] = in_parallel(self.jobs, tasks)
         return [[*found[n * k : n * (k + 1)], *found[len(own) + k : len(own) + k + 1]] for k in range(len(fits))]
 
-    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Fit:
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]], near: Fit | None = None) -> Fit:
         """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined
-        windows.
+        windows, which begin as measured, or as those of a fit nearby.
         """
-        return all_parameters(unmoving(with_effects(self.crane, effects)), self.data)
+        crane = unmoving(with_effects(self.crane, effects))
+        if near is None:
+            return all_parameters(crane, self.data)
+        clocks = timings(self.data)
+        return staged(crane, self.data, clocks, np.zeros(len(clocks)), near, (LOOSE,))
 
     def anew(self, model: Model, stages: Stages) -> Fitted:
         """Return a model fitted from the crane as given with its effects."""
         return fitted(self.crane, self.data, model, self.with_effects(model.effects), stages)
 
-    def as_given(self, effects: Mapping[str, Mapping[str, float]]) -> Fit:
-        """Return the crane as given with effects as they were found, in loosely joined windows; all uncertain
-        parameters may move from where the crane states them.
+    def as_given(self, effects: Mapping[str, Mapping[str, float]], near: Fit | None = None) -> Fit:
+        """Return the crane as `with_effects` does; all uncertain parameters may move from where the crane states
+        them.
         """
-        fit = self.with_effects(effects) if effects else self.nominal
+        fit = self.with_effects(effects, near) if effects else self.nominal
         known, own = values_of(fit), Model(self.shared, effects).own(self.crane.layout)
         u = [known.get(v.name, 0.0) for v in self.base.variables] + [v.begin for v in own]
         return fit.begun(self.crane, (*self.base.variables, *own), np.array(u))

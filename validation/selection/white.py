@@ -157,7 +157,8 @@ def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
     for parent in beam:
         fit, stiffness = (parent.fit, STIFF.stiffness) if near else (parent.loose, LOOSE.stiffness)
         if parent.keys and not (near or parent.plausible):
-            fit = path.problem.as_given(parent.effects)
+            ended = next((w for w in path.done if w.keys == parent.keys), parent)
+            fit = path.problem.as_given(ended.effects, ended.fit)
         most = CRITERIA.nearly if near else CRITERIA.others if parent.keys else CRITERIA.singles
         least = CRITERIA.tie if near else CRITERIA.promise
         scores = screened(fit, stiffness)
