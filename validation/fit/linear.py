@@ -649,8 +649,8 @@ def _swept(
 ) -> Swept:
     found = sweep_window(window, x0, base, columns, channels)
     if found.failed:
-        n = len(x0) + len(columns.size)
-        found = _lost(window, x0, len(columns.size), np.zeros((window.data.count, n)))
+        m = len(columns.size)
+        found = _lost(window, x0, m, np.zeros((window.data.count, len(x0) + m)))
     return found if keep else replace(found, J=None)
 
 
@@ -668,7 +668,7 @@ def _summed(
         np.zeros((K, nx, nx)), np.zeros((max(K - 1, 0), nx, nx)), np.zeros((K, nx, m)), np.zeros((m, m)),
         np.zeros((K, nx)), np.zeros(m), {}, {}, np.zeros(K), np.zeros(K), np.zeros(max(K - 1, 0)), scale, weak,
     )  # fmt: skip
-    swept, linear.failed = [], True
+    swept, linear.failed = [], K > 0
     for k, part in enumerate(parts):
         linear.failed &= part.failed
         if part.J is not None:

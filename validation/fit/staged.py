@@ -199,7 +199,7 @@ def timing_of(data: FitData) -> Timing:
 
 
 def _over_the_range(
-    crane: Crane, data: Data, unknown: Sequence[Variable], knots: np.ndarray, stages: Sequence[Stage]
+    crane: Crane, data: Data, unknown: Sequence[Variable], knots: Fit | np.ndarray, stages: Sequence[Stage]
 ) -> Fit:
     """Return the fit of what is openly unknown, from the file's values, and where these are far off from some over the
     whole range.
@@ -214,17 +214,18 @@ def _over_the_range(
     return min(found, key=lambda f: math.inf if f.linear.failed else f.linear.cost)
 
 
-def all_parameters(crane: Crane, data: Data, stages: Sequence[Stage] = (LOOSE,)) -> Fit:
+def all_parameters(crane: Crane, data: Data, stages: Sequence[Stage] = (LOOSE,), near: Fit | None = None) -> Fit:
     """Return the fit of all uncertain nominal parameters in windows: first what is unknown, then what is uncertain as
     well.
 
     A payload of which only a range is known may be far from the file's value; fitted at once with everything else, many
-    other parameters would move a little to do its work, from where the fit comes back slowly.
+    other parameters would move a little to do its work, from where the fit comes back slowly. Windows begin as
+    measured, or as those of a fit nearby.
     """
     clocks = timings(data)
     variables: list[Variable] = [*uncertain_parameters(crane, data.own, len(data.parts)), *clocks]
     unknown = [v for v in variables if isinstance(v, Timing) or not math.isfinite(v.prior)]
-    knots = first_knots(crane, data)
+    knots = near or first_knots(crane, data)
     if len(unknown) == len(clocks):
         return staged(crane, data, variables, np.zeros(len(variables)), knots, stages)
     first = _over_the_range(crane, data, unknown, knots, stages)

@@ -20,7 +20,7 @@ from crane_exudyn.recording import Recording
 
 from ..fit.data import Data, data_of
 from ..fit.solve import Fit
-from ..fit.staged import LOOSE, Stage, all_parameters, informed_directions, staged, timings
+from ..fit.staged import Stage, all_parameters, informed_directions
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
 from .manoeuvre import best_manoeuvre
@@ -147,7 +147,13 @@ class Problem:
 
     def run(self, moves: Sequence[Move], stages: Stages) -> list[Fitted]:
         """Return the moves fitted, on as many processes as may be used, best first."""
-        found = in_parallel(self.jobs, [(fitted, self.crane, self.data, m.model, m.before, stages) for m in moves])
+        return self.fits([(fitted, self.crane, self.data, m.model, m.before, stages) for m in moves])
+
+    def fits(self, tasks: Sequence[tuple[Any, ...]]) -> list[Fitted]:
+        """Return what tasks (function, arguments…) fit, on as many processes as may be used, best first; without models
+        that run away.
+        """
+        found: list[Fitted] = in_parallel(self.jobs, tasks)
         return sorted((w for w in found if math.isfinite(w.evidence)), key=lambda w: -w.evidence)
 
     def further(self, fits: Sequence[Fitted], stages: Stages) -> list[Fitted]:
@@ -169,11 +175,7 @@ class Problem:
         """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined
         windows, which begin as measured, or as those of a fit nearby.
         """
-        crane = unmoving(with_effects(self.crane, effects))
-        if near is None:
-            return all_parameters(crane, self.data)
-        clocks = timings(self.data)
-        return staged(crane, self.data, clocks, np.zeros(len(clocks)), near, (LOOSE,))
+        return all_parameters(unmoving(with_effects(self.crane, effects)), self.data, near=near)
 
     def anew(self, model: Model, stages: Stages) -> Fitted:
         """Return a model fitted from the crane as given with its effects."""

@@ -186,8 +186,7 @@ def _unseen(path: WhitePath, parent: Fitted) -> list[Fitted]:
         return []
     problem = path.problem
     models = [Model(problem.shared, {**parent.effects, s.key: s.values}) for s in unseen(parent.fit)]
-    found = in_parallel(problem.jobs, [(problem.anew, model, (LOOSE, TIGHT, STIFF)) for model in models])
-    return [w for w in found if math.isfinite(w.evidence)]
+    return problem.fits([(problem.anew, model, (LOOSE, TIGHT, STIFF)) for model in models])
 
 
 def _hidden(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Move]:
@@ -269,8 +268,7 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
             tasks.append((problem.anew, w.as_found, (WHOLE, STIFF)))
         elif (ways := _still_to_do(w)) or w.model.variables == problem.shared:
             tasks.append((_on, problem, w, ways))
-    further = (w for w in in_parallel(problem.jobs, tasks) if math.isfinite(w.evidence))
-    return best_of_each([*done, *more, *further])
+    return best_of_each([*done, *more, *problem.fits(tasks)])
 
 
 def _still_to_do(w: Fitted) -> Sequence[Stages]:
