@@ -4,7 +4,6 @@ what differs is changed; or anew.
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from collections.abc import Mapping
@@ -14,7 +13,7 @@ import tomlkit
 from tomlkit.items import AoT, Table
 
 from . import parameters
-from .crane_toml import REFERENCES, as_written, from_document, whole_text
+from .crane_toml import REFERENCES, as_given, as_written, from_document, whole_text
 from .description import Description, Uncertainty
 from .effects.base import Acting
 from .units import factor_to_si, to_si
@@ -54,6 +53,9 @@ def edited(text: str, before: Description, crane: Description) -> str:
         _set_all(document, "initial", {}, pose | {"less_loaded_pressure": list(crane.initial.less_loaded_pressure)})
     if crane.effects != before.effects:
         _set_effects(document, before.effects, crane.effects)
+    if crane.model_error != before.model_error:
+        given = [{n: _inline(as_given(e)) for n, e in c.model_error.items()} for c in (before, crane)]
+        _set_all(document, "model_error", *given)
     if crane.history != before.history:
         _append(document, "history", [dict(entry) for entry in crane.history[len(before.history) :]])
     return tomlkit.dumps(document)
@@ -75,7 +77,7 @@ def _set_uncertainties(document: Any, before: Mapping[str, Uncertainty], now: Ma
         if before.get(name) != given:
             table = document.setdefault("uncertainty", tomlkit.table())
             table.pop(name, None)
-            table[name] = _inline({k: v for k, v in vars(given).items() if math.isfinite(v)})
+            table[name] = _inline(as_given(given))
 
 
 def _set_value(document: Any, name: str, value: float) -> None:

@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from typing import Any, TypeVar
 
 from . import parameters
-from .description import Description, Initial, Uncertainty, Voltage, check, complete
+from .description import Description, GaussMarkov, Initial, Uncertainty, Voltage, check, complete
 from .effects import registry
 from .effects.base import Acting
 from .effects.curve import KNOTS, Curve
@@ -25,7 +25,7 @@ D = TypeVar("D", bound=Description)
 _SECTIONS = (
     "name", "description", "gravity", "independent", "bodies", "payload", "joint", "joints", "cylinders", "valves",
     "fluid", "supply",
-    "initial", "sensors", "uncertainty", "sources", "effect", "history",
+    "initial", "sensors", "uncertainty", "sources", "effect", "model_error", "history",
 )  # fmt: skip
 
 
@@ -49,6 +49,7 @@ def from_document(kind: type[D], document: Mapping[str, Any], where: str, text: 
         uncertainty=_uncertainties(_table(document, "uncertainty", where), values, where),
         sources={str(k): str(v) for k, v in _table(document, "sources", where).items()},
         effects=effects,
+        model_error=_model_errors(_table(document, "model_error", where), machine, where),
         history=tuple(frozen(entry) for entry in _tables(document, "history", where)),
         text=text,
     )
@@ -200,6 +201,21 @@ def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty
     return Uncertainty(std, lower, upper)
 
 
+def _model_errors(table: Mapping[str, Any], machine: Machine, where: str) -> dict[str, GaussMarkov]:
+    lay, found = machine.layout, {}
+    units = {n: lay.unit_of(n) for n in lay.disturbances} | {n: parameters.unit_of(n) for n in machine.names}
+    refuse_unknown(f"{where}: model_error", table, units)
+    for name, entry in table.items():
+        place = f"{where}: model_error {name!r}"
+        numbers = _read(entry, {"std": units[name], "memory": "s"}, place)
+        if not numbers.get("std", 0.0) > 0.0 or not numbers.get("memory", math.inf) > 0.0:
+            raise CraneError(
+                f"{place} needs a std > 0, and a memory > 0 s if it has one. Leave the line out if unknown."
+            )
+        found[name] = GaussMarkov(**numbers)
+    return found
+
+
 def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
     if "name" not in table:
         raise CraneError(f"{where}: an [[effect]] needs a name. `patu effects` lists them.")
@@ -279,11 +295,14 @@ def whole_text(crane: Description) -> str:
     lines += [f"less_loaded_pressure = [{', '.join(_number(p) for p in crane.initial.less_loaded_pressure)}]", ""]
     if crane.sensors:
         lines += ["[sensors]", *(f"{k} = {_number(v)}" for k, v in crane.sensors.items()), ""]
-    lines += ["[uncertainty]", *(f"{_text(n)} = {_uncertainty_text(u)}" for n, u in crane.uncertainty.items()), ""]
+    lines += ["[uncertainty]", *(f"{_text(n)} = {_any(as_given(u))}" for n, u in crane.uncertainty.items()), ""]
     if crane.sources:
         lines += ["[sources]", *(f"{_text(k)} = {_text(v)}" for k, v in crane.sources.items()), ""]
     for acting in crane.effects:
         lines += _effect_lines(acting)
+    if crane.model_error:
+        errors = (f"{_text(n)} = {_any(as_given(e))}" for n, e in crane.model_error.items())
+        lines += ["[model_error]", *errors, ""]
     for entry in crane.history:
         lines += ["[[history]]", *(f"{_key(k)} = {_any(v)}" for k, v in entry.items()), ""]
     return "\n".join(lines).rstrip() + "\n"
@@ -355,11 +374,9 @@ def _effect_lines(acting: Acting) -> list[str]:
     return [*lines, f"parameters = {_any(parameters)}", ""]
 
 
-def _uncertainty_text(u: Uncertainty) -> str:
-    parts = [
-        f"{k} = {_number(v)}" for k, v in (("std", u.std), ("lower", u.lower), ("upper", u.upper)) if math.isfinite(v)
-    ]
-    return f"{{ {', '.join(parts)} }}"
+def as_given(numbers: Uncertainty | GaussMarkov) -> dict[str, float]:
+    """Return numbers as a crane file has them: without what is unlimited."""
+    return {k: v for k, v in vars(numbers).items() if math.isfinite(v)}
 
 
 def _number(value: float) -> str:

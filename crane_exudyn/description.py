@@ -65,9 +65,19 @@ class Initial:
 
 
 @dataclass(frozen=True)
+class GaussMarkov:
+    """What a model errs by, as noise that lasts (first-order Gauss-Markov): standard deviation in SI, and memory in
+    s.
+    """
+
+    std: float
+    memory: float = math.inf
+
+
+@dataclass(frozen=True)
 class Description:
     """What a crane file says: the machine, numbers by name in SI, valve calibration, start, sensors, uncertainties,
-    effects, and what was done to it.
+    effects, what the model is known to err by, and what was done to it.
 
     `text` is that of the file that it was read from; what is written keeps its comments and units.
     """
@@ -82,11 +92,12 @@ class Description:
     uncertainty: Mapping[str, Uncertainty] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
     effects: tuple[Acting, ...] = ()
+    model_error: Mapping[str, GaussMarkov] = field(default_factory=dict)
     history: tuple[Mapping[str, Any], ...] = ()
     text: str = field(default="", repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("values", "voltage", "sensors", "uncertainty", "sources"):
+        for name in ("values", "voltage", "sensors", "uncertainty", "sources", "model_error"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         check(self.name, self.machine, self.values, self.effects)
 

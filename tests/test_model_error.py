@@ -35,29 +35,32 @@ MACHINES = {
     "leak": NOMINAL.with_effect("internal_leakage@lift", {"k": 5e-12}),
 }
 STD = {"z1": np.radians(0.05), "z4": np.radians(0.05), "p1": 0.3e5, "p4": 0.3e5}
+ALL = STD | {"p2": 0.3e5, "p3": 0.3e5}
 STEP, RATE, DURATION = 5e-3, 100, 5.0
 
 
 @cache
-def recorded(name: str) -> tuple[Signals, np.ndarray]:
-    """Return the signals of a machine in which both booms move, and its true states at their instants."""
+def recorded(name: str, seed: int = 7) -> tuple[Signals, np.ndarray]:
+    """Return the signals of a machine in which both booms move, the pressures that the filter is not shown among them,
+    and its true states at their instants.
+    """
     crane, engine = MACHINES[name], SemiRecursiveEngine(MACHINES[name])
     time = np.arange(round(DURATION * 1000) + 1) * 1e-3
     commands = np.zeros((time.size, 2))
     commands[500:1500, 0], commands[2000:3000, 1], commands[3500:4200, 0] = 0.4, 0.35, -0.4
     inputs = np.column_stack([SpoolPath(crane).run(time, commands), np.full((time.size, 2), np.nan)])
     states = engine.simulate(engine.static_start(*crane.initial.pose), time, inputs, step=1e-3)
-    every, rng = slice(None, None, 1000 // RATE), np.random.default_rng(7)
+    every, rng = slice(None, None, 1000 // RATE), np.random.default_rng(seed)
     truth = visible(crane, states)[every]
     sensors = {
-        n: (time[every], truth[:, LAYOUT.index(n)] + std * rng.normal(size=len(truth))) for n, std in STD.items()
+        n: (time[every], truth[:, LAYOUT.index(n)] + std * rng.normal(size=len(truth))) for n, std in ALL.items()
     }
     return Signals(time, commands, sensors, name=name), truth
 
 
-def plain() -> Estimator:
+def plain(crane: Crane = NOMINAL) -> Estimator:
     """Return the filter with the nominal model and little noise."""
-    return Estimator(NOMINAL, "semi-recursive", STD, ProcessNoise((1e-7,) * 2, (1e6,) * 4), max_step=STEP)
+    return Estimator(crane, "semi-recursive", STD, ProcessNoise((1e-7,) * 2, (1e6,) * 4), max_step=STEP)
 
 
 @cache
@@ -79,6 +82,19 @@ def test_what_no_sensor_measures_is_inside_its_interval_when_the_model_is_wrong(
     assert (np.abs(errors(name)) <= 1.96).mean(axis=0).min() >= 0.85
     assert (np.abs(errors(name, "off")) <= 1.96).mean(axis=0).min() < 0.7
     assert np.sqrt((errors(name) ** 2).mean(axis=0)).min() > 0.2  # and the intervals are not simply wide
+
+
+def test_what_all_sensors_once_told_of_a_wrong_model_narrows_intervals_that_hold_without_them():
+    known = model_error.lasting(NOMINAL, [(recorded("leak", 8)[0], ALL)])
+    assert {*LAYOUT.torques, "flow.p1", "flow.p3", "supply.pump_pressure"} <= set(known)
+    assert not any(n in known for n in ("payload.mass", "flow.p2", "bias.p1"))
+    assert all(e.std > 0.0 and e.memory <= 10.0 for e in known.values())
+    result = model_error.estimate(plain(replace(NOMINAL, model_error=known)), recorded("leak")[0])
+    before = estimated("leak")
+    p3, moving = LAYOUT.index("p3"), result.time > 0.6
+    error = (result.mean[:, p3] - recorded("leak")[1][:, p3])[moving]
+    assert (np.abs(error) <= 1.96 * result.std[moving, p3]).mean() >= 0.85
+    assert result.std[moving, p3].mean() < 0.8 * before.std[moving, p3].mean()
 
 
 def test_a_right_model_is_left_alone():
@@ -122,6 +138,9 @@ def test_a_replay_has_the_likelihood_of_the_run():
     augment = tuple(replace(a, std=size, drift=2.0 * a.drift) for a, size in zip(unknowns, wider, strict=True))
     ran = estimator.varied(noise=other, augment=augment).run(signals).log_likelihood
     assert replay.log_likelihood(other, augment) + constants == pytest.approx(ran, abs=5e-3 * replay.used)
+    quick = tuple(replace(a, memory=0.3 * a.memory) for a in unknowns)
+    ran = estimator.varied(augment=quick).run(signals).log_likelihood
+    assert replay.log_likelihood(noise, quick) + constants == pytest.approx(ran, abs=5e-3 * replay.used)
 
 
 def test_a_joint_whose_balance_the_file_knows_badly_has_a_constant_moment():

@@ -7,8 +7,8 @@ noise:
 
 | unknown | acts | size that is expected | memory |
 |---|---|---|---|
-| a moment on each joint | always | 5 % of what its cylinder can do | 10 s; a walk from a constant where the crane
-file's own uncertainties do more to the balance |
+| a moment on each joint | always | 5 % of what its cylinder can do | 10 s, or less: it is searched; a walk from a
+constant where the crane file's own uncertainties do more to the balance |
 | a flow into each chamber | always | 0.5 % of the valve's flow under full pump pressure | 3 s |
 | flow coefficient of each valve | while its spool is open | 10 % | 3 s |
 | pump pressure | while a valve draws from it | 5 % | 3 s |
@@ -23,18 +23,23 @@ innovations are most likely (`replay`), held back from leaving what is expected 
 each size is opened by a quarter of a power of ten, or as much less as leaves the innovations nearly as likely: they
 tell of an unknown what it does to the sensors, and what is not measured may suffer more. With a model that is right all
 sizes fall, and the intervals are those of the filter without them.
+
+Where all pressures were measured once, more is known than that: `lasting` finds sizes and memories from all sensors,
+a crane file keeps them under [model_error], and these are then what is expected.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.description import GaussMarkov
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import pose
 from crane_exudyn.static_start import static_start
@@ -58,12 +63,18 @@ _BELOW = -4.0
 _NOTHING = -2.5
 #: log-likelihood a sample that opened sizes may cost
 _PRICE = 0.02
-#: finest step of the search in powers of ten, what a round of it must gain in log-likelihood, runs that are replayed
-_FINEST, _GAIN, _RUNS = 0.3, 2.0, 2
+#: first step of the search in each run that is replayed, powers of ten, and what a round of it must gain in
+#: log-likelihood
+_STEPS, _GAIN = (1.0, 0.5), 0.5
 #: time constant of sizes in live use, s
 _ADAPT = 4.0
-#: how much of a recording the search uses, around its busiest part, s
-_SECONDS = 10.0
+#: shortest memory of a moment that is searched, s: inertia swings within it; friction that reverses does so sooner, but
+#: then stays as long as a motion
+_QUICK = 1.0
+#: least share of what is expected of any model that a crane file keeps: the next run finds the model wrong elsewhere
+_LEAST = 0.1
+#: how much of a recording the search uses, around its busiest part, s: before an estimate, and for a crane file
+_SECONDS, _LONG = 10.0, 60.0
 #: what `patu estimate --model-error` may say
 MODES = ("auto", "off", "on")
 #: most samples a second and longest integration step that the search uses
@@ -76,7 +87,8 @@ _PRESSURE = 0.3
 @dataclass(frozen=True)
 class Unknown:
     """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest
-    size, and a part that stays, of which the size says nothing.
+    size, a part that stays, of which the size says nothing, and the shortest memory that is searched (s; infinite: none
+    is).
 
     With a part that stays it is a random walk from there, as fast as noise of that size and memory is at first.
     """
@@ -86,6 +98,7 @@ class Unknown:
     memory: float
     most: float
     stays: float = 0.0
+    least: float = np.inf
 
     def augments(self, size: float) -> tuple[Augment, ...]:
         """Return the quantities as states of the filter, of a given size."""
@@ -134,7 +147,9 @@ def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str
     """
     lay, pump = crane.layout, crane["supply.pump_pressure"]
     found = [
-        Unknown((name,), 0.05 * most, 10.0, most, stays if stays > 0.05 * most else 0.0)
+        Unknown((name,), 0.05 * most, 10.0, most, stays)
+        if stays > 0.05 * most
+        else Unknown((name,), 0.05 * most, 10.0, most, least=_QUICK)
         for name, most, stays in zip(lay.torques, _moments(crane), filed_moments(crane), strict=True)
     ]
     for cylinder, sides in zip(lay.cylinders, lay.sides, strict=True):
@@ -148,12 +163,25 @@ def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str
         ]
     found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0, pump))
     gauges = [n for n in sensors if lay.sensors[n].unit == "Pa"]
+    found = [_as_filed(u, crane) for u in found]
     found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 10.0, 30.0 * sensors[n]) for n in gauges]
     others = [n for n in sensors if n not in gauges]
     found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 0.2, 30.0 * sensors[n]) for n in others]
-    free = [n for n, known in crane.uncertainty.items() if not np.isfinite(known.std) and n in crane.machine.index]
-    found += [Unknown((e.name,), e.std, np.inf, 10.0 * e.std) for e in resolve(crane, free)]
+    found += [Unknown((e.name,), e.std, np.inf, 10.0 * e.std) for e in resolve(crane, _openly_unknown(crane))]
     return tuple(u for u in found if u.size > 0.0 and not set(u.names) & set(without))  # machines without hoses
+
+
+def _openly_unknown(crane: Crane) -> list[str]:
+    """Return the nominal parameters of which the crane file knows a range at most."""
+    return [n for n, known in crane.uncertainty.items() if not np.isfinite(known.std) and n in crane.machine.index]
+
+
+def _as_filed(unknown: Unknown, crane: Crane) -> Unknown:
+    """Return an unknown with the size and memory that the crane file gives it, if it does."""
+    known = crane.model_error.get(unknown.names[0])
+    if known is None:
+        return unknown
+    return replace(unknown, size=min(known.std, unknown.most), memory=known.memory, stays=0.0)
 
 
 def _moments(crane: Crane) -> list[float]:
@@ -241,46 +269,115 @@ def find(
         seconds: how much of the recording is used, around its busiest part.
         progress: called with the fraction done.
     """
-    std = sensor_std(crane, sensors)
-    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
-    piece = busiest(signals, seconds).thinned(_RATE)
-    start = expected(crane, std, _names(augment))
-    search = _Search(start)
-    logs = search.first
-    for k in range(_RUNS):
-        if progress is not None:
-            progress(k / _RUNS)
-        now = search.model_error(logs)
-        estimator = now.behind(Estimator(crane, engine, std, augment=augment, max_step=_STEP))
-        replay = Replay(estimator, piece, estimator.extras[len(augment) :])
-        logs = search.climb(replay, logs)
+    search, logs, replay = _searched(crane, recording, sensors, engine, augment, seconds, progress)
     return search.opened(logs, search.opening(replay, logs))
 
 
+def lasting(
+    crane: Crane,
+    recordings: Sequence[tuple[Any, Mapping[str, float]]],
+    *,
+    engine: Any = "semi-recursive",
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, GaussMarkov]:
+    """Return the sizes and memories of what is wrong about the model itself, as a crane file keeps them: those under
+    which the innovations of a recording are most likely, but a tenth of what is expected at least; of several recordings
+    the geometric mean.
+
+    Of use where pressures are measured that an estimate later does without. What the sensors err by, and what the file
+    calls unknown, is of these recordings and not told.
+
+    Args:
+        crane: the model.
+        recordings: each with its sensors and their noise standard deviations (SI).
+        progress: called with the fraction done.
+    """
+    crane = replace(crane, model_error={})
+    told = set(crane.layout.disturbances) | set(crane.machine.index) - set(_openly_unknown(crane))
+    found: dict[str, list[tuple[float, float]]] = {}
+    for k, (recording, sensors) in enumerate(recordings):
+        done = None if progress is None else partial(_share_of, progress, k, len(recordings))
+        search, logs, _ = _searched(crane, recording, sensors, engine, (), _LONG, done)
+        model, usual = search.model_error(logs), search.start.sizes
+        for unknown, size, expected_size in zip(model.unknowns, model.sizes, usual, strict=True):
+            if unknown.names[0] in told:
+                found.setdefault(unknown.names[0], []).append((max(size, _LEAST * expected_size), unknown.memory))
+    means = {name: np.exp(np.log(pairs).mean(axis=0)) for name, pairs in found.items()}
+    return {name: GaussMarkov(*(float(f"{m:.3g}") for m in mean)) for name, mean in means.items()}
+
+
+def _share_of(progress: Callable[[float], None], k: int, count: int, done: float) -> None:
+    progress((k + done) / count)
+
+
+def _searched(
+    crane: Crane,
+    recording: Any,
+    sensors: Mapping[str, float],
+    engine: Any,
+    augment: tuple[Any, ...],
+    seconds: float,
+    progress: Callable[[float], None] | None,
+) -> tuple[_Search, np.ndarray, Replay]:
+    """Return the search, the most likely logarithms, and the last run in which they were searched."""
+    std = sensor_std(crane, sensors)
+    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
+    piece = busiest(signals, seconds).thinned(_RATE)
+    search = _Search(expected(crane, std, _names(augment)))
+    logs = search.first
+    for k, step in enumerate(_STEPS):
+        if progress is not None:
+            progress(k / len(_STEPS))
+        now = search.model_error(logs)
+        estimator = now.behind(Estimator(crane, engine, std, augment=augment, max_step=_STEP))
+        replay = Replay(estimator, piece, estimator.extras[len(augment) :])
+        logs = search.climb(replay, logs, step)
+    return search, logs, replay
+
+
 class _Search:
-    """The search over the logarithms [size of each unknown over what is expected, white noise as in `tuning`]."""
+    """The search over the logarithms [size of each unknown over what is expected, memory of those that may fade faster
+    over what is expected, white noise as in `tuning`].
+    """
 
     def __init__(self, start: ModelError) -> None:
         self.start, self.count = start, len(start.unknowns)
+        self._fading = [k for k, u in enumerate(start.unknowns) if u.least < u.memory]
         noise = logs_of(start.noise)
-        self.first = np.concatenate([np.zeros(self.count), noise])
-        self._width = np.concatenate([np.full(self.count, _PRIOR), np.full(self.first.size - self.count, _PRIOR_NOISE)])
+        near = self.count + len(self._fading)
+        self.first = np.concatenate([np.zeros(near), noise])
+        self._width = np.concatenate([np.full(near, _PRIOR), np.full(noise.size, _PRIOR_NOISE)])
         self._most = np.log10([u.most / u.size for u in start.unknowns])
-        self._limits = [*((_BELOW, float(most)) for most in self._most), *limits_of(noise)]
+        sizes = [(_BELOW, float(most)) for most in self._most]
+        memories = [(float(np.log10(u.least / u.memory)), 0.0) for u in (start.unknowns[k] for k in self._fading)]
+        self._limits = [*sizes, *memories, *limits_of(noise)]
 
     def model_error(self, logs: np.ndarray) -> ModelError:
         """Return the model error of some logarithms."""
-        sizes = tuple(float(u.size * 10.0**e) for u, e in zip(self.start.unknowns, logs, strict=False))
-        return ModelError(self.start.unknowns, sizes, noise_of(logs[self.count :]), self.start.pressure_std)
+        found, near = list(self.start.unknowns), self.count + len(self._fading)
+        for k, e in zip(self._fading, logs[self.count : near], strict=True):
+            found[k] = replace(found[k], memory=float(found[k].memory * 10.0**e))
+        sizes = tuple(float(u.size * 10.0**e) for u, e in zip(found, self._sizes(logs), strict=True))
+        return ModelError(tuple(found), sizes, noise_of(logs[near:]), self.start.pressure_std)
 
-    def climb(self, replay: Replay, logs: np.ndarray) -> np.ndarray:
-        """Return the most likely logarithms."""
+    def _sizes(self, logs: np.ndarray) -> np.ndarray:
+        """Return the logarithms of the sizes over what is expected.
+
+        What innovations tell of an unknown is how fast it changes, size²/memory; the search keeps that while it changes
+        a memory.
+        """
+        sizes = logs[: self.count].copy()
+        sizes[self._fading] += 0.5 * logs[self.count : self.count + len(self._fading)]
+        return sizes
+
+    def climb(self, replay: Replay, logs: np.ndarray, step: float) -> np.ndarray:
+        """Return the most likely logarithms, searched with steps from `step` down to a quarter of it."""
 
         def cost(trial: np.ndarray) -> float:
-            prior = 0.5 * float(np.sum(((trial - self.first) / self._width) ** 2))
-            return prior - self._log_likelihood(replay, trial)
+            off = (np.concatenate([self._sizes(trial), trial[self.count :]]) - self.first) / self._width
+            return 0.5 * float(off @ off) - self._log_likelihood(replay, trial)
 
-        return descend(cost, logs, cost(logs), self._limits, finest=_FINEST, gain=_GAIN)[0]
+        return descend(cost, logs, cost(logs), self._limits, step=step, finest=step / 4, gain=_GAIN)[0]
 
     def _log_likelihood(self, replay: Replay, logs: np.ndarray) -> float:
         now = self.model_error(logs)
@@ -303,7 +400,8 @@ class _Search:
         """Return the model error with sizes that are opened, without unknowns of no account."""
         wide = self._widened(logs, by)
         found = self.model_error(wide)
-        kept = [k for k, u in enumerate(found.unknowns) if wide[k] > _NOTHING or u.stays]
+        sizes = self._sizes(wide)
+        kept = [k for k, u in enumerate(found.unknowns) if sizes[k] > _NOTHING or u.stays]
         return ModelError(
             tuple(found.unknowns[k] for k in kept), tuple(found.sizes[k] for k in kept), found.noise, found.pressure_std
         )

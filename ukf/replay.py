@@ -75,11 +75,11 @@ class Replay:
 
     def log_likelihood(self, noise: ProcessNoise, varied: Sequence[Augment]) -> float:
         """Return the log-likelihood of all samples, but for a constant, for a noise and the varied states as they are
-        in `varied`: with other standard deviations and drifts.
+        in `varied`: with other standard deviations, drifts and memories.
         """
         dt = self._dt[:, None]
         pairs = zip(self._varied, varied, strict=True)
-        extras = [replace(e, std=e.std if a.std is None else a.std, drift=a.drift) for e, a in pairs]
+        extras = [replace(e, std=e.std if a.std is None else a.std, drift=a.drift, memory=a.memory) for e, a in pairs]
         kept = np.exp(-dt / np.array([e.memory for e in extras]))
         added = np.array([e.std for e in extras]) ** 2 * (1.0 - kept**2) + np.array([e.drift for e in extras]) ** 2 * dt
         offset = self._offset.copy()

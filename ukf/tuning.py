@@ -96,6 +96,7 @@ def descend(
     *,
     finest: float,
     gain: float,
+    step: float = 1.0,
     enough: Callable[[], bool] = lambda: False,
 ) -> tuple[np.ndarray, float]:
     """Return the logarithms that lower a cost, one after the other, and that cost; steps are halved down to `finest`.
@@ -105,9 +106,9 @@ def descend(
         logs, best: where to begin, and the cost there.
         limits: range of each logarithm.
         gain: what a round must gain for another one with the same step.
+        step: the first one.
         enough: whether to end before the time.
     """
-    step = 1.0
     while step >= finest and not enough():
         old = best
         for i in range(logs.size):

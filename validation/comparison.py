@@ -394,6 +394,12 @@ def filtered(crane: Crane, data: FitData, engine: Engine, progress: Callable[[fl
     return joined(runs)
 
 
+def longest_stretch(data: FitData, layout: Layout) -> tuple[Signals, dict[str, float]]:
+    """Return what a filter sees of the longest stretch with known commands, and the noise of the sensors."""
+    first, last = max(data.stretches, key=lambda s: s[1] - s[0])
+    return _signals(data, first, last, layout), {s.channel: s.noise for s in data.samples}
+
+
 def _share(progress: Callable[[float], None] | None, done: float, share: float, fraction: float) -> None:
     if progress is not None:
         progress(done + share * fraction)

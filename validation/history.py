@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from crane_exudyn.crane import Crane
@@ -38,19 +39,17 @@ def removed(crane: Crane, key: str) -> Crane:
         return _undone(crane, last)
     if key not in keys:
         raise CraneError(f"{crane.name} has no effect {key!r}.{nearest(key, keys) if keys else ' It has none at all.'}")
-    return crane.without_effect(key)
+    return replace(crane.without_effect(key), model_error={})
 
 
 def _undone(crane: Crane, entry: Mapping[str, Any]) -> Crane:
-    from dataclasses import replace
-
     result = crane.with_parameters({n: change["from"] for n, change in entry.get("parameters", {}).items()})
     for key in entry["added"]:
         if result.effect(key) is not None:
             result = result.without_effect(key)
     for key, values in entry.get("effects_before", {}).items():
         result = result.with_effect(key, values)
-    return replace(result, history=crane.history[:-1])
+    return replace(result, model_error={}, history=crane.history[:-1])
 
 
 def learned(crane: Crane) -> tuple[str, ...]:

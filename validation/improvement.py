@@ -7,16 +7,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.description import GaussMarkov
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
+from ukf.model_error import lasting
 
-from .comparison import filtered
+from .comparison import filtered, longest_stretch
 from .diagnosis import Candidate, Diagnosis, diagnosis_of, searched, sentence
 from .fit.data import FitData
 from .fit.solve import Fit
@@ -76,12 +79,12 @@ class Improvement:
     @property
     def notes(self) -> tuple[str, ...]:
         """What to know about the recordings; where several effects were taken in, what the data demand, cannot separate
-        and leave; and what was said of learning.
+        and leave; what was said of learning; and what the model still errs by.
         """
         about = self.diagnoses[0].notes if self.diagnoses else ()
         several = () if self.proven is None else explained(self.proven)
         laws = () if self.learned is None else (n for n in self.learned.notes if n not in about)
-        return (*about, *several, *laws)
+        return (*about, *several, *laws, *_told_error(self.crane))
 
     def to_dict(self, path: str | Path = "") -> dict[str, Any]:
         """Return the JSON of improve; `path` is where the crane file was written."""
@@ -163,11 +166,26 @@ def improve(
     )
     for step in result.steps[1:]:
         told(step)
-    if not learn or result.verdict != "unknown" or d.misses_check:
-        return result
+    if learn and result.verdict == "unknown" and not d.misses_check:
+        result = _after_learning(result, judge, per_recording, jobs, told, progress)
+    return _with_model_error(result, judge, progress)
+
+
+def _after_learning(
+    result: Improvement,
+    judge: Judge,
+    per_recording: Sequence[str],
+    jobs: int,
+    told: Callable[[Step], None],
+    progress: Progress,
+) -> Improvement:
+    """Return the improvement with the laws that are learned, beside its named effects or in their place."""
+    crane = result.diagnoses[0].given
 
     def learned_from(given: Crane) -> Learned:
-        return learn_laws(given, judge.recordings, check, per_recording=per_recording, jobs=jobs, progress=progress)
+        return learn_laws(
+            given, judge.recordings, judge.check, per_recording=per_recording, jobs=jobs, progress=progress
+        )
 
     found = learned_from(crane)
     if len(result.steps) > 1 and not (found.laws and found.error_after < result.steps[-1].search_error):
@@ -176,6 +194,19 @@ def improve(
     if found.laws:
         told(result.steps[-1])
     return result
+
+
+def _with_model_error(result: Improvement, judge: Judge, progress: Progress) -> Improvement:
+    """Return the improvement with what its crane still errs by, as the innovations of a filter with all sensors tell;
+    nothing where nothing but noise is left.
+    """
+    known: dict[str, GaussMarkov] = {}
+    if result.verdict == "unknown":
+        crane = result.crane
+        whole = [FitData.of(usable(r), crane, rate=math.inf, step=FINE) for r in judge.recordings]
+        seen = [longest_stretch(data, crane.layout) for data in whole]
+        known = lasting(crane, seen, progress=partial(progress, "finding how far the model is off"))
+    return replace(result, crane=replace(result.crane, model_error=known))
 
 
 def _as_well(named: WhitePath, lawful: WhitePath) -> bool:
@@ -355,6 +386,18 @@ def _demanded(found: Proven, key: str) -> str:
     return f"Demanded: {key} ({values}); log evidence lost without it {found.needed[key]:.0f}" + (
         f"; with it {errors} of the range" if errors else ""
     )
+
+
+def _told_error(crane: Crane) -> list[str]:
+    """Return the sentence on what a crane still errs by, where its file says so."""
+    moments = {n: crane.model_error[n] for n in crane.layout.torques if n in crane.model_error}
+    if not moments:
+        return []
+    sizes = ", ".join(f"{n} ± {e.std:.3g} {crane.layout.unit_of(n)}" for n, e in moments.items())
+    return [
+        f"The crane file keeps how far the model is still off ([model_error]: {sizes} and more), and `patu estimate` "
+        "expects as much"
+    ]
 
 
 def percent(found: Proven, errors: Errors) -> str:
