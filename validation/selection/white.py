@@ -178,15 +178,16 @@ def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> li
 
 
 def _unseen(path: WhitePath, parent: Fitted) -> list[Fitted]:
-    """Return the effects that no screen sees fitted from the machine as given, beside a model that leaves hardly more
-    than noise because its parameters moved: they may stand for one.
+    """Return the effects that no screen sees fitted from the machine as given, those that bring evidence, beside a
+    model that leaves little because its parameters moved: they may stand for one.
     """
     moved = parent.move_cost >= CRITERIA.helped if parent.keys else not path.given.good
-    if not (parent.near and moved):
+    if not moved or parent.level >= (CRITERIA.level if parent.keys else CRITERIA.left_level):
         return []
     problem = path.problem
     models = [Model(problem.shared, {**parent.effects, s.key: s.values}) for s in unseen(parent.fit)]
-    return problem.fits([(problem.anew, model, (LOOSE, TIGHT, STIFF)) for model in models])
+    found = problem.fits([(problem.anew, model, (LOOSE, TIGHT, STIFF)) for model in models])
+    return [w for w in found if w.evidence >= parent.evidence + CRITERIA.proof]
 
 
 def _hidden(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Move]:
