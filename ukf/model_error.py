@@ -281,8 +281,8 @@ def lasting(
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, GaussMarkov]:
     """Return the sizes and memories of what is wrong about the model itself, as a crane file keeps them: those under
-    which the innovations of a recording are most likely, but a tenth of what is expected at least; of several recordings
-    the geometric mean.
+    which the innovations of a recording are most likely, but a tenth of what is expected at least; of several
+    recordings the geometric mean.
 
     Of use where pressures are measured that an estimate later does without. What the sensors err by, and what the file
     calls unknown, is of these recordings and not told.
