@@ -25,7 +25,7 @@ class Hidden(NamedTuple):
     effect: str
     parameters: Mapping[str, float]
     size: float
-    seconds: float = 4.5
+    seconds: float = 3.9
 
 
 SECRETS = {

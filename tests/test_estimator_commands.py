@@ -90,9 +90,9 @@ def test_paper_writes_figures_and_the_json_of_the_contract(tmp_path, capsys, mon
     from validation import paper
 
     monkeypatch.setattr(paper, "likeliest_width", lambda *given: 1.0)  # how it is chosen: tests/test_paper.py
-    monkeypatch.setattr(paper, "DURATION", 2.5)
+    monkeypatch.setattr(paper, "DURATION", 1.5)
     original = paper.real_system
-    monkeypatch.setattr(paper, "real_system", lambda *a, **k: original(*a, **(k | {"duration": 2.5})))
+    monkeypatch.setattr(paper, "real_system", lambda *a, **k: original(*a, **(k | {"duration": 1.5})))
     document = tmp_path / "paper.json"
     status, said, _ = call(
         capsys, "paper", "--error", "0.15", "--inputs", "1", "--engine", "semi-recursive", "-o", str(tmp_path),

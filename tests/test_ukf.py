@@ -328,7 +328,7 @@ def product(points: np.ndarray) -> np.ndarray:
 
 def test_what_no_sensor_shows_is_not_believed_after_a_beginning_was_gone_through_again():
     """Against the curvature of the posterior itself; the filter alone, whose slopes wander, believes to know both."""
-    rng, truth, count, noise = np.random.default_rng(3), np.array([2.0, 0.5]), 400, 0.03
+    rng, truth, count, noise = np.random.default_rng(3), np.array([2.0, 0.5]), 200, 0.03
     start = kf.Belief(np.array([1.0, 1.5]), np.diag([1.0, 1.0]))
     increments, still, R1 = np.full(2, 1e-6), np.zeros((2, 2)), np.array([[noise**2]])
     y = truth.prod() + noise * rng.normal(size=(count, 1))
