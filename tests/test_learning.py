@@ -62,6 +62,13 @@ def _read(law, y, share=0.01):
         (FORCE, lambda x: 2e3 + 0 * x, "constant", "2 kN", "seal_friction@lift"),
         (_law("learned_torque@O", "angle", -0.2, 0.6), lambda x: -3e3 * (x - 0.1), "spring", "about 5.73 deg", ""),
         (
+            _law("learned_torque@A", "angle", -0.2, 0.6, against=True),
+            lambda x: 2e3 + 0 * x,
+            "constant",
+            "2e+03 N*m",
+            "joint_coulomb_friction@A",
+        ),
+        (
             _law("learned_opening@tilt", "spool", -0.6, 0.6),
             lambda u: np.sign(u) * np.abs(u) ** 1.5,
             "power",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,15 +17,14 @@ from crane_exudyn.recording import Recording
 from .diagnosis import looked_at
 from .fit.staged import STIFF, TIGHT
 from .history import added
-from .learned.fits import curve, laws_of, spread, told
-from .learned.laws import Law, unit_over
+from .learned.fits import laws_of, refined, spread, told, with_curves
+from .learned.laws import unit_over
 from .learned.learned_law import LearnedLaw
 from .learned.regime import LEARNING, LearningPath, named, sound
 from .learned.resembles import Resemblance, resembles
-from .learned.screen import Found
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
-from .selection.model import Fitted, fitted, misled, run_error, together
+from .selection.model import Fitted, misled, run_error, together
 from .selection.moves import starts
 from .selection.search import Move, Problem, Progress, search, silent
 from .workers import in_parallel
@@ -114,23 +113,6 @@ def learn(
     return replace(_concluded(path, check, [*notes, *path.notes]), seconds=time.perf_counter() - began)
 
 
-def _refined(problem: Problem, best: Fitted) -> Fitted:
-    """Return the model with curves that end where they are known, and with more knots where they bend if that is better
-    supported.
-    """
-    narrow = {key: f.law.narrowed(*spread(best, key)) for key, f in laws_of(best).items()}
-    if any(narrow[key] is not f.law for key, f in laws_of(best).items()):
-        best = _reknotted(problem, best, narrow)
-    closer = {key: f.law.refined(curve(best, key)[0]) for key, f in laws_of(best).items()}
-    found = _reknotted(problem, best, closer)
-    return found if found.evidence > best.evidence else best
-
-
-def _reknotted(problem: Problem, best: Fitted, laws: Mapping[str, Law]) -> Fitted:
-    """Return the model fitted again with its laws at other knots."""
-    return _with_curves(problem, best, {k: f.reknotted(laws[k], curve(best, k)[0]) for k, f in laws_of(best).items()})
-
-
 def _along_forms(problem: Problem, best: Fitted) -> Fitted:
     """Return the model with each curve that resembles a simple form moving along that alone, where the data do not say
     otherwise.
@@ -145,7 +127,7 @@ def _along_forms(problem: Problem, best: Fitted) -> Fitted:
         y, root = form.at(law.x), form.moves(law.x)
         if law.over.from_zero:  # nothing acts there
             y[0], root[0] = 0.0, 0.0
-        tried = _with_curves(problem, best, {**laws_of(best), key: found.along(law, y, root)})
+        tried = with_curves(problem, best, {**laws_of(best), key: found.along(law, y, root)})
         if tried.evidence > best.evidence - CRITERIA.tie and sound(tried):
             best = tried
     return best
@@ -170,21 +152,12 @@ def _by_name(problem: Problem, best: Fitted) -> Fitted:
     return best
 
 
-def _with_curves(problem: Problem, best: Fitted, curves: Mapping[str, Found]) -> Fitted:
-    """Return the model fitted again with other curves for its laws."""
-    kept = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in curves]
-    before = replace(best.fit, variables=tuple(best.fit.variables[i] for i in kept), u=best.fit.u[kept])
-    model = replace(best.model, curves=curves)
-    found = fitted(problem.crane, problem.data, model, before, (STIFF,))
-    return found if found.fit.converged else fitted(problem.crane, problem.data, model, found.fit, (STIFF, STIFF))
-
-
 def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) -> Learned:
     """Return what was learned, with errors on both recordings; nothing, where the check recording says otherwise."""
     problem, nothing, best = path.problem, path.parameters, path.best
     given = Learned(problem.data.name, problem.crane, problem.crane)
     unchanged = _with_errors(given, nothing, problem, check)
-    formed = _by_name(problem, _along_forms(problem, _refined(problem, best))) if best.model.curves else best
+    formed = _by_name(problem, _along_forms(problem, refined(problem, best))) if best.model.curves else best
     if not formed.model.curves:
         if formed.keys:
             notes.append(f"effects of the library do as well: {', '.join(formed.keys)}. Go on with `patu diagnose`")

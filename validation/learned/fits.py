@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -10,8 +10,10 @@ import numpy as np
 
 from ..fit.linear import Window, cut
 from ..fit.solve import Fit, fit, reknot
-from ..fit.staged import LOOSE
-from ..selection.model import Fitted, curve_of, unmoving
+from ..fit.staged import LOOSE, STIFF
+from ..selection.model import Fitted, curve_of, fitted, unmoving
+from ..selection.search import Problem
+from .laws import Law
 from .screen import Found
 
 
@@ -76,3 +78,29 @@ def _split(whole: Fit, block: float, out: int, number: int) -> tuple[float, floa
         if others:
             held += fit(unmoving(own.crane), part.shifted(own.late), others, knots[mine], iterations=2).linear.cost
     return learned.linear.cost, held
+
+
+def refined(problem: Problem, best: Fitted) -> Fitted:
+    """Return the model with curves that end where they are known, and with more knots where they bend if that is better
+    supported.
+    """
+    narrow = {key: f.law.narrowed(*spread(best, key)) for key, f in laws_of(best).items()}
+    if any(narrow[key] is not f.law for key, f in laws_of(best).items()):
+        best = _reknotted(problem, best, narrow)
+    closer = {key: f.law.refined(curve(best, key)[0]) for key, f in laws_of(best).items()}
+    found = _reknotted(problem, best, closer)
+    return found if found.evidence > best.evidence else best
+
+
+def _reknotted(problem: Problem, best: Fitted, laws: Mapping[str, Law]) -> Fitted:
+    """Return the model fitted again with its laws at other knots."""
+    return with_curves(problem, best, {k: f.reknotted(laws[k], curve(best, k)[0]) for k, f in laws_of(best).items()})
+
+
+def with_curves(problem: Problem, best: Fitted, curves: Mapping[str, Found]) -> Fitted:
+    """Return the model fitted again with other curves for its laws."""
+    kept = [i for i, v in enumerate(best.fit.variables) if getattr(v, "key", "") not in curves]
+    before = replace(best.fit, variables=tuple(best.fit.variables[i] for i in kept), u=best.fit.u[kept])
+    model = replace(best.model, curves=curves)
+    found = fitted(problem.crane, problem.data, model, before, (STIFF,))
+    return found if found.fit.converged else fitted(problem.crane, problem.data, model, found.fit, (STIFF, STIFF))

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 from ..fit.solve import Fit
 from ..fit.staged import LOOSE, STIFF, TIGHT
 from ..selection.criteria import CRITERIA
+from ..selection.ending import still_to_do, taken_on
 from ..selection.model import Fitted, Model, best_of_each, excess, fitted, plausible, retold
 from ..selection.race import raced, still_leading
 from ..selection.screen import likely, screened
 from ..selection.search import Move, Path, Problem, Progress, Regime, Round, moves_of
 from ..workers import in_parallel
-from .fits import laws_of, left_out_gain, spread
+from .fits import laws_of, left_out_gain, refined, spread
 from .laws import BLOCK, possible_laws
 from .screen import allowed
 from .screen import screened as screened_laws
@@ -116,7 +117,8 @@ def _anew(problem: Problem, w: Fitted) -> Fitted:
 
 def _after(path: LearningPath, found: Round[Fitted]) -> LearningPath:
     """Return the path with a round; with its best model, where that has the proof, repairs and predicts, by the
-    combinations of parameters that it tells of itself.
+    combinations of parameters that it tells of itself; where it leaves more than noise, with knots where its curves
+    bend: what too few cannot follow another law would make good.
     """
     path, before = replace(path, rounds=(*path.rounds, found)), path.best
     chosen = _chosen(found.done, before)
@@ -127,6 +129,10 @@ def _after(path: LearningPath, found: Round[Fitted]) -> LearningPath:
     tied = [w for w in found.done if w is not chosen and w.evidence > chosen.evidence - CRITERIA.tie]
     best, *rivals = in_parallel(path.problem.jobs, [(retold, w) for w in (chosen, *tied)])
     problem = replace(path.problem, shared=best.model.variables)
+    if best.model.curves and not best.good:
+        best = refined(problem, best)
+        best = taken_on(problem, best, still_to_do(best))
+    problem = replace(problem, shared=best.model.variables)
     return replace(path, problem=problem, best=best, rivals=tuple(rivals))
 
 

@@ -210,10 +210,9 @@ def _library(form: Form, key: str, over: Argument, against: bool) -> str:
         ("learned_opening", "dead zone"): "dead_band",
     }
     if (name, over.name) == ("learned_torque", "rate"):
-        known |= {
-            ("learned_torque", "linear"): "joint_viscous_friction",
-            ("learned_torque", "constant"): "joint_coulomb_friction",
-        }
+        known[name, "linear"] = "joint_viscous_friction"
+    if name == "learned_torque" and (against or over.name == "rate"):
+        known[name, "constant"] = "joint_coulomb_friction"
     if name == "learned_force" and against:
         known |= {
             "pressure_drop": {("learned_force", "linear"): "pressure_dependent_friction"},

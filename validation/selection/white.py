@@ -18,19 +18,14 @@ from crane_exudyn.effects import registry
 from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
 from ..workers import in_parallel
 from .criteria import CRITERIA
+from .ending import still_to_do, taken_on
 from .lean import leaner
-from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, retold, run_error, together
+from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, run_error, together
 from .moves import starts
 from .race import in_heats, raced, still_leading
 from .screen import best_starts, likely, screened, unseen
-from .search import Move, Path, Problem, Progress, Regime, Round, Stages, moves_of
+from .search import Move, Path, Problem, Progress, Regime, Round, moves_of
 from .whole_runs import end_of_learned, first_part
-
-#: one run over the whole recording, from which windows begin anew: the first state of one may be caught in a false
-#: minimum, where its errors count by their logarithm only
-_RUN = replace(WHOLE, iterations=2)
-#: windows that end elsewhere: the moment of an event may be caught at the end of one, which the jump makes good
-_ELSEWHERE = replace(STIFF, seconds=0.6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +106,8 @@ def _begun(problem: Problem) -> WhitePath:
     given = fitted(crane, data, Model(tuple(timings(data))), problem.nominal, (TIGHT, STIFF))
     given = replace(given, loose=problem.nominal)
     parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
-    if parameters.plausible and parameters.level < CRITERIA.left_level and (ways := _still_to_do(parameters)):
-        parameters = _on(problem, parameters, ways)
+    if parameters.plausible and parameters.level < CRITERIA.left_level and (ways := still_to_do(parameters)):
+        parameters = taken_on(problem, parameters, ways)
     return _with_parameters(WhitePath(problem, parameters, given=given, fewest=parameters), parameters)
 
 
@@ -267,33 +262,9 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
             continue
         if not w.plausible:
             tasks.append((problem.anew, w.as_found, (WHOLE, STIFF)))
-        elif (ways := _still_to_do(w)) or w.model.variables == problem.shared:
-            tasks.append((_on, problem, w, ways))
+        elif (ways := still_to_do(w)) or w.model.variables == problem.shared:
+            tasks.append((taken_on, problem, w, ways))
     return best_of_each([*done, *more, *problem.fits(tasks)])
-
-
-def _still_to_do(w: Fitted) -> Sequence[Stages]:
-    """Return ways to take a fit to its end: windows that begin anew on its own run, or end elsewhere, where little is
-    left that is more than noise, be it in a single window; more iterations, where it had not converged.
-    """
-    if w.level < CRITERIA.left_level and (not w.good or w.bad.any()):
-        return (_RUN, STIFF), (_ELSEWHERE, STIFF)
-    return () if w.fit.converged else ((STIFF, STIFF),)
-
-
-def _on(problem: Problem, w: Fitted, ways: Sequence[Stages]) -> Fitted:
-    """Return a model fitted further, a second way where the first leaves a few windows unexplained; at last by the
-    combinations of parameters that it tells of itself.
-    """
-    found = w
-    for stages in ways:
-        further = fitted(problem.crane, problem.data, w.model, w.fit, stages)
-        found = max(found, further, key=lambda one: one.evidence)
-        if not (found.near and found.bad.any()):
-            break
-    if found.model.variables == problem.shared:
-        found = retold(found)
-    return replace(found, loose=w.loose)
 
 
 def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[Fitted]:
