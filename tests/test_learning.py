@@ -24,7 +24,7 @@ from validation.history import added, learned, removed, without_learned
 from validation.improvement import Step, improve
 from validation.learned.laws import BLOCK, COUNT, Law, curve_at, knots, often_met, possible_laws
 from validation.learned.own_effect import own_effect
-from validation.learned.resembles import resembles
+from validation.learned.resembles import as_large, resembles
 from validation.learned.screen import best_prior, screened
 from validation.learning import Learned, learn
 from validation.selection.model import with_effects
@@ -110,6 +110,18 @@ def test_a_curve_is_named_by_the_simple_form_that_it_resembles(law, of, name, wo
     found = _read(law, of(law.x))
     assert (found.name, found.library) == (name, library)
     assert words in found.text
+
+
+def test_an_effect_of_the_library_begins_as_large_as_the_curve_that_it_replaces():
+    friction = _law("learned_torque@A", "angle", -0.2, 0.6, against=True)
+    found = as_large(_read(friction, 2e3 + 0 * friction.x), "joint_coulomb_friction@A", {"T": 200.0})
+    assert found == {"T": pytest.approx(2e3)}
+    leak = _law("learned_leakage@lift", "pressure_drop", 0.0, 80e5)
+    assert as_large(_read(leak, 2e-12 * leak.x), "internal_leakage@lift", {"k": 9e-13}) == {"k": pytest.approx(2e-12)}
+    seal = {"dFc": 500.0, "dFs": 600.0, "vs": 5e-3}
+    assert as_large(_read(FORCE, 2e3 + 0 * FORCE.x), "seal_friction@lift", seal) == pytest.approx(
+        {"dFc": 2e3, "dFs": 2.4e3, "vs": 5e-3}
+    )
 
 
 def test_a_curve_that_resembles_nothing_is_not_named():

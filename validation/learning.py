@@ -21,7 +21,7 @@ from .learned.fits import laws_of, refined, spread, told, with_curves
 from .learned.laws import unit_over
 from .learned.learned_law import LearnedLaw
 from .learned.regime import LEARNING, LearningPath, named, sound
-from .learned.resembles import Resemblance, resembles
+from .learned.resembles import Resemblance, as_large, resembles
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.model import Fitted, misled, run_error, together
@@ -138,13 +138,15 @@ def _by_name(problem: Problem, best: Fitted) -> Fitted:
     screen may not have offered them.
     """
     for key in laws_of(best):
-        named = _form(problem, best, key).library
+        form = _form(problem, best, key)
+        named = form.library
         if not named or problem.crane.effect(named) is not None:
             continue
         found = best.as_found
         rest = {k: values for k, values in found.effects.items() if k != key}
         curves = {k: curve for k, curve in found.curves.items() if k != key}
         values = [s.values for s in starts(problem.crane, problem.data) if s.key == named]
+        values += [as_large(form, named, v) for v in values[:1]]
         models = [replace(found, effects={**rest, named: v}, curves=curves) for v in values]
         tried = problem.run([Move(model, best.fit) for model in models], (TIGHT, STIFF))
         if tried and tried[0].evidence > best.evidence - CRITERIA.proof:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from crane_exudyn.effects import registry
 from crane_exudyn.effects.curve import Argument
 from crane_exudyn.units import factor_to_si
 
@@ -197,6 +198,18 @@ def _told(form: Form, p: np.ndarray, words: str, over: Argument) -> str:
         return f"{words} of the {over.name.replace('_', ' ')}"
     name = "exponential" if form.name == "Stribeck" and over.name not in ("speed", "rate") else form.name
     return f"{name}: {words}"
+
+
+def as_large(form: Resemblance, key: str, start: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters of an effect of the library, as they are to start with, scaled to what a curve says: its
+    first one is the constant or the slope of a form, and those of its unit go with it.
+    """
+    if form.name not in ("constant", "linear"):
+        return dict(start)
+    first, *others = registry.split_key(key)[0].parameters
+    factor = float(form.at(np.ones(1))[0]) / start[first.name]
+    alike = {first.name, *(p.name for p in others if p.unit == first.unit)}
+    return {name: factor * value if name in alike else value for name, value in start.items()}
 
 
 def _library(form: Form, key: str, over: Argument, against: bool) -> str:
