@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.description import Uncertainty
+from crane_exudyn.description import GaussMarkov, Uncertainty
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath
 from crane_exudyn.statics import visible
@@ -95,6 +95,16 @@ def test_what_all_sensors_once_told_of_a_wrong_model_narrows_intervals_that_hold
     error = (result.mean[:, p3] - recorded("leak")[1][:, p3])[moving]
     assert (np.abs(error) <= 1.96 * result.std[moving, p3]).mean() >= 0.85
     assert result.std[moving, p3].mean() < 0.8 * before.std[moving, p3].mean()
+
+
+def test_what_the_file_calls_constant_has_no_memory_to_be_searched():
+    still = replace(NOMINAL, model_error={"torque.A": GaussMarkov(50.0)})
+    start = model_error.expected(still, STD)
+    moment = next(u for u in start.unknowns if u.names == ("torque.A",))
+    assert (moment.size, moment.memory, moment.stays) == (50.0, np.inf, 0.0)
+    result = model_error.find(still, recorded("leak")[0], STD)
+    assert all(u.memory == np.inf for u in result.unknowns if u.names == ("torque.A",))
+    assert np.isfinite(result.sizes).all()
 
 
 def test_a_right_model_is_left_alone():

@@ -342,7 +342,7 @@ class _Search:
 
     def __init__(self, start: ModelError) -> None:
         self.start, self.count = start, len(start.unknowns)
-        self._fading = [k for k, u in enumerate(start.unknowns) if u.least < u.memory]
+        self._fading = [k for k, u in enumerate(start.unknowns) if u.least < u.memory < np.inf]
         noise = logs_of(start.noise)
         near = self.count + len(self._fading)
         self.first = np.concatenate([np.zeros(near), noise])
