@@ -182,7 +182,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--known-from", type=int, metavar="SEED", help="run with all pressures to learn from first")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
-    tasks = [(f"{m}, {s}", one_run, (f"{m}, {s}", m, s, given.known_from)) for s in given.seeds for m in MACHINES]
+    known = "" if given.known_from is None else f", known from {given.known_from}"
+    names = [(f"{m}, {s}{known}", m, s) for s in given.seeds for m in MACHINES]
+    tasks = [(name, one_run, (name, m, s, given.known_from)) for name, m, s in names]
     run(given.results, tasks, jobs=given.jobs, say=said)
     print(table(read_lines(given.results)))
 
