@@ -359,24 +359,6 @@ def _tables(topology):
 
 
 @njit
-def cylinder_length(topology, P, z, c, row):
-    """Return the pin-to-pin length (m) of cylinder c at the independent coordinates z (n, …), and fill row[:n] with its
-    derivative.
-
-    NaN where a loop cannot be closed.
-    """
-    n, none = topology[0, CYLINDERS], np.empty(0)
-    origins, arms, q, v, lines = _tables(topology)
-    if _stand(topology, P, z, origins, arms, q, v, lines) >= 0:
-        row[:n] = math.nan
-        return math.nan
-    for i in range(n):
-        chain(topology, arms, i, none, none, v)
-        row[i] = line_rate(topology, arms, v, lines, c)
-    return lines[c, LENGTH]
-
-
-@njit
 def _poses(topology, P, places, Z, points, angles, lengths, length_rates):
     """Fill the arrays of a Pose for every row of Z; return (row, loop) of the first loop that cannot be closed, or (-1,
     -1).
@@ -391,20 +373,36 @@ def _poses(topology, P, places, Z, points, angles, lengths, length_rates):
         for i in range(places.shape[0]):
             points[k, i, 0], points[k, i, 1] = _at(P, arms, places[i, 0], places[i, 1])
         lengths[k] = lines[:, LENGTH]
-        for i in range(Z.shape[1]):
-            chain(topology, arms, i, none, none, v)
-            for c in range(lengths.shape[1]):
-                length_rates[k, c, i] = line_rate(topology, arms, v, lines, c)
+        _line_rates(topology, arms, v, lines, none, length_rates[k])
     return -1, -1
 
 
+@part
+def _line_rates(topology, arms, v, lines, none, by_z):
+    """Fill by_z (cylinders, n) with the derivatives of all lengths by the independent coordinates."""
+    for i in range(by_z.shape[1]):
+        chain(topology, arms, i, none, none, v)
+        for c in range(by_z.shape[0]):
+            by_z[c, i] = line_rate(topology, arms, v, lines, c)
+
+
 @njit
-def _lengths(topology, P, Z, out):
+def fill_lengths(topology, P, Z, out, by_z):
+    """Fill out (k, cylinders) with the pin-to-pin lengths (m) at the independent coordinates Z (k, n, …), and the first
+    rows of by_z (…, cylinders, n) with their derivatives there.
+
+    NaN where a loop cannot be closed.
+    """
     origins, arms, q, v, lines = _tables(topology)
+    none = np.empty(0)
     for k in range(Z.shape[0]):
         out[k] = math.nan
-        if _stand(topology, P, Z[k], origins, arms, q, v, lines) < 0:
-            out[k] = lines[:, LENGTH]
+        by_z[k : k + 1] = math.nan
+        if _stand(topology, P, Z[k], origins, arms, q, v, lines) >= 0:
+            continue
+        out[k] = lines[:, LENGTH]
+        if k < by_z.shape[0]:
+            _line_rates(topology, arms, v, lines, none, by_z[k])
 
 
 def cylinder_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:
@@ -412,7 +410,8 @@ def cylinder_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:
     closed.
     """
     out = np.empty((len(z), len(crane.layout.cylinders)))
-    _lengths(crane.machine.topology, crane.parameter_vector(), np.ascontiguousarray(z, float), out)
+    z = np.ascontiguousarray(z, float)
+    fill_lengths(crane.machine.topology, crane.parameter_vector(), z, out, np.empty((0, *out.shape[1:], z.shape[1])))
     return out
 
 

@@ -20,9 +20,9 @@ from .effects import hooks
 from .effects.base import SENSORS
 from .effects.registry import neutral_vector, slots_of
 from .faulty_laws import check_law
-from .geometry import cylinder_length
+from .geometry import fill_lengths
 from .hydraulics import vapour_pressure
-from .machine import Machine
+from .machine import CYLINDERS, Machine
 from .sensors import sensor
 
 #: hooks of what a sensor makes of its reading
@@ -215,12 +215,27 @@ def _sums(X, summed, floor):  # type: ignore[no-untyped-def]
 
 
 @njit
+def _lengths(topology, cylinder, P, X, by_z):  # type: ignore[no-untyped-def]
+    """Return the lengths (n, cylinders) of all cylinders at states X (n, nx), and fill by_z as `fill_lengths` does;
+    nothing where the sensors, which show `cylinder`, show none.
+    """
+    out = np.empty((X.shape[0], topology[0, CYLINDERS]))
+    for c in cylinder:
+        if c >= 0:
+            fill_lengths(topology, P, X, out, by_z)
+            break
+    return out
+
+
+@njit
 def _read(topology, reads, X, P, E, Y):  # type: ignore[no-untyped-def]
     """Write lengths into Y (n, m), which holds the sums, and make of all that what the laws make of it."""
-    row, (_, _, cylinder, place, _) = np.empty(X.shape[1]), reads
+    _, _, cylinder, place, _ = reads
+    n = topology[0, CYLINDERS]
+    lengths = _lengths(topology, cylinder, P, X, np.empty((0, n, n)))
     for j in range(place.size):
         for k in range(X.shape[0]):
-            y = cylinder_length(topology, P, X[k], cylinder[j], row) if cylinder[j] >= 0 else Y[k, j]
+            y = lengths[k, cylinder[j]] if cylinder[j] >= 0 else Y[k, j]
             Y[k, j] = hooks.measurement(E, place[j], y)
 
 
@@ -244,11 +259,15 @@ def _read_on(topology, reads, X, P, E, Y, taus):  # type: ignore[no-untyped-def]
 def _rows(topology, reads, floor, X, P, E, Y, C):  # type: ignore[no-untyped-def]
     """Do as `_read`, and add the derivatives to C (n, m, nx); floor as of `_sums`."""
     summed, _, cylinder, place, step = reads
+    n = topology[0, CYLINDERS]
+    by_z = np.empty((X.shape[0], n, n))
+    lengths = _lengths(topology, cylinder, P, X, by_z)
     for j in range(place.size):
         for k in range(X.shape[0]):
             y = Y[k, j]
             if cylinder[j] >= 0:
-                y = cylinder_length(topology, P, X[k], cylinder[j], C[k, j])
+                y = lengths[k, cylinder[j]]
+                C[k, j, :n] = by_z[k, cylinder[j]]
             for i in summed[j]:
                 if i >= 0 and X[k, i] >= floor[j]:
                     C[k, j, i] += 1.0
