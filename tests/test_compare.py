@@ -29,9 +29,8 @@ from validation.balances import Balances, Steps, spread_of
 from validation.comparison import Comparison, compare
 from validation.findings import scores_of, violation
 from validation.fitness import check_recording, noise_at_rest, usable
-from validation.improvement import nis_mean
+from validation.improvement import Judge
 from validation.phases import phases_of
-from validation.selection.model import open_loop_error
 from validation.semi_recursive import SemiRecursiveEngine
 
 NOISE = {"z1": np.radians(0.05), "z4": np.radians(0.05), "p1": 0.3e5, "p2": 0.3e5, "p3": 0.3e5, "p4": 0.3e5}
@@ -320,9 +319,11 @@ def test_an_improvement_tells_the_numbers_of_a_comparison() -> None:
     coarse = replace(full["z4"], time=full["z4"].time[::2], values=full["z4"].values[::2])
     recording = replace(full, channels={**full.channels, "z4": coarse})
     found = compare(CRANE, recording)
-    error, start = open_loop_error(CRANE, recording)
-    assert found.error == pytest.approx(error, rel=0.01)
-    assert nis_mean(start, recording) == pytest.approx(found.estimate.nis_mean, rel=0.01)
+    told = Judge((recording,), None, (), jobs=1).step(None, CRANE, "unknown")
+    assert found.error == pytest.approx(told.search_error, rel=0.01)
+    assert told.error == pytest.approx(told.search_error, rel=0.01)
+    assert told.nis_mean == pytest.approx(found.estimate.nis_mean, rel=0.01)
+    assert np.isnan(told.check_error)
 
 
 def test_json_is_the_contract(leaking: tuple[Simulation, Comparison]) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from ukf.model_error import lasting
 from .comparison import filtered, longest_stretch
 from .diagnosis import Candidate, Diagnosis, diagnosis_of, searched, sentence
 from .fit.data import FitData
-from .fit.solve import Fit
 from .fit.staged import FINE, residuals, rms
 from .fitness import usable
 from .history import added, learned, without_learned
@@ -37,6 +36,7 @@ from .selection.search import Progress, search, silent
 from .selection.verdict import verdict_of
 from .selection.white import WhitePath
 from .selection.whole_runs import Proven
+from .workers import in_parallel
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def improve(
         named, _ = path_of(without_learned(crane))
         path, replaced = (named, replaced) if _as_well(named, path) else (path, ())
     d = replace(diagnosis_of(path, check, notes), given=crane)
-    judge = Judge(path.problem.recordings, check, path.problem.data.own)
+    judge = Judge(path.problem.recordings, check, path.problem.data.own, jobs)
     steps = [judge.step(None, crane, d.verdict, sentence(d))]
     told(steps[0])
     result = _named(
@@ -282,11 +282,14 @@ def _chosen(d: Diagnosis) -> Candidate | None:
 
 @dataclass(frozen=True)
 class Judge:
-    """What the steps of an improvement are confirmed on; `own`: parameters that differ from recording to recording."""
+    """What the steps of an improvement are confirmed on; `own`: parameters that differ from recording to recording;
+    `jobs`: processes to use.
+    """
 
     recordings: tuple[Recording, ...]
     check: Recording | None
     own: tuple[str, ...]
+    jobs: int
 
     def step(self, name: str | None, crane: Crane, verdict: str, text: str = "") -> Step:
         """Return a step to a crane: errors on the Exudyn engine and on that of the search, on the check recording, and
@@ -294,12 +297,26 @@ class Judge:
 
         To `text` is added where the engines disagree.
         """
-        found = [exudyn_error(crane, r, self.own) for r in self.recordings]
-        exudyn, searched = (together(self.recordings, e) for e in ([f[0] for f in found], [f[1] for f in found]))
-        check_error = exudyn_error(crane, self.check, self.own)[0] if self.check is not None else math.nan
-        nis = [nis_mean(fit, r) for (_, _, fit), r in zip(found, self.recordings, strict=True)]
-        text += _disagreement(exudyn, searched)
-        return Step(name, exudyn, check_error, float(np.mean(nis)), verdict, searched, text)
+        given = [*self.recordings, *([] if self.check is None else [self.check])]
+        found: list[Confirmed] = in_parallel(self.jobs, [(confirmed, crane, r, self.own) for r in given])
+        mine = found[: len(self.recordings)]
+        exudyn, searched = (
+            together(self.recordings, e) for e in ([f.exudyn for f in mine], [f.searched for f in mine])
+        )
+        check_error = math.nan if self.check is None else found[-1].exudyn
+        nis = float(np.mean([f.nis_mean for f in mine]))
+        return Step(name, exudyn, check_error, nis, verdict, searched, text + _disagreement(exudyn, searched))
+
+
+class Confirmed(NamedTuple):
+    """Open-loop RMS errors of a crane on a recording, in noise units, from the same start: on the Exudyn engine and on
+    that of the search; and the mean normalised innovation squared of a filter that trusts it (expected: the number of
+    sensors).
+    """
+
+    exudyn: float
+    searched: float
+    nis_mean: float
 
 
 def _disagreement(error: float, searched: float) -> str:
@@ -309,24 +326,15 @@ def _disagreement(error: float, searched: float) -> str:
     return f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
 
 
-def exudyn_error(crane: Crane, recording: Recording, own: Sequence[str] = ()) -> tuple[float, float, Fit]:
-    """Return the open-loop RMS error in noise units on the Exudyn engine, and on that of the search, from the same
-    start, and the fit of that start, whose crane has the recording's own parameters.
-    """
+def confirmed(crane: Crane, recording: Recording, own: Sequence[str] = ()) -> Confirmed:
+    """Return what a crane leaves of a recording, its start fitted; `own`: parameters that are the recording's own."""
     from crane_exudyn.engine import ExudynEngine
 
     searched, fit = open_loop_error(crane, recording, own=own)
     data = FitData.of(recording, crane, rate=math.inf, step=FINE)
-    engine = ExudynEngine(fit.crane)
-    return rms(residuals(fit.crane, data, fit.starts, fit.late, engine.simulate)), searched, fit
-
-
-def nis_mean(start: Fit, recording: Recording) -> float:
-    """Return the mean normalised innovation squared over a recording of a filter that trusts a fit's crane (expected:
-    the number of sensors).
-    """
-    data = FitData.of(usable(recording), start.crane).with_step(FINE).shifted(start.late)
-    return filtered(start.crane, data, "semi-recursive").nis_mean
+    exudyn = rms(residuals(fit.crane, data, fit.starts, fit.late, ExudynEngine(fit.crane).simulate))
+    seen = FitData.of(usable(recording), fit.crane).with_step(FINE).shifted(fit.late)
+    return Confirmed(exudyn, searched, filtered(fit.crane, seen, "semi-recursive").nis_mean)
 
 
 def explained(found: Proven) -> list[str]:

@@ -172,10 +172,14 @@ def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> li
     return best_of_each(raced(path.problem, beam, moves, lambda: _hidden(path, beam, moves)))
 
 
-def _unseen(path: WhitePath, parent: Fitted) -> list[Fitted]:
+def _unseen(path: WhitePath, parent: Fitted, led: Sequence[Fitted]) -> list[Fitted]:
     """Return the effects that no screen sees fitted from the machine as given, those that bring evidence, beside a
-    model that leaves little because its parameters moved: they may stand for one.
+    model that leaves little because its parameters moved: they may stand for one. None where one of those that were
+    seen explains all that is left, without such help.
     """
+    left = CRITERIA.left_of_rest * excess(parent.level)
+    if any(w.good and w.move_cost < CRITERIA.helped and excess(w.level) < left for w in led):
+        return []
     moved = parent.move_cost >= CRITERIA.helped if parent.keys else not path.given.good
     if not moved or parent.level >= (CRITERIA.level if parent.keys else CRITERIA.left_level):
         return []
@@ -201,7 +205,7 @@ def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) ->
     """Return the round, the leading models carried to the end."""
     near = _is_near(path, beam)
     led = tried if near else path.problem.further(_leading(beam, tried), (TIGHT, STIFF))
-    done = _further(path, [], [*led, *_unseen(path, beam[0])])
+    done = _further(path, [], [*led, *_unseen(path, beam[0], led)])
     done = _relocated(path, done, beam, tried) if not path.rounds else done
     done = best_of_each([*done, *_dropped(path, done, near)])
     acting = tuple(w for w in done if w.keys)
