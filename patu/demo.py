@@ -205,18 +205,19 @@ def write(found: Found, seed: int, printer: Printer, folder: Path) -> list[Path]
         ),
         "error.png": found.improvement.plot(),
     }
+    pictures = {name: folder / name for name in figures}
     for name, figure in figures.items():
-        plots.save(figure, folder / name)
+        plots.save(figure, pictures[name])
     drawn = draw(found, folder / "crane.png", printer)
     found.improvement.crane.save(folder / _IMPROVED)
-    written = [*(folder / name for name in figures), *drawn, folder / _IMPROVED]
+    written = [*pictures.values(), *drawn, folder / _IMPROVED]
     parameters = {
         "crane": found.comparison.crane,
         "engine of the crane": found.engine,
         "engine of the filter": "semi-recursive",
     }
     report = write_report(
-        folder, "What crane-exudyn does", verdict(d), sections(found, figures, drawn, written), seed=seed,
+        folder, "What crane-exudyn does", verdict(d), sections(found, pictures, drawn, written), seed=seed,
         parameters=parameters, mood="good" if d.effects else "bad",
     )  # fmt: skip
     return [*written, report]
@@ -241,7 +242,7 @@ def draw(found: Found, path: Path, printer: Printer) -> list[Path]:
     return [path]
 
 
-def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: list[Path]) -> list[Section]:
+def sections(found: Found, pictures: dict[str, Path], drawn: list[Path], written: list[Path]) -> list[Section]:
     """Return the sections of the report: three acts, and what was written."""
     from validation.report import Links, Picture, Table
     from validation.reports import law_parts, verdict, where_parts
@@ -250,8 +251,8 @@ def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: 
     return [
         ("1. A filter follows a crane", [
             followed(found.cases),
-            Picture(figures["filter.png"], "The angles over the whole cycle; below, two pressures that no sensor sees, "
-                                           "closer."),
+            Picture(pictures["filter.png"], "The angles over the whole cycle; below, two pressures that no sensor "
+                                            "sees, closer."),
             Table(COLUMNS, rows(found.cases), note="PN-RMSE: 100 RMSE / (max - min of the true state)."),
             "`patu paper` shows all cases of the paper, and why its tuning cannot do better on this crane.",
         ]),
@@ -260,9 +261,9 @@ def sections(found: Found, figures: dict[str, Any], drawn: list[Path], written: 
             "as its file says.",
             f"Compared with the first: {found.comparison.verdict}",
             f"Diagnosed: {verdict(d)}",
-            Picture(figures["error.png"], "The falling error, confirmed on the Exudyn engine."),
-            Picture(figures["before_after.png"], "What was measured, and what the crane file as given and the improved "
-                                                 "one do from the same start."),
+            Picture(pictures["error.png"], "The falling error, confirmed on the Exudyn engine."),
+            Picture(pictures["before_after.png"], "What was measured, and what the crane file as given and the "
+                                                  "improved one do from the same start."),
             *where_parts(d.given, found.places),
             *law_parts(d.effects, next((c.parameters for c in d.candidates if c.effects == d.effects), {})),
         ]),

@@ -206,7 +206,7 @@ def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) ->
     near = _is_near(path, beam)
     led = tried if near else path.problem.further(_leading(beam, tried), (TIGHT, STIFF))
     done = _further(path, [], [*led, *_unseen(path, beam[0], led)])
-    done = _relocated(path, done, beam, tried) if not path.rounds else done
+    done = _exchanged(path, _relocated(path, done, beam, tried) if not path.rounds else done)
     done = best_of_each([*done, *_dropped(path, done, near)])
     acting = tuple(w for w in done if w.keys)
     return Round(tuple(tried), acting, _deciding(path, acting), next((w for w in done if not w.keys), None))
@@ -247,6 +247,27 @@ def _relocated(path: WhitePath, done: list[Fitted], parents: Sequence[Fitted], t
     least = still_leading(parents, tried)
     leading = [w for w in in_heats(problem, parents, moves)[:1] if w.evidence > least]
     return _further(path, done, problem.further(leading, (TIGHT, STIFF)))
+
+
+def _exchanged(path: WhitePath, done: list[Fitted]) -> list[Fitted]:
+    """Return the fits with one of the leading model's several effects exchanged for what the screen sees beside them,
+    where they leave something.
+
+    Of two laws that are nearly alike the one that was fitted first takes the other's place: only then does the other
+    show.
+    """
+    best = done[0] if done else path.parameters
+    if len(best.keys) < 2 or best.good or best.level >= CRITERIA.left_level:
+        return done
+    problem, model = path.problem, Model(best.model.variables, best.effects)
+    shown = likely(best_starts(screened(best.fit, STIFF.stiffness)), 1, CRITERIA.proof)
+    wider = problem.run(moves_of(model, shown, best.fit), (STIFF,))
+    moves = [
+        Move(Model(w.model.variables, {k: values for k, values in w.effects.items() if k != key}), w.fit)
+        for w in wider
+        for key in best.keys
+    ]
+    return _further(path, done, problem.run(moves, (TIGHT, STIFF)))
 
 
 def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) -> list[Fitted]:
