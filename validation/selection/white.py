@@ -257,10 +257,10 @@ def _exchanged(path: WhitePath, done: list[Fitted]) -> list[Fitted]:
     show.
     """
     best = done[0] if done else path.parameters
-    if len(best.keys) < 2 or best.good or best.level >= CRITERIA.left_level:
+    if len(best.keys) < 2 or best.level >= CRITERIA.left_level:
         return done
     problem, model = path.problem, Model(best.model.variables, best.effects)
-    shown = likely(best_starts(screened(best.fit, STIFF.stiffness)), 1, CRITERIA.proof)
+    shown = likely(best_starts(screened(best.fit, STIFF.stiffness)), 1, CRITERIA.tie)
     wider = problem.run(moves_of(model, shown, best.fit), (STIFF,))
     moves = [
         Move(Model(w.model.variables, {k: values for k, values in w.effects.items() if k != key}), w.fit)
