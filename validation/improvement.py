@@ -297,8 +297,10 @@ class Judge:
 
         To `text` is added where the engines disagree.
         """
-        given = [*self.recordings, *([] if self.check is None else [self.check])]
-        found: list[Confirmed] = in_parallel(self.jobs, [(confirmed, crane, r, self.own) for r in given])
+        tasks: list[tuple[Any, ...]] = [(confirmed, crane, r, self.own, True) for r in self.recordings]
+        if self.check is not None:
+            tasks.append((confirmed, crane, self.check, self.own, False))
+        found: list[Confirmed] = in_parallel(self.jobs, tasks)
         mine = found[: len(self.recordings)]
         exudyn, searched = (
             together(self.recordings, e) for e in ([f.exudyn for f in mine], [f.searched for f in mine])
@@ -311,7 +313,7 @@ class Judge:
 class Confirmed(NamedTuple):
     """Open-loop RMS errors of a crane on a recording, in noise units, from the same start: on the Exudyn engine and on
     that of the search; and the mean normalised innovation squared of a filter that trusts it (expected: the number of
-    sensors).
+    sensors), NaN where none was run.
     """
 
     exudyn: float
@@ -326,13 +328,21 @@ def _disagreement(error: float, searched: float) -> str:
     return f"; the engines disagree: error {error:.3g} on Exudyn, {searched:.3g} on the semi-recursive one"
 
 
-def confirmed(crane: Crane, recording: Recording, own: Sequence[str] = ()) -> Confirmed:
-    """Return what a crane leaves of a recording, its start fitted; `own`: parameters that are the recording's own."""
+def confirmed(crane: Crane, recording: Recording, own: Sequence[str], filters: bool) -> Confirmed:
+    """Return what a crane leaves of a recording, its start fitted.
+
+    Args:
+        crane, recording: the model and what it is held against.
+        own: parameters that are the recording's own.
+        filters: whether a filter is run over it as well.
+    """
     from crane_exudyn.engine import ExudynEngine
 
     searched, fit = open_loop_error(crane, recording, own=own)
     data = FitData.of(recording, crane, rate=math.inf, step=FINE)
     exudyn = rms(residuals(fit.crane, data, fit.starts, fit.late, ExudynEngine(fit.crane).simulate))
+    if not filters:
+        return Confirmed(exudyn, searched, math.nan)
     seen = FitData.of(usable(recording), fit.crane).with_step(FINE).shifted(fit.late)
     return Confirmed(exudyn, searched, filtered(fit.crane, seen, "semi-recursive").nis_mean)
 

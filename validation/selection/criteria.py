@@ -38,7 +38,8 @@ class Criteria:
     left: float = 0.5
     repaired: float = 0.8  # what leaves something explains all the same if it repairs this share of the windows
     left_level: float = 1.3  # and leaves this level,
-    left_of_rest: float = 0.05  # or this of the excess on blocks left out: where a chamber boils a stretch is spoilt
+    # or this of the excess on blocks left out: where a chamber boils a stretch is spoilt; what leaves no more of all
+    left_of_rest: float = 0.05  # excess leaves nothing for what no screen sees
     misled: float = 2.0  # error on the check recording from which on it was not predicted, and level of lost cases
     let_go: float = 2.0  # log evidence that a nominal parameter must bring to move in the lean explanation: 7 to 1;
     freed: int = 10  # so many may at first,

@@ -262,12 +262,13 @@ def _exchanged(path: WhitePath, done: list[Fitted]) -> list[Fitted]:
     problem, model = path.problem, Model(best.model.variables, best.effects)
     shown = likely(best_starts(screened(best.fit, STIFF.stiffness)), 1, CRITERIA.tie)
     wider = problem.run(moves_of(model, shown, best.fit), (STIFF,))
-    moves = [
-        Move(Model(w.model.variables, {k: values for k, values in w.effects.items() if k != key}), w.fit)
-        for w in wider
-        for key in best.keys
-    ]
+    moves = [_without(w, key) for w in wider for key in best.keys]
     return _further(path, done, problem.run(moves, (TIGHT, STIFF)))
+
+
+def _without(w: Fitted, key: str) -> Move:
+    """Return the move that drops one of a model's effects."""
+    return Move(Model(w.model.variables, {k: values for k, values in w.effects.items() if k != key}), w.fit)
 
 
 def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) -> list[Fitted]:
@@ -303,9 +304,9 @@ def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[Fitted
     moves: dict[frozenset[str], Move] = {}
     for w in (w for w in done if w.evidence > path.bare):
         for key in w.keys:
-            rest = {k: values for k, values in w.effects.items() if k != key}
-            if key in w.inactive or not (near or not rest or frozenset(rest) in known):
-                moves.setdefault(frozenset(rest), Move(Model(w.model.variables, rest), w.fit))
+            rest = frozenset(w.keys) - {key}
+            if key in w.inactive or not (near or not rest or rest in known):
+                moves.setdefault(rest, _without(w, key))
     return path.problem.run(list(moves.values()), (TIGHT, STIFF))
 
 
