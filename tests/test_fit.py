@@ -13,6 +13,7 @@ from crane_exudyn import Crane, Recording
 from crane_exudyn.measurement import Measurement
 from validation.fit import linear
 from validation.fit.data import ACCURACY, FitData, Samples
+from validation.fit.knots import begun_anew, reknot
 from validation.fit.linear import (
     RATE,
     columns_of,
@@ -27,7 +28,7 @@ from validation.fit.linear import (
     sweep_window,
 )
 from validation.fit.model import model_of
-from validation.fit.solve import bounded_step, covariance, fit, reduce, reknot
+from validation.fit.solve import bounded_step, covariance, fit, reduce
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.selection.criteria import CRITERIA
@@ -144,6 +145,20 @@ def test_a_window_whose_run_fails_neither_ends_a_fit_nor_bends_it(nominal):
     assert found.linear.window_error[6:] == pytest.approx(usual.linear.window_error[6:], rel=0.05)
     assert found.linear.window_error[:5] == pytest.approx(usual.linear.window_error[:5], rel=0.05)
     assert found.linear.window_error[5] > 100.0
+
+
+def test_a_window_that_was_caught_in_a_false_minimum_begins_anew(nominal):
+    crane, data = nominal
+    windows, knots = cut(data, 0.25), first_knots(crane, data)
+    usual = fit(crane, data, windows, knots, (), stiffness=10.0)
+    caught = usual.knots.copy()
+    caught[5:7, 0] += 0.5
+    caught[9] = 1e6
+    anew = begun_anew(crane, data, windows, caught, (), np.zeros(0), 10.0)
+    others = np.setdiff1d(np.arange(len(windows)), (5, 6, 9))
+    assert (anew[others] == caught[others]).all(), "those that are explained stay"
+    found = staged(crane, data, (), np.zeros(0), caught, (TIGHT,))
+    assert found.linear.window_error == pytest.approx(usual.linear.window_error, rel=0.02)
 
 
 @pytest.mark.parametrize(

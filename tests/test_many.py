@@ -11,8 +11,9 @@ from crane_exudyn import Crane, Recording
 from crane_exudyn.effects.base import Parameter
 from crane_exudyn.inputs import SpoolPath
 from validation.fit.data import data_of
+from validation.fit.knots import reknot
 from validation.fit.linear import cut
-from validation.fit.solve import fit, reknot
+from validation.fit.solve import fit
 from validation.fit.staged import residuals, run_fitted
 from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_parameters
 from validation.improvement import explained

@@ -17,9 +17,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from crane_exudyn.crane import Crane
 
 from ..workers import single_threaded
-from .data import Data, FitData, Joint
-from .linear import Linear, Window, alike, follows, linearised, model_at, near
-from .model import Model
+from .data import Data, FitData
+from .linear import Linear, Window, alike, follows, linearised, near
 from .variables import Variable, acts, alone, lateness, with_variables
 
 #: lowest pressure of a state, Pa: a void of a few per cent of its chamber is remembered as that
@@ -195,8 +194,9 @@ def fit(
     """
     task = _Task(crane, data, tuple(windows), tuple(variables), stiffness, tolerance)
     u = np.clip(np.zeros(len(variables)) if u is None else np.asarray(u, dtype=float), task.lower, task.upper)
-    serves = before is not None and bool(before.linear.swept) and alike(before.windows, windows)
-    point = task.at(u, knots, knots, before.linear if before is not None and serves else None)
+    serves = before is not None and before.linear.swept and alike(before.windows, windows)
+    here = serves and before is not None and np.array_equal(before.knots, knots)
+    point = task.at(u, knots, knots, before.linear if before is not None and here else None)
     converged = False
     for left in reversed(range(iterations + 1)):
         step = task.step(point) if left else None
@@ -381,37 +381,3 @@ def covariance(H: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.maximum(np.diag(H), 1e-12))
     values, vectors = np.linalg.eigh(H / np.outer(size, size))
     return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(size, size)
-
-
-def reknot(fit: Fit, windows: Sequence[Window]) -> np.ndarray:
-    """Return first states (K, nx) of other windows: those of the fit's own, and where they begin within one of these
-    its run's.
-    """
-    if isinstance(fit.data, Joint):
-        each = range(len(fit.data.parts))
-        own = [[replace(w, recording=0) for w in windows if w.recording == i] for i in each]
-        return np.concatenate([reknot(fit.of(i), own[i]) for i in each])
-    begins = np.array([w.data.time[0] for w in fit.windows])
-    wanted = np.array([w.data.time[0] for w in windows])
-    knots = fit.knots[[int(np.argmin(np.abs(begins - t))) for t in wanted]]
-    within = np.searchsorted(begins, wanted + 0.5 * fit.data.step, side="right") - 1
-    away = np.abs(begins[:, None] - wanted).min(axis=0) > 0.5 * fit.data.step
-    model = model_at(fit.origin, fit.variables, fit.u, fit.data) if away.any() else None
-    for k in sorted(set(within[away])):
-        if k >= 0 and model is not None:
-            rows = away & (within == k)
-            states = _states(fit.windows[k], fit.knots[k], model, wanted[rows])
-            knots[rows] = np.where(np.isnan(states), knots[rows], states)
-    return knots
-
-
-def _states(window: Window, x0: np.ndarray, model: Model, times: np.ndarray) -> np.ndarray:
-    """Return states (n, nx) at times in a window that begins with x0; NaN where the run does not reach."""
-    data = window.data
-    W = model.W[window.start : window.start + len(data.time)]
-    X, _, _ = model.run(x0, W, data.time, data.step)
-    index = np.round((times - data.time[0]) / data.step).astype(int)
-    inside = index < len(X)
-    found = np.full((len(times), len(x0)), math.nan)
-    found[inside] = X[index[inside]]
-    return found

@@ -15,9 +15,10 @@ import numpy as np
 from crane_exudyn.crane import Crane
 
 from .data import Data, FitData
+from .knots import begun_anew, reknot
 from .linear import Window, cut, with_states
 from .model import Model, model_of
-from .solve import Fit, fit, reduce, reknot
+from .solve import Fit, fit, reduce
 from .start import knots_of
 from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
 
@@ -98,8 +99,10 @@ def each_stage(
         data = data.stepped(stage.step)
         windows, last = stage.windows(data), found[-1] if found else before
         knots = reknot(last, windows) if isinstance(last, Fit) else last
+        u = found[-1].u if found else u
+        knots = begun_anew(crane, data, windows, knots, variables, u, stage.stiffness)
         found.append(fit(
-            crane, data, windows, knots, variables, found[-1].u if found else u, stiffness=stage.stiffness,
+            crane, data, windows, knots, variables, u, stiffness=stage.stiffness,
             iterations=stage.iterations, before=found[-1] if found else None, keep=True,
         ))  # fmt: skip
         for earlier in found[:-1]:

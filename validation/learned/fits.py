@@ -8,8 +8,9 @@ from typing import cast
 
 import numpy as np
 
+from ..fit.knots import reknot
 from ..fit.linear import Window, cut
-from ..fit.solve import Fit, fit, reknot
+from ..fit.solve import Fit, fit
 from ..fit.staged import LOOSE, STIFF
 from ..selection.model import Fitted, curve_of, fitted, unmoving
 from ..selection.search import Problem

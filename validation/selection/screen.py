@@ -51,12 +51,12 @@ class Projected:
 def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     """Return the score of every start at a fit, best first; a start that changes nothing scores 0."""
     room = len(fit.crane.layout.all_states) - fit.knots.shape[1]  # for a pendulum
-    soft = np.array([_softens(s) for s in starts], dtype=bool)
+    by_run = np.array([_softens(s) or _stops(s) for s in starts], dtype=bool)
 
     def probes(base: Model, data: FitData, recording: int) -> Columns:
         models = [model_of(base.crane.with_effect(s.key, s.values), data, base.late) for s in starts]
         columns = pack(base, models, np.ones(len(models)))
-        return replace(columns, by_run=columns.by_run | soft)
+        return replace(columns, by_run=columns.by_run | by_run)
 
     found = projected(fit, np.pad(fit.knots, ((0, 0), (0, room))), probes, stiffness)
     if found is None:
@@ -80,6 +80,13 @@ def _softens(start: Start) -> bool:
     return bool(_SOFTENS & set(split_key(start.key)[0].hooks()))
 
 
+def _stops(start: Start) -> bool:
+    """Whether an effect stops a cylinder: along a run that goes through the stop no slope tells its force, which is as
+    large as it must be.
+    """
+    return split_key(start.key)[0].beyond_stroke
+
+
 def unseen(fit: Fit) -> list[Start]:
     """Return a start of each effect that softens: where parameters stand for it already, not even a run tells what
     follows, only a fit.
@@ -101,7 +108,7 @@ def best_starts(scores: Sequence[Score]) -> list[Score]:
 
 def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
     """Return the best scores: at most two starts of one effect at one place, and none that promises less than `least`,
-    or next to nothing.
+    or next to nothing; of a stop all, since a run that has gone through it tells that there is one, not which.
     """
     chosen: list[Score] = []
     for score in scores:
@@ -111,7 +118,8 @@ def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
         most_of_one = 2 if score.gain > CRITERIA.twice * scores[0].gain else 1
         if sum(c.start.key == score.start.key for c in chosen) < most_of_one:
             chosen.append(score)
-    return chosen
+    stops = {c.start.key for c in chosen if _stops(c.start)}
+    return [*chosen, *(s for s in scores if s.start.key in stops and s not in chosen)]
 
 
 def projected(fit: Fit, knots: np.ndarray, probes: Probes, stiffness: float) -> Projected | None:
@@ -140,4 +148,4 @@ def _score(start: Start, slope: float, bend: float, alone: float) -> Score:
     if limited < 0.0 and not start.two_sided:
         return Score(start, 0.0, CRITERIA.smallest)
     gain = -(slope * limited + 0.5 * bend * limited**2)
-    return Score(start, float(max(gain, 0.0)), float(limited))
+    return Score(start, float(max(gain, 0.0)), 1.0 if _stops(start) else float(limited))

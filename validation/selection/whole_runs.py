@@ -16,8 +16,9 @@ from crane_exudyn.effects.registry import split_key
 
 from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
+from ..fit.knots import reknot
 from ..fit.linear import cut
-from ..fit.solve import Fit, fit, reknot
+from ..fit.solve import Fit, fit
 from ..fit.staged import LONG, SHORT, Stage, first_knots, residuals, run_fitted, staged, timings
 from ..fit.variables import EffectParameter, NominalDirection, Timing, Variable, stated_effects, uncertain_parameters
 from ..workers import in_parallel
