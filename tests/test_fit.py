@@ -11,26 +11,17 @@ import pytest
 
 from crane_exudyn import Crane, Recording
 from crane_exudyn.measurement import Measurement
-from validation.fit import linear
+from validation.fit import linear, sweeps
+from validation.fit.columns import columns_of, model_at, pack
 from validation.fit.data import ACCURACY, FitData, Samples
 from validation.fit.knots import begun_anew, reknot
-from validation.fit.linear import (
-    RATE,
-    columns_of,
-    cut,
-    forgotten,
-    linearised,
-    model_at,
-    near,
-    normal_equations,
-    pack,
-    robust,
-    sweep_window,
-)
+from validation.fit.linear import linearised, near, normal_equations, robust
 from validation.fit.model import model_of
 from validation.fit.solve import bounded_step, covariance, fit, reduce
 from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
+from validation.fit.sweeps import RATE, forgotten, sweep
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
+from validation.fit.windows import Group, cut
 from validation.selection.criteria import CRITERIA
 from validation.semi_recursive import kernel, sensitivity
 from validation.semi_recursive.engine import SemiRecursiveEngine
@@ -265,7 +256,7 @@ def test_inputs_in_another_order_in_memory_are_not_compiled_anew():
 
 
 def test_a_window_swept_in_pieces_is_the_window_swept_at_once(monkeypatch):
-    monkeypatch.setattr(linear, "ACCURACY", 1.0)  # a piece begins with whole steps: what they are off by is small
+    monkeypatch.setattr(sweeps, "ACCURACY", 1.0)  # a piece begins with whole steps: what they are off by is small
     crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.4})
     crane = crane.with_effect("payload_swing", {"length": 0.8, "damping": 3.0})
     data = FitData.of(recorded(crane), crane)
@@ -280,7 +271,8 @@ def test_a_window_swept_in_pieces_is_the_window_swept_at_once(monkeypatch):
     (window,), columns = cut(data, 10.0), columns_of(crane, variables, u, base, data)
     x0 = first_knots(crane, data, 10.0)[0]
     x0 = np.pad(x0, (0, base.nx - len(x0)))
-    whole, pieces = (sweep_window(window, x0, base, columns, data.channels, n) for n in (10**6, 333))
+    group = Group((window,))
+    (whole,), (pieces,) = (sweep(group, x0[None], base, columns, n) for n in (10**6, 333))
     assert pieces.counts == whole.counts
     assert pieces.squares == pytest.approx(whole.squares, rel=1e-6)
     assert pieces.end == pytest.approx(whole.end, rel=1e-6, abs=1e-7)
@@ -333,15 +325,15 @@ def test_events_in_other_windows_are_swept_once(nominal, monkeypatch):
     moments = [0.0, 0.5 * begin, 0.5 * (begin + end), end + 0.1]
     models = [model_of(crane.with_effect("payload_change", {"dm": 5.0, "T": t}), data) for t in moments]
     columns, swept = pack(base, models, np.ones(len(models))), []
-    sweep = sensitivity.sweep
-    monkeypatch.setattr(sensitivity, "sweep", lambda *a, **k: swept.append(len(a[9])) or sweep(*a, **k))
-    found = sweep_window(window, x0, base, columns, data.channels)
+    compiled = sensitivity.sweep
+    monkeypatch.setattr(sensitivity, "sweep", lambda *a, **k: swept.append(len(a[9])) or compiled(*a, **k))
+    (found,) = sweep(Group((window,)), x0[None], base, columns)
     assert swept == [2], "before and within"
     W = columns.W[:, window.start : window.start + len(window.data.time)]
-    true = sweep(
+    true = compiled(
         x0[None], np.zeros(1), W, data.step, begin, base.P, base.E, columns.P, columns.E, columns.size,
         topology=base.topology, allowed=ACCURACY, thinned=True,
-    ).S_end[0]  # fmt: skip
+    ).S[-1]  # fmt: skip
     assert found.end_jacobian == pytest.approx(true, rel=1e-9, abs=1e-12)
     assert not found.end_jacobian[:, -1].any()
 
@@ -361,7 +353,8 @@ def test_what_no_slope_tells_is_answered_by_a_run_of_the_changed_machine(nominal
     assert columns.by_run.tolist() == [False, False, True]
     columns = replace(columns, by_run=np.array([True, False, True]))
     x0 = np.pad(first_knots(crane, data, 1.0)[2], (0, 2))
-    jacobian = sweep_window(window, x0, base, columns, data.channels).end_jacobian[:, len(x0) :]
+    (found,) = sweep(Group((window,)), x0[None], base, columns)
+    jacobian = found.end_jacobian[:, len(x0) :]
     W = base.W[begin : begin + len(own)]
     ends = [m.run(x0, W, own, data.step)[0][-1] for m in (base, *models)]
     for j in (0, 2):
@@ -387,7 +380,7 @@ def test_derivatives_on_a_coarser_grid_are_those_on_the_datas_own(monkeypatch, e
     variables, u = [*nominal, *own], np.array([0.0] * len(nominal) + [v.begin for v in own])
     windows, knots = cut(data, 0.25), first_knots(crane, data, 0.25)
     coarse, _ = linearised(crane, data.stepped(1e-3), windows, knots, variables, u, 100.0)
-    monkeypatch.setattr(linear, "DERIVED", 1e-3)
+    monkeypatch.setattr(sweeps, "DERIVED", 1e-3)
     fine, _ = linearised(crane, data.stepped(1e-3), windows, knots, variables, u, 100.0)
     assert coarse.cost == pytest.approx(fine.cost, rel=1e-9)
     scale = np.maximum(np.sqrt(np.diag(fine.Huu)), 1e-9)

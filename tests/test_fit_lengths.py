@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, Recording
+from validation.fit.columns import columns_of, model_at
 from validation.fit.data import FitData
-from validation.fit.linear import columns_of, cut, model_at, normal_equations
+from validation.fit.linear import normal_equations
 from validation.fit.solve import fit
 from validation.fit.staged import first_knots
 from validation.fit.variables import NominalDirection
+from validation.fit.windows import cut
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 PINS = ("cylinders.lift.rod_end.x", "cylinders.tilt.base.x")

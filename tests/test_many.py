@@ -12,10 +12,10 @@ from crane_exudyn.effects.base import Parameter
 from crane_exudyn.inputs import SpoolPath
 from validation.fit.data import data_of
 from validation.fit.knots import reknot
-from validation.fit.linear import cut
 from validation.fit.solve import fit
 from validation.fit.staged import residuals, run_fitted
 from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_parameters
+from validation.fit.windows import cut
 from validation.improvement import explained
 from validation.selection.criteria import CRITERIA
 from validation.selection.drifting import DRIFTING

@@ -59,13 +59,14 @@ def swept(
     P_cols = np.array([c.parameter_vector() for c in probes]).reshape(m, len(P))
     E_cols = np.array([c.effect_vector() for c in probes]).reshape(m, len(E))
     arguments = {
-        "x0_knots": x0[None],
-        "knot_index": np.array([0]),
+        "x0": np.atleast_2d(x0),
+        "first": np.array([0]),
         "W_all": W[None],
+        "t0": 0.0,
         "allowed": math.inf,
         "topology": crane.machine.topology,
     } | more
-    return sweep(h=H, t0=0.0, P=P, E=E, P_cols=P_cols, E_cols=E_cols, delta=np.array(delta), **arguments)  # type: ignore[arg-type]
+    return sweep(h=H, P=P, E=E, P_cols=P_cols, E_cols=E_cols, delta=np.array(delta), **arguments)  # type: ignore[arg-type]
 
 
 def assert_close(S: np.ndarray, difference: np.ndarray, share: float) -> None:
@@ -195,15 +196,14 @@ def test_probes_that_leave_the_bodies_take_the_mechanics_of_the_base() -> None:
 
 
 def test_windows_do_not_know_of_each_other(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
-    base = run(crane, start, inputs)
-    probe, knots = crane.with_parameters({"payload.mass": 25.01}), np.array([0, 150, 300])
-    result = swept(crane, start, inputs, [probe], [0.01], x0_knots=base[knots], knot_index=knots)
-    np.testing.assert_allclose(result.X, base, rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(result.X_end, base[[150, 300, 400]], rtol=1e-8, atol=1e-9)
+    base, at = run(crane, start, inputs), np.array([*range(151), *range(150, 301), *range(300, N)])
+    probe, first = crane.with_parameters({"payload.mass": 25.01}), np.array([0, 151, 302])
+    x0, t0 = base[[0, 150, 300]], np.array([0, 150, 300]) * H
+    result = swept(crane, x0, inputs[at], [probe], [0.01], first=first, t0=t0)
+    np.testing.assert_allclose(result.X, base[at], rtol=1e-8, atol=1e-9)
     middle = swept(crane, base[150], inputs[150:301], [probe], [0.01])
-    np.testing.assert_allclose(result.S[150:300], middle.S[:150], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(result.S_end[1], middle.S[150], rtol=1e-6, atol=1e-9)
-    np.testing.assert_array_equal(result.S[300], np.eye(8, 9))
+    np.testing.assert_allclose(result.S[151:302], middle.S, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(result.S[302], np.eye(8, 9))
 
 
 def test_transitions_multiply_to_the_sensitivity(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
@@ -222,13 +222,14 @@ def test_substeps_refine_the_run(crane: Crane, start: np.ndarray, inputs: np.nda
 
 
 def test_a_failing_window_is_flagged_and_the_others_go_on(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
-    knots = np.array([0, 100, 200])
+    first = np.array([0, 100, 200])
     wild = start.copy()
     wild[2:4] = 1e9, -1e9
-    result = swept(crane, start, inputs, [], [], x0_knots=np.array([start, wild, start]), knot_index=knots)
-    assert (result.status, result.failed) == (kernel.NOT_CONVERGED, 100)
+    result = swept(crane, np.array([start, wild, start]), inputs, [], [], first=first)
+    assert result.status.tolist() == [kernel.OK, kernel.NOT_CONVERGED, kernel.OK]
+    assert result.failed.tolist() == [-1, 100, -1]
     assert np.isfinite(result.X[:101]).all() and np.isfinite(result.X[200:]).all()
-    assert np.isnan(result.X[101:200]).all() and np.isnan(result.X_end[1]).all()
+    assert np.isnan(result.X[101:200]).all()
 
 
 def test_a_machine_that_runs_away_ends_a_run_of_a_fit_but_no_other(crane: Crane) -> None:
@@ -238,8 +239,8 @@ def test_a_machine_that_runs_away_ends_a_run_of_a_fit_but_no_other(crane: Crane)
     away, W = np.array([1.05, -126.2, 15.6, -363.4, -6e7, 1.9e8, 2.6e8, -1.2e9]), np.full((101, 4), np.nan)
     W[:, :2] = 0.0
     result = swept(crane, away, W, [], [], allowed=10.0)
-    assert result.status == kernel.TOO_COARSE and 0 <= result.failed < 100
-    assert np.isnan(result.X[result.failed + 1 :]).all()
+    assert result.status == kernel.TOO_COARSE and 0 <= result.failed[0] < 100
+    assert np.isnan(result.X[result.failed[0] + 1 :]).all()
     machine = (crane.parameter_vector(), crane.effect_vector(), crane.machine.topology)
     fitting = kernel.simulate(away, W, np.arange(101) * H, H, *machine, 10.0, kernel.MOST_PARTS)
     assert fitting[1] == kernel.TOO_COARSE and fitting[2] < 100

@@ -9,9 +9,10 @@ from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.inputs import SpoolPath
 from validation.diagnosis import diagnose
 from validation.fit.data import FitData, Joint, data_of
-from validation.fit.linear import cut, linearised
+from validation.fit.linear import linearised
 from validation.fit.staged import all_parameters, first_knots, timings
 from validation.fit.variables import uncertain_parameters
+from validation.fit.windows import cut
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 NOISE = {"z1": 1e-3, "z4": 1e-3, "p1": 3e4, "p2": 2e4, "p3": 2e4, "p4": 2e4}

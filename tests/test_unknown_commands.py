@@ -19,8 +19,8 @@ from crane_exudyn.simulation import initial_state
 from crane_exudyn.statics import visible
 from validation.comparison import compare
 from validation.fit.data import FitData
-from validation.fit.linear import cut, follows
 from validation.fit.staged import run_fitted
+from validation.fit.windows import cut, follows
 from validation.selection.model import open_loop_error
 from validation.semi_recursive import SemiRecursiveEngine
 

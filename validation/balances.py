@@ -26,9 +26,9 @@ from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.layout import Layout
 
 from .fit.data import ACCURACY, FitData
-from .fit.linear import cut, jump_of
 from .fit.model import Model, model_of
 from .fit.start import knots_of
+from .fit.windows import cut, jump_of
 from .semi_recursive import sensitivity
 
 #: standard deviation of an unknown input before anything was measured, by unit
@@ -270,12 +270,13 @@ def _transitions(
         W[1 + j, :, column] += spread[j]
     m = len(columns)
     P, E = np.tile(model.P, (m, 1)), np.tile(model.E, (m, 1))
+    at = np.sort(np.concatenate([np.arange(len(data.time)), starts[1:]]))  # a window ends where the next one begins
     run = sensitivity.sweep(
         knots,
-        starts,
-        W,
+        starts + np.arange(len(starts)),
+        W[:, at],
         data.step,
-        float(data.time[0]),
+        data.time[starts],
         model.P,
         model.E,
         P,
@@ -286,18 +287,17 @@ def _transitions(
         want_phi=True,
         allowed=ACCURACY,
     )
-    if run.status != 0 or not np.isfinite(run.X).all():
+    if run.status.any() or not np.isfinite(run.X).all():
+        t = data.time[at[run.failed.max()]]
         raise CraneError(
-            f"{data.name}: the model cannot follow this recording at t = {data.time[max(run.failed, 0)]:.3f} s (a pose "
-            "or pressure "
-            "out of its reach). Is it another machine, or a channel with another sign or unit?"
+            f"{data.name}: the model cannot follow this recording at t = {t:.3f} s (a pose or pressure out of its "
+            "reach). Is it another machine, or a channel with another sign or unit?"
         )
-    arrived, response = run.X[1:].copy(), run.S[1:, :, nx:].copy()
-    ends = starts[1:] - 1
-    arrived[ends], response[ends] = run.X_end[:-1], run.S_end[:-1, :, nx:]
-    A = run.Phi[1:]
-    B = response - A @ run.S[:-1, :, nx:]
-    return run.X, A, B, arrived - run.X[1:]
+    before = np.flatnonzero(np.diff(at))  # of each step
+    A, response = run.Phi[before + 1], run.S[before + 1, :, nx:]
+    B = response - A @ run.S[before, :, nx:]
+    X = run.X[[*before, len(at) - 1]]
+    return X, A, B, run.X[before + 1] - X[1:]
 
 
 def _compounded(

@@ -12,12 +12,15 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 
+from .columns import model_at
 from .data import Data, FitData, Joint
-from .linear import Window, follows, jump_of, left_in, model_at, ran, robust, with_states
+from .linear import robust, with_states
 from .model import Model
 from .solve import Fit
 from .start import knots_of
+from .sweeps import left_in, ran
 from .variables import Variable
+from .windows import Group, Window, follows, jump_of, shared_out, side_by_side
 
 #: error of a window, in noise units, from which on its first state may be caught in a false minimum
 _CAUGHT = 1.3
@@ -81,40 +84,51 @@ def begun_anew(
 
 
 class _Begun(NamedTuple):
-    """A window that begins with x0 (nx,), ends with `end` (nx,), and leaves an error in noise units; cost: with the
-    jumps at both ends.
+    """A window that begins with x0 (nx,) and ends with `end` (nx,); cost: of what it leaves and of the jumps at both
+    ends.
     """
 
     x0: np.ndarray
     end: np.ndarray
-    error: float
     cost: float
 
 
 def _uncaught(
     data: FitData, windows: Sequence[Window], knots: np.ndarray, model: Model, stiffness: float
 ) -> np.ndarray:
-    knots, scale, end = knots.copy(), jump_of(model.crane.layout)[: model.nx] / stiffness, knots[0]
-    for k, window in enumerate(windows):
-        before = end if k and follows(windows[k - 1], window) else None
-        after = knots[k + 1] if k + 1 < len(windows) and follows(window, windows[k + 1]) else None
-        begun = partial(_begun, window=window, model=model, before=before, after=after, scale=scale)
-        best = begun(knots[k])
-        if best.error > _CAUGHT:
-            others = [with_states(knots_of(model.crane, data, [window]), model.nx)[0]]
-            others += [] if before is None else [before]
-            best = min(best, *map(begun, others), key=lambda one: one.cost)
-        knots[k], end = best.x0, best.end
+    knots, scale = knots.copy(), jump_of(model.crane.layout)[: model.nx] / stiffness
+    ends, errors = _runs(windows, knots, model)
+    for k in np.flatnonzero(errors > _CAUGHT).tolist():
+        before = ends[k - 1] if k and follows(windows[k - 1], windows[k]) else None
+        after = knots[k + 1] if k + 1 < len(windows) and follows(windows[k], windows[k + 1]) else None
+        measured = with_states(knots_of(model.crane, data, [windows[k]]), model.nx)[0]
+        begun = partial(_begun, window=windows[k], model=model, before=before, after=after, scale=scale)
+        tried = [begun(x0) for x0 in (knots[k], measured, before) if x0 is not None]
+        knots[k], ends[k], _ = min(tried, key=lambda one: one.cost)
     return knots
+
+
+def _runs(windows: Sequence[Window], knots: np.ndarray, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return where windows end (K, nx), and what they leave (K,) in noise units."""
+    ends, errors, groups = [], list[float](), side_by_side(windows)
+    for group, x0 in zip(groups, shared_out(groups, knots), strict=True):
+        X, status = ran(group, x0, model)
+        ends.append(X[group.last])
+        each = zip(group.windows, group.split(left_in(group, X, model)), strict=True)
+        own = [math.sqrt(sum(float(r @ r) for r in left) / max(1, w.data.count)) for w, left in each]
+        errors += [math.inf if failed else e for failed, e in zip(status, own, strict=True)]
+    return np.concatenate(ends), np.nan_to_num(errors, nan=math.inf)
 
 
 def _begun(
     x0: np.ndarray, window: Window, model: Model, before: np.ndarray | None, after: np.ndarray | None, scale: np.ndarray
 ) -> _Begun:
-    X, status = ran(window, x0, model)
-    if status != 0 or not np.isfinite(X[-1]).all():
-        return _Begun(x0, X[-1], math.inf, math.inf)
-    squares = sum(float(r @ r) for r in left_in(window, X, model))
+    alone = Group((window,))
+    X, status = ran(alone, x0[None], model)
+    if status[0] != 0 or not np.isfinite(X[-1]).all():
+        return _Begun(x0, X[-1], math.inf)
+    squares = sum(float(r @ r) for r in left_in(alone, X, model))
     jumps = [(a - b) / scale for a, b in ((x0, before), (X[-1], after)) if b is not None]
-    cost = robust(squares, window.data.count)[0] + sum(robust(float(j @ j), len(j))[0] for j in jumps)
-    return _Begun(x0, X[-1], math.sqrt(squares / max(1, window.data.count)), cost)
+    return _Begun(
+        x0, X[-1], robust(squares, window.data.count)[0] + sum(robust(float(j @ j), len(j))[0] for j in jumps)
+    )

@@ -64,6 +64,18 @@ class Model:
         )
         return X, status, last
 
+    def each(
+        self, x0: np.ndarray, first: np.ndarray, W: np.ndarray, time: np.ndarray, step: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return states (N, nx) of K runs from x0 (K, nx), one after the other, each from its first sample (K,) on, and
+        by run (K,) what `run` returns.
+        """
+        x0, W, time = (np.ascontiguousarray(a) for a in (x0, W, time))
+        X, status, last = kernel.simulate_each(
+            x0, first, W, time, step, self.P, self.E, self.topology, ACCURACY, kernel.MOST_PARTS
+        )
+        return X, status, last
+
     def whole(self, x0: np.ndarray, W: np.ndarray, time: np.ndarray, step: float) -> tuple[np.ndarray, int]:
         """Return the states and the status of a run that stands still from where it leaves what the crane can do."""
         X, status, last = self.run(x0, W, time, step)

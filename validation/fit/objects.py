@@ -13,8 +13,8 @@ import numpy as np
 from crane_exudyn.crane import Crane
 
 from .data import FitData
-from .linear import cut
 from .start import knots_of
+from .windows import cut
 
 #: s between the instants at which the objects' moments are measured
 _EVERY = 0.05

@@ -18,8 +18,9 @@ from crane_exudyn.crane import Crane
 
 from ..workers import single_threaded
 from .data import Data, FitData
-from .linear import Linear, Window, alike, follows, linearised, near
+from .linear import Linear, linearised, near
 from .variables import Variable, acts, alone, lateness, with_variables
+from .windows import Window, alike, follows
 
 #: lowest pressure of a state, Pa: a void of a few per cent of its chamber is remembered as that
 EMPTIEST = -1e8

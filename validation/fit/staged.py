@@ -16,11 +16,12 @@ from crane_exudyn.crane import Crane
 
 from .data import Data, FitData
 from .knots import begun_anew, reknot
-from .linear import Window, cut, with_states
+from .linear import with_states
 from .model import Model, model_of
 from .solve import Fit, fit, reduce
 from .start import knots_of
 from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
+from .windows import Window, cut
 
 Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 

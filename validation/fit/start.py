@@ -10,7 +10,7 @@ from crane_exudyn.crane import Crane
 
 from ..semi_recursive.engine import SemiRecursiveEngine
 from .data import FitData, Samples
-from .linear import Window
+from .windows import Window
 
 #: seconds to either side over which an angle and its rate, or a pressure, are averaged
 _ANGLE_SPAN, _PRESSURE_SPAN = 0.12, 0.03

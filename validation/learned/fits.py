@@ -9,9 +9,9 @@ from typing import cast
 import numpy as np
 
 from ..fit.knots import reknot
-from ..fit.linear import Window, cut
 from ..fit.solve import Fit, fit
 from ..fit.staged import LOOSE, STIFF
+from ..fit.windows import Window, cut
 from ..selection.model import Fitted, curve_of, fitted, unmoving
 from ..selection.search import Problem
 from .laws import Law

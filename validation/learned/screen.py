@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..fit.columns import Columns, pack
 from ..fit.data import FitData
-from ..fit.linear import Columns, pack
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit
 from ..fit.variables import EffectVariable, curve_variables, prior_root

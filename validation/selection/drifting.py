@@ -15,10 +15,10 @@ from functools import cached_property
 from itertools import zip_longest
 
 from ..fit.data import Data
-from ..fit.linear import cut
 from ..fit.solve import Fit, fit
 from ..fit.staged import SHORT, Stage, all_parameters, first_knots, informed_directions
 from ..fit.variables import CurveDirection, EffectParameter, stated_effects
+from ..fit.windows import cut
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import Levels, levels_of

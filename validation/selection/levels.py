@@ -15,9 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..fit.data import Data, FitData
-from ..fit.linear import left_in, ran, with_states
+from ..fit.linear import with_states
 from ..fit.model import model_of
 from ..fit.solve import Fit
+from ..fit.sweeps import left_in, ran
+from ..fit.windows import shared_out, side_by_side
 from .criteria import CRITERIA
 
 Errors = Mapping[str, float]
@@ -94,9 +96,10 @@ def window_errors(found: Fit, data: Data) -> dict[str, list[np.ndarray]]:
         fit, own = found.of(i), dict[str, list[np.ndarray]]()
         model = model_of(fit.crane, fit.data.parts[0], fit.late)
         noise = {s.channel: s.noise for s in part.samples}
-        for window, x0 in zip(fit.windows, with_states(fit.knots, model.nx), strict=True):
-            left = left_in(window, ran(window, x0, model)[0], model)
-            for s, r in zip(window.data.samples, left, strict=True):
+        groups = side_by_side(fit.windows)
+        for group, x0 in zip(groups, shared_out(groups, with_states(fit.knots, model.nx)), strict=True):
+            left = left_in(group, ran(group, x0, model)[0], model)
+            for s, r in zip(group.samples, left, strict=True):
                 own.setdefault(s.channel, []).append(r * s.noise / noise[s.channel])
         for c, pieces in own.items():
             errors.setdefault(c, []).append(np.concatenate(pieces))

@@ -15,9 +15,9 @@ from crane_exudyn.geometry import chamber_lengths
 from crane_exudyn.layout import Layout
 
 from ..fit.data import Data
-from ..fit.linear import Window
 from ..fit.start import knots_of
 from ..fit.variables import at_place
+from ..fit.windows import Window
 from .criteria import CRITERIA, PLACES
 
 

@@ -14,8 +14,9 @@ import numpy as np
 
 from crane_exudyn.effects.registry import split_key
 
+from ..fit.columns import Columns, Probes, pack
 from ..fit.data import FitData
-from ..fit.linear import Columns, Probes, linearised, pack
+from ..fit.linear import linearised
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
 from .criteria import CRITERIA

@@ -17,10 +17,10 @@ from crane_exudyn.effects.registry import split_key
 from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.knots import reknot
-from ..fit.linear import cut
 from ..fit.solve import Fit, fit
 from ..fit.staged import LONG, SHORT, Stage, first_knots, residuals, run_fitted, staged, timings
 from ..fit.variables import EffectParameter, NominalDirection, Timing, Variable, stated_effects, uncertain_parameters
+from ..fit.windows import cut
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import Errors, Levels, each_part, falls, levels_of, likelihoods

@@ -493,6 +493,36 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
     return OK
 
 
+@compiled.njit(cache=False)
+def run(x0, first, end, W, time, step, P, E, topology, allowed, most, X):
+    """Write states from sample `first` to the last one before `end` to X (N, nx), as `simulate` does; return a status,
+    the sample before the step that failed, and halved steps.
+    """
+    nx = x0.size
+    work, now = workspace(topology, nx, W.shape[1]), point(nx, topology[0, CYLINDERS])
+    work.said[ALLOWED], work.said[PATIENCE] = allowed, PATIENT
+    wa, wb, steps = np.empty(W.shape[1]), np.empty(W.shape[1]), 0
+    now.x[:] = x0
+    begin(now, W[first], time[first], P, E, work.sheet)
+    X[first] = x0
+    for k in range(first, end - 1):
+        n = max(1, math.ceil((time[k + 1] - time[k]) / step - 1e-6))
+        h = (time[k + 1] - time[k]) / n
+        for i in range(n):
+            between(W[k], W[k + 1], i / n, wa)
+            between(W[k], W[k + 1], (i + 1) / n, wb)
+            last = k + 2 == end and i == n - 1
+            status = advance(now, wa, wb, time[k] + i * h, h, P, E, work, last)
+            steps += 1
+            if status == OK and exhausted(steps, most, work):
+                status = TOO_COARSE
+            if status != OK:
+                X[k + 1] = now.x
+                return status, k, int(work.said[HALVED])
+        X[k + 1] = now.x
+    return OK, -1, int(work.said[HALVED])
+
+
 @compiled.njit
 def simulate(x0, W, time, step, P, E, topology, allowed=1.0, most=math.inf):
     """Return states X (N, nx) at increasing times (N,), the status, the sample before the step that failed, and halved
@@ -507,30 +537,28 @@ def simulate(x0, W, time, step, P, E, topology, allowed=1.0, most=math.inf):
         allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
         most: parts that a step may have on the average; a run that needs more ends as one whose steps are too coarse.
     """
-    n_times, nx = W.shape[0], x0.size
-    X = np.full((n_times, nx), math.nan)
-    work, now = workspace(topology, nx, W.shape[1]), point(nx, topology[0, CYLINDERS])
-    work.said[ALLOWED], work.said[PATIENCE] = allowed, PATIENT
-    wa, wb, steps = np.empty(W.shape[1]), np.empty(W.shape[1]), 0
-    now.x[:] = x0
-    begin(now, W[0], time[0], P, E, work.sheet)
-    X[0] = x0
-    for k in range(n_times - 1):
-        n = max(1, math.ceil((time[k + 1] - time[k]) / step - 1e-6))
-        h = (time[k + 1] - time[k]) / n
-        for i in range(n):
-            between(W[k], W[k + 1], i / n, wa)
-            between(W[k], W[k + 1], (i + 1) / n, wb)
-            last = k + 2 == n_times and i == n - 1
-            status = advance(now, wa, wb, time[k] + i * h, h, P, E, work, last)
-            steps += 1
-            if status == OK and exhausted(steps, most, work):
-                status = TOO_COARSE
-            if status != OK:
-                X[k + 1] = now.x
-                return X, status, k, int(work.said[HALVED])
-        X[k + 1] = now.x
-    return X, OK, -1, int(work.said[HALVED])
+    X = np.full((W.shape[0], x0.size), math.nan)
+    status, failed, halved = run(x0, 0, W.shape[0], W, time, step, P, E, topology, allowed, most, X)
+    return X, status, failed, halved
+
+
+@compiled.njit
+def simulate_each(x0, first, W, time, step, P, E, topology, allowed, most):
+    """Return states X (N, nx) of K windows, one after the other, and by window (K,) status and the sample before the
+    step that failed.
+
+    Args:
+        x0: states (K, nx) at the first sample of each window.
+        first: (K,) these samples, from 0; a window ends before the next one begins.
+        W, time: inputs (N, n + 2) and times (N,); the rest as of `simulate`.
+    """
+    K = first.size
+    X = np.full((W.shape[0], x0.shape[1]), math.nan)
+    status, failed = np.empty(K, np.int64), np.empty(K, np.int64)
+    for w in range(K):
+        end = first[w + 1] if w + 1 < K else W.shape[0]
+        status[w], failed[w], _ = run(x0[w], first[w], end, W, time, step, P, E, topology, allowed, most, X)
+    return X, status, failed
 
 
 @compiled.njit

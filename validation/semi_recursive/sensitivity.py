@@ -9,7 +9,7 @@ likewise of g:
 A column is a probe: another P, another E, other inputs, or several at once. Its b and c are one-sided differences from
 the base to the probe, so an effect whose law is not smooth at its neutral value is probed at a finite size.
 
-A run may be cut into windows (multiple shooting): at each knot the state is set anew and the sensitivities begin again.
+Many windows may be swept in one call, one after the other: each has samples and a first state of its own.
 
 Most of the time goes into the probes' b and c. A probe that leaves the bodies as they are (an orifice, a leak) takes
 the base's mechanics. And b and c change slowly along the motion: where nothing is halved they may be taken at every
@@ -65,24 +65,21 @@ class Sweep(NamedTuple):
     """What `sweep` returns; M = nx + m columns: the window's own start [0, nx), then the probes.
 
     Attributes:
-        X: states (N, nx); at a knot the window's start.
-        S: sensitivities (N, nx, M); at a knot identity and zeros.
-        X_end, S_end: (K, nx), (K, nx, M): where each window arrives at the next knot (the last one: at the last
-            sample).
-        Phi: (N, nx, nx), Phi[k + 1] = dx_{k+1}/dx_k; empty unless asked for. Phi[0] is the identity.
-        status: of the kernel; where a step failed, or the run had more parts than a fit's may (`MOST_PARTS`), the rest
-            of that window is NaN in X and 0 in S.
-        failed: sample before the first step that failed, or -1.
+        X: states (N, nx).
+        S: sensitivities (N, nx, M); where a window begins identity and zeros.
+        Phi: (N, nx, nx), Phi[k + 1] = dx_{k+1}/dx_k within a window; empty unless asked for. Where a window begins the
+            identity.
+        status: (K,) of the kernel; where a step failed, or the run had more parts than a fit's may (`MOST_PARTS`), the
+            rest of that window is NaN in X and 0 in S.
+        failed: (K,) sample before the first step of a window that failed, or -1.
         halved: how many steps were halved.
     """
 
     X: np.ndarray
     S: np.ndarray
-    X_end: np.ndarray
-    S_end: np.ndarray
     Phi: np.ndarray
-    status: int
-    failed: int
+    status: np.ndarray
+    failed: np.ndarray
     halved: int
 
 
@@ -422,6 +419,7 @@ def begin_window(base, k, start, v, work):
     set_identity(v.S, 0)
     evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before)
     work.made[:] = 0.0
+    work.said[PARTS] = 0.0
     forget(work)
 
 
@@ -433,49 +431,53 @@ def set_identity(S, first):
             S[i, first + j] = 1.0 if i == j else 0.0
 
 
-@njit
-def _sweep(x0_knots, knot_index, base, topology, want_phi):
-    N, (K, nx), m = base.W_all.shape[1], x0_knots.shape, base.delta.size
-    M = nx + m
-    X, S = np.full((N, nx), math.nan), np.zeros((N, nx, M))
-    X_end, S_end = np.full((K, nx), math.nan), np.zeros((K, nx, M))
-    Phi = np.zeros((N if want_phi else 0, nx, nx))
-    v = new_moving(topology, nx, m, M + (nx if want_phi else 0), base.W_all.shape[2])
-    work = workspace(topology, nx, base.W_all.shape[2])
-    work.said[ALLOWED], work.said[PATIENCE] = base.allowed, PATIENT
-    status, failed, window, alive, there = OK, -1, -1, False, -1  # there: the last sample that is filled
-    for k in range(N):
-        if window + 1 < K and knot_index[window + 1] == k:
-            if alive:
-                X_end[window], S_end[window] = v.now.x, v.S[:, :M]
-            window += 1
-            begin_window(base, k, x0_knots[window], v, work)
-            alive = True
-        if not alive or k < there:
-            continue
+@njit(cache=False)
+def run_window(first, end, v, base, work, X, S, Phi):
+    """Move states and sensitivities from sample `first`, at which v stands, to the last one before `end`; return a
+    status, and the sample before the step that failed.
+    """
+    k, want_phi, M = first, Phi.shape[0] > 0, S.shape[2]
+    while True:
         X[k], S[k] = v.now.x, v.S[:, :M]
-        if k == N - 1:
-            X_end[window], S_end[window] = v.now.x, v.S[:, :M]
-            continue
+        if k == end - 1:
+            return OK, -1
         if want_phi:
             set_identity(v.S, M)
         came, moved = OK, 0
-        joined = window + 1 == K or knot_index[window + 1] != k + 1
-        if base.thinned and k + 2 < N and joined and work.said[LEVEL] == 0.0:
+        if base.thinned and k + 2 < end and work.said[LEVEL] == 0.0:
             moved, came = advance_two(base, k, v, work, X[k + 1], S[k + 1])
         if moved == 0:
             moved, came = 1, advance_sample(base, k, v, work)
-        there = k + moved
-        if came == OK and exhausted(there * base.substeps, MOST_PARTS, work):
+        if came == OK and exhausted((k + moved - first) * base.substeps, MOST_PARTS, work):
             came = TOO_COARSE
-        alive = came == OK
-        if want_phi and alive:
-            Phi[k + 1] = v.S[:, M:]
-        if not alive and failed < 0:
-            status, failed = came, k
-    if want_phi:
-        set_identity(Phi[0], 0)
-    return X, S, X_end, S_end, Phi, status, failed, int(work.said[HALVED])
+        if came != OK:
+            return came, k
+        k += moved
+        if want_phi:
+            Phi[k] = v.S[:, M:]
+
+
+@njit
+def _sweep(x0, first, steps, begins, base, topology, want_phi):
+    N, (K, nx), m = base.W_all.shape[1], x0.shape, base.delta.size
+    M = nx + m
+    X, S = np.full((N, nx), math.nan), np.zeros((N, nx, M))
+    Phi = np.zeros((N if want_phi else 0, nx, nx))
+    status, failed = np.zeros(K, np.int64), np.full(K, -1, np.int64)
+    v = new_moving(topology, nx, m, M + (nx if want_phi else 0), base.W_all.shape[2])
+    work = workspace(topology, nx, base.W_all.shape[2])
+    work.said[ALLOWED], work.said[PATIENCE] = base.allowed, PATIENT
+    for w in range(K):
+        k, end = first[w], first[w + 1] if w + 1 < K else N
+        own = Base(
+            base.P, base.E, base.P_cols, base.E_cols, base.bodies, base.delta, base.W_all, base.W_index, steps[w],
+            begins[w] - k * steps[w], base.substeps, base.thinned, base.allowed,
+        )  # fmt: skip
+        begin_window(own, k, x0[w], v, work)
+        if want_phi:
+            set_identity(Phi[k], 0)
+        status[w], failed[w] = run_window(k, end, v, own, work, X, S, Phi)
+    return X, S, Phi, status, failed, int(work.said[HALVED])
 
 
 def moves_bodies(P: np.ndarray, E: np.ndarray, P_cols: np.ndarray, E_cols: np.ndarray, cylinders: int) -> np.ndarray:
@@ -487,11 +489,11 @@ def moves_bodies(P: np.ndarray, E: np.ndarray, P_cols: np.ndarray, E_cols: np.nd
 
 
 def sweep(
-    x0_knots: np.ndarray,
-    knot_index: np.ndarray,
+    x0: np.ndarray,
+    first: np.ndarray,
     W_all: np.ndarray,
-    h: float,
-    t0: float,
+    h: float | np.ndarray,
+    t0: float | np.ndarray,
     P: np.ndarray,
     E: np.ndarray,
     P_cols: np.ndarray,
@@ -505,15 +507,16 @@ def sweep(
     want_phi: bool = False,
     thinned: bool = False,
 ) -> Sweep:
-    """Return states and sensitivities along a run in windows; see `Sweep` for the shapes. Releases the global lock.
+    """Return states and sensitivities along the runs of K windows; see `Sweep` for the shapes. Releases the global
+    lock.
 
     Args:
-        x0_knots: (K, nx) state at the start of each window; with n coordinates nx is 4n, or 4n + 2 with a pendulum in
-            the base or a probe.
-        knot_index: (K,) sample at which each window starts, increasing; usually begins with 0.
-        W_all: (n_W, N, n + 2) input signals [U pp pt] on the sample grid, linear between; the first is the base's. With
+        x0: (K, nx) state at the start of each window; with n coordinates nx is 4n, or 4n + 2 with a pendulum in the
+            base or a probe.
+        first: (K,) first sample of each window, increasing from 0; it ends before that of the next one.
+        W_all: (n_W, N, n + 2) input signals [U pp pt] at the samples, linear between; the first is the base's. With
             (n_W, N, 4n + 4) the disturbances of the layout follow, so that unknown inputs can be probed.
-        h, t0: sample interval and time of the first sample, s.
+        h, t0: sample interval and time of the first sample, s, of all windows or (K,) of each.
         P, E: the base's parameters and effects.
         P_cols, E_cols: (m, len P), (m, len E): those of each probe.
         delta: (m,) what each column is divided by: the change in its parameter, or 1.
@@ -525,14 +528,13 @@ def sweep(
         thinned: whether probes are taken at every second sample where no step is halved, and are linear between; not
             with substeps or transition matrices.
     """
-    m = len(delta)
+    m, K = len(delta), len(x0)
     index = np.zeros(m, np.int64) if W_index is None else np.ascontiguousarray(W_index, np.int64)
     x0, W, P, E, P_cols, E_cols, delta = (
-        np.ascontiguousarray(a, float) for a in (x0_knots, W_all, P, E, P_cols, E_cols, delta)
+        np.ascontiguousarray(a, float) for a in (x0, W_all, P, E, P_cols, E_cols, delta)
     )
+    steps, begins = (np.ascontiguousarray(np.broadcast_to(a, K), float) for a in (h, t0))
     thinned = thinned and substeps == 1 and not want_phi
     bodies = moves_bodies(P, E, P_cols, E_cols, topology[0, CYLINDERS])
-    base = Base(
-        P, E, P_cols, E_cols, bodies, delta, W, index, float(h), float(t0), int(substeps), thinned, float(allowed)
-    )
-    return Sweep(*_sweep(x0, np.ascontiguousarray(knot_index, np.int64), base, topology, bool(want_phi)))
+    base = Base(P, E, P_cols, E_cols, bodies, delta, W, index, 0.0, 0.0, int(substeps), thinned, float(allowed))
+    return Sweep(*_sweep(x0, np.ascontiguousarray(first, np.int64), steps, begins, base, topology, bool(want_phi)))
