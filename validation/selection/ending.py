@@ -5,24 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..fit.staged import STIFF, WHOLE
+from ..fit.staged import STIFF
 from .criteria import CRITERIA
 from .model import Fitted, fitted, retold
 from .search import Problem, Stages
 
-#: one run over the whole recording, from which windows begin anew: the first state of one may be caught in a false
-#: minimum, where its errors count by their logarithm only
-_RUN = replace(WHOLE, iterations=2)
 #: windows that end elsewhere: the moment of an event may be caught at the end of one, which the jump makes good
 _ELSEWHERE = replace(STIFF, seconds=0.6)
 
 
 def still_to_do(w: Fitted) -> Sequence[Stages]:
-    """Return ways to take a fit to its end: windows that begin anew on its own run, or end elsewhere, where little is
-    left that is more than noise, be it in a single window; more iterations, where it had not converged.
+    """Return ways to take a fit to its end: once more, those windows that stay unexplained begun anew, or windows that
+    end elsewhere, where little is left that is more than noise, be it in a single window; more iterations, where it had
+    not converged.
     """
     if w.level < CRITERIA.left_level and (not w.good or w.bad.any()):
-        return (_RUN, STIFF), (_ELSEWHERE, STIFF)
+        return (STIFF,), (_ELSEWHERE, STIFF)
     return () if w.fit.converged else ((STIFF, STIFF),)
 
 

@@ -185,8 +185,11 @@ def _unseen(path: WhitePath, parent: Fitted, led: Sequence[Fitted]) -> list[Fitt
         return []
     problem = path.problem
     models = [Model(problem.shared, {**parent.effects, s.key: s.values}) for s in unseen(parent.fit)]
-    found = problem.fits([(problem.anew, model, (LOOSE, TIGHT, STIFF)) for model in models])
-    return [w for w in found if w.evidence >= parent.evidence + CRITERIA.proof]
+    found = problem.fits([(problem.anew, model, (LOOSE, TIGHT)) for model in models])
+    before = fitted(problem.crane, problem.data, parent.model, parent.fit, (TIGHT,))
+    leading = [w for w in found if w.evidence >= before.evidence + CRITERIA.proof]
+    ended = problem.further(leading, (STIFF,))
+    return [w for w in ended if w.evidence >= parent.evidence + CRITERIA.proof]
 
 
 def _hidden(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> list[Move]:
@@ -262,7 +265,7 @@ def _exchanged(path: WhitePath, done: list[Fitted]) -> list[Fitted]:
     problem, model = path.problem, Model(best.model.variables, best.effects)
     shown = likely(best_starts(screened(best.fit, STIFF.stiffness)), 1, CRITERIA.tie)
     wider = problem.run(moves_of(model, shown, best.fit), (STIFF,))
-    moves = [_without(w, key) for w in wider for key in best.keys]
+    moves = [_without(w, key) for w in wider if w.near for key in best.keys]  # what three leave two leave as well
     return _further(path, done, problem.run(moves, (TIGHT, STIFF)))
 
 
@@ -272,7 +275,8 @@ def _without(w: Fitted, key: str) -> Move:
 
 
 def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) -> list[Fitted]:
-    """Return fits and more of them, of these the leading ones taken further where they are not at their end.
+    """Return fits and more of them, of these the leading ones taken further where they are not at their end: beside
+    fits that stand already only those that come near the best.
 
     Where parameters have moved further than they may to do an effect's work, the fit begins anew at the crane as given
     with the effects as they were found, and as one long run: what is slow does not show in short windows.
@@ -280,8 +284,8 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
     problem, tasks = path.problem, list[tuple[Any, ...]]()
     best = min([*done, *more], key=lambda w: w.level, default=path.parameters)
     first = sorted(more, key=lambda w: w.move_cost - w.evidence)  # rather those helped less
-    near = max((w.evidence for w in more), default=0.0) - CRITERIA.apart
-    for w in (w for i, w in enumerate(first) if i < CRITERIA.further or w.evidence > near):
+    near = max((w.evidence for w in [*done, *more]), default=0.0) - CRITERIA.apart
+    for w in (w for i, w in enumerate(first) if w.evidence > near or (i < CRITERIA.further and not done)):
         beaten = len(w.keys) > 1 or best.level < CRITERIA.left_level
         hopeless = beaten and w.level > CRITERIA.left_level
         if hopeless or w.evidence < path.parameters.evidence + CRITERIA.proof:
