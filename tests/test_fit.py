@@ -18,11 +18,12 @@ from validation.fit.knots import begun_anew, reknot
 from validation.fit.linear import linearised, near, normal_equations, robust
 from validation.fit.model import model_of
 from validation.fit.solve import bounded_step, covariance, fit, reduce
-from validation.fit.staged import LOOSE, STIFF, TIGHT, first_knots, staged
+from validation.fit.staged import LOOSE, STIFF, TIGHT, all_parameters, first_knots, staged
 from validation.fit.sweeps import RATE, forgotten, sweep
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.fit.windows import Group, cut
 from validation.selection.criteria import CRITERIA
+from validation.selection.screen import likely, screened
 from validation.semi_recursive import kernel, sensitivity
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -385,3 +386,46 @@ def test_derivatives_on_a_coarser_grid_are_those_on_the_datas_own(monkeypatch, e
     assert coarse.cost == pytest.approx(fine.cost, rel=1e-9)
     scale = np.maximum(np.sqrt(np.diag(fine.Huu)), 1e-9)
     assert np.abs((coarse.Huu - fine.Huu) / np.outer(scale, scale)).max() < 0.05
+
+
+@pytest.fixture(scope="module")
+def stopped():
+    """A recording of a tilt cylinder that runs into the stop at the end of its stroke, and the crane with the stop."""
+    from crane_exudyn.inputs import SpoolPath
+
+    crane = Crane.load("patu655").with_effect("end_stop@tilt", {"stiffness": 1.2e8, "damping": 1e5})
+    engine, time = SemiRecursiveEngine(crane), np.arange(0.0, 2.5, 5e-3)
+    commands = np.column_stack([np.zeros(len(time)), np.interp(time, [0.0, 0.3, 0.5, 2.0, 2.2], [0, 0, 0.6, 0.6, 0])])
+    w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((len(time), 2), np.nan)])
+    X = engine.simulate(engine.static_start(0.2, -2.5), time, w)
+    rng, seen = np.random.default_rng(7), Measurement.of(crane, tuple(NOISE)).shown(X, time)
+    values = {n: v + NOISE[n] * rng.standard_normal(len(time)) for n, v in zip(NOISE, seen.T, strict=True)}
+    return crane, Recording.from_arrays("stopped", time, {"u1": commands[:, 0], "u2": commands[:, 1], **values})
+
+
+def test_a_stop_is_screened_by_runs_and_found_back_though_windows_had_gone_through_it(stopped):
+    true, recording = stopped
+    crane = true.nominal()
+    data = FitData.of(recording, crane)
+    without = all_parameters(crane, data)
+    offered = [s.start for s in likely(screened(without, LOOSE.stiffness), CRITERIA.singles, CRITERIA.promise)]
+    begins = [s.values for s in offered if s.key == "end_stop@tilt"]
+    assert [v["stiffness"] for v in begins] == [1e7, 1e8], "every stop, since a run through it tells of none which"
+    variables = effect_variables("end_stop@tilt", begins[1], crane.layout)
+    u = np.array([v.to_u(v.start) for v in variables])
+    found = staged(crane, data, variables, u, without, (LOOSE,))
+    assert found.error < 1.1
+    for name, value in true.effect("end_stop@tilt").parameters.items():
+        assert found.crane.effect("end_stop@tilt").parameters[name] == pytest.approx(value, rel=0.03)
+
+
+def test_parts_of_a_step_grow_again_after_a_stop_was_hit(stopped):
+    """In the first quarter of a second on the stop steps are halved twelve times, but only where it begins to act."""
+    crane, recording = stopped
+    data = FitData.of(recording, crane)
+    window, knot = cut(data, 0.25)[4], first_knots(crane, data, 0.25)[4]
+    model = model_of(crane, data)
+    W = model.W[window.start : window.start + len(window.data.time)]
+    machine = (model.P, model.E, model.topology)
+    _, status, _, halved = kernel.simulate(knot, W, window.data.time, data.step, *machine, ACCURACY, 1.0)
+    assert (status, halved > 10) == (kernel.OK, True), "no more than 1100 parts; it took twenty times as many"
