@@ -22,7 +22,7 @@ from ..fit.windows import cut
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import Levels, levels_of
-from .model import Fitted, Model, at_bound, best_of_each, effects_of, fitted
+from .model import Fitted, Model, at_bound, best_of_each, effects_of, fitted, with_effects
 from .moves import scaled, starts
 from .screen import best_starts, screen
 from .search import Move, Path, Problem, Progress, Regime, Round, Stages
@@ -111,7 +111,7 @@ def _carried(
     nothing. Another effect is to come in addition to it.
     """
     effects = effects_of(before.crane, keys)
-    crane = problem.crane.changed({}, {k: effects[k] for k in held})
+    crane = with_effects(problem.crane, {k: effects[k] for k in held})
     model = Model(problem.shared, {k: values for k, values in effects.items() if k not in held})
     found = fitted(crane, data, model, before, stages).fit
     inactive = [k for k in model.keys if _neutral(found, k)]

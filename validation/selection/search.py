@@ -24,7 +24,7 @@ from ..fit.staged import Stage, all_parameters, informed_directions
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
 from .manoeuvre import best_manoeuvre
-from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of
+from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of, with_effects
 from .moves import scaled
 from .screen import Score
 
@@ -175,7 +175,7 @@ class Problem:
         """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined
         windows, which begin as measured, or as those of a fit nearby.
         """
-        return all_parameters(unmoving(self.crane.changed({}, effects)), self.data, near=near)
+        return all_parameters(unmoving(with_effects(self.crane, effects)), self.data, near=near)
 
     def anew(self, model: Model, stages: Stages) -> Fitted:
         """Return a model fitted from the crane as given with its effects."""

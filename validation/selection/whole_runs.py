@@ -24,7 +24,7 @@ from ..fit.windows import cut
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import Errors, Levels, each_part, falls, levels_of, likelihoods
-from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of
+from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of, with_effects
 from .search import Problem, Progress, silent
 
 Judged = tuple[Errors, Errors]
@@ -137,8 +137,8 @@ def typical(crane: Crane, effects: Mapping[str, Mapping[str, float]]) -> Crane:
     the stroke) as it is.
     """
     of = {k: split_key(k)[0].parameters for k in effects}
-    return crane.changed(
-        {}, {k: {p.name: effects[k][p.name] if p.shape else p.typical for p in own} for k, own in of.items()}
+    return with_effects(
+        crane, {k: {p.name: effects[k][p.name] if p.shape else p.typical for p in own} for k, own in of.items()}
     )
 
 
