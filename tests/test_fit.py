@@ -32,8 +32,6 @@ NOISE = {"z1": math.radians(0.05), "z4": math.radians(0.05), "p1": 3e4, "p2": 3e
 
 def recorded(crane: Crane, seconds: float = 6.0, seed: int = 7, rate: float = 200.0) -> Recording:
     """Return a noisy recording of a crane that lifts, lowers and tilts."""
-    from crane_exudyn.inputs import SpoolPath
-
     time = np.arange(0.0, seconds, 1.0 / rate)
     commands = np.column_stack(
         [
@@ -41,9 +39,16 @@ def recorded(crane: Crane, seconds: float = 6.0, seed: int = 7, rate: float = 20
             np.interp(time, [0, 2.0, 2.2, 2.9, 3.1, 4.9, 5.1, 5.5], [0, 0, 0.3, 0.3, 0, 0, -0.25, 0]),
         ]
     )
+    return driven(crane, time, commands, (0.2, -0.8), seed)
+
+
+def driven(crane: Crane, time: np.ndarray, commands: np.ndarray, pose: tuple[float, float], seed: int = 7) -> Recording:
+    """Return a noisy recording of a crane with commands (n, 2), from rest in a pose."""
+    from crane_exudyn.inputs import SpoolPath
+
     engine = SemiRecursiveEngine(crane)
     w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((len(time), 2), np.nan)])
-    X = engine.simulate(engine.static_start(0.2, -0.8), time, w)
+    X = engine.simulate(engine.static_start(*pose), time, w)
     rng = np.random.default_rng(seed)
     seen = Measurement.of(crane, tuple(NOISE)).shown(X, time)
     values = {n: v + NOISE[n] * rng.standard_normal(len(time)) for n, v in zip(NOISE, seen.T, strict=True)}
@@ -388,25 +393,11 @@ def test_derivatives_on_a_coarser_grid_are_those_on_the_datas_own(monkeypatch, e
     assert np.abs((coarse.Huu - fine.Huu) / np.outer(scale, scale)).max() < 0.05
 
 
-@pytest.fixture(scope="module")
-def stopped():
-    """A recording of a tilt cylinder that runs into the stop at the end of its stroke, and the crane with the stop."""
-    from crane_exudyn.inputs import SpoolPath
-
-    crane = Crane.load("patu655").with_effect("end_stop@tilt", {"stiffness": 1.2e8, "damping": 1e5})
-    engine, time = SemiRecursiveEngine(crane), np.arange(0.0, 2.5, 5e-3)
+def test_a_stop_is_screened_by_runs_and_offered_with_all_its_starts():
+    crane, time = Crane.load("patu655"), np.arange(0.0, 2.5, 5e-3)
     commands = np.column_stack([np.zeros(len(time)), np.interp(time, [0.0, 0.3, 0.5, 2.0, 2.2], [0, 0, 0.6, 0.6, 0])])
-    w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((len(time), 2), np.nan)])
-    X = engine.simulate(engine.static_start(0.2, -2.5), time, w)
-    rng, seen = np.random.default_rng(7), Measurement.of(crane, tuple(NOISE)).shown(X, time)
-    values = {n: v + NOISE[n] * rng.standard_normal(len(time)) for n, v in zip(NOISE, seen.T, strict=True)}
-    return crane, Recording.from_arrays("stopped", time, {"u1": commands[:, 0], "u2": commands[:, 1], **values})
-
-
-def test_a_stop_is_screened_by_runs_and_offered_with_all_its_starts(stopped):
-    true, recording = stopped
-    crane = true.nominal()
-    data = FitData.of(recording, crane)
+    stopped = crane.with_effect("end_stop@tilt", {"stiffness": 1.2e8, "damping": 1e5})
+    data = FitData.of(driven(stopped, time, commands, (0.2, -2.5)), crane)
     without = all_parameters(crane, data)
     offered = [s.start for s in likely(screened(without, LOOSE.stiffness), CRITERIA.singles, CRITERIA.promise)]
     begins = [s.values for s in offered if s.key == "end_stop@tilt"]

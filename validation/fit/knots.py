@@ -20,7 +20,7 @@ from .solve import Fit
 from .start import knots_of
 from .sweeps import left_in, ran
 from .variables import Variable
-from .windows import Group, Window, follows, jump_of, shared_out, side_by_side
+from .windows import Group, Window, by_recording, follows, jump_of, shared_out, side_by_side
 
 #: error of a window, in noise units, from which on its first state may be caught in a false minimum
 _CAUGHT = 1.3
@@ -76,8 +76,7 @@ def begun_anew(
     cylinder that has run through its stop, say) pulls at nothing and stays there, though the model be right.
     """
     found = []
-    for i, part in enumerate(data.parts):
-        mine = [k for k, w in enumerate(windows) if w.recording == i]
+    for i, part, mine in by_recording(data, windows):
         model = model_at(crane, variables, u, part, recording=i)
         found.append(_uncaught(part, [windows[k] for k in mine], with_states(knots[mine], model.nx), model, stiffness))
     return np.concatenate(found)

@@ -22,7 +22,7 @@ from .data import Data
 from .model import Model
 from .sweeps import Swept, lost, run_again, sweep
 from .variables import Variable
-from .windows import Group, Window, follows, jump_of, shared_out, side_by_side
+from .windows import Group, Window, by_recording, follows, jump_of, shared_out, side_by_side
 
 #: how far a first state may be from its guess, by unit, as one standard deviation; and those of a pendulum
 _GUESS: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.1, "m/s": 0.1, "Pa": 50e5}
@@ -104,8 +104,7 @@ def linearised(
         probes: (model, data, number of the recording) -> columns that come behind those of the variables.
     """  # fmt: skip
     found = []
-    for i, part in enumerate(data.parts):
-        mine = [k for k, w in enumerate(windows) if w.recording == i]
+    for i, part, mine in by_recording(data, windows):
         base = model_at(crane, variables, u, part, recording=i)
         columns = columns_of(crane, variables, u, base, part, i)
         if probes is not None:
@@ -134,13 +133,12 @@ def near(
     Where windows were not kept, only its cost is told.
     """
     found, swept = list[Linear](), before.swept or (None,) * len(windows)
-    for i, part in enumerate(data.parts):
+    for i, part, mine in by_recording(data, windows):
         base = model_at(crane, variables, u, part, recording=i)
         if base.nx != knots.shape[1] or base.nx != len(before.jump):
             return None
-        mine = [k for k, w in enumerate(windows) if w.recording == i]
-        own, groups = [windows[k] for k in mine], side_by_side([windows[k] for k in mine])
-        kept = [swept[k] for k in mine]
+        own, kept = [windows[k] for k in mine], [swept[k] for k in mine]
+        groups = side_by_side(own)
         parts = _each(
             partial(run_again, base=base, m=len(u)), groups, shared_out(groups, knots[mine]), shared_out(groups, kept)
         )

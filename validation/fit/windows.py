@@ -7,7 +7,7 @@ near the machine instead of drifting away. One window is an open-loop run.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import pairwise
@@ -134,6 +134,12 @@ class Group:
         numbers = np.arange(1, len(self.windows))
         each = [np.split(r, np.searchsorted(own, numbers)) for r, own in zip(by_channel, self.owner, strict=True)]
         return [list(own) for own in zip(*each, strict=True)]
+
+
+def by_recording(data: Data, windows: Sequence[Window]) -> Iterator[tuple[int, FitData, list[int]]]:
+    """Yield the number of each recording, its data, and which of the windows are its own."""
+    for i, part in enumerate(data.parts):
+        yield i, part, [k for k, w in enumerate(windows) if w.recording == i]
 
 
 def side_by_side(windows: Sequence[Window], most: int = _SIDE_BY_SIDE) -> list[Group]:

@@ -39,7 +39,7 @@ from .equations import (
     sheet,
 )
 
-__all__ = ["NOT_CONVERGED", "OK", "TOO_COARSE", "propagate_batch", "simulate"]
+__all__ = ["NOT_CONVERGED", "OK", "TOO_COARSE", "propagate_batch", "simulate", "simulate_each"]
 
 #: status of a run
 OK, NOT_CONVERGED, TOO_COARSE = 0, 1, 2
