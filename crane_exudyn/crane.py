@@ -111,17 +111,22 @@ class Crane(Description):
 
     def with_parameters(self, changes: Mapping[str, float]) -> Crane:
         """Return a copy with other nominal parameters (SI)."""
-        for name in changes:
-            _ = self[name]
-        return replace(self, values={**self.values, **{n: float(v) for n, v in changes.items()}})
+        return self.changed(changes, {})
 
     def with_effect(self, key: str, values: Mapping[str, float]) -> Crane:
         """Return a copy with the effect "name@place" added, or given other parameters where it is there already."""
-        effect, place = registry.split_key(key, self.layout)
-        acting = Acting(effect.name, place, frozen(complete(effect, values)))
-        kept = [e for e in self.effects if e.key != key]
-        at = next((i for i, e in enumerate(self.effects) if e.key == key), len(kept))
-        return replace(self, effects=(*kept[:at], acting, *kept[at:]))
+        return self.changed({}, {key: values})
+
+    def changed(self, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Crane:
+        """Return a copy with other nominal parameters (SI), and with effects as `with_effect` sets them."""
+        for name in parameters:
+            _ = self[name]
+        acting = {e.key: e for e in self.effects}
+        for key, values in effects.items():
+            effect, place = registry.split_key(key, self.layout)
+            acting[key] = Acting(effect.name, place, frozen(complete(effect, values)))
+        values = {**self.values, **{n: float(v) for n, v in parameters.items()}}
+        return replace(self, values=values, effects=tuple(acting.values()))
 
     def without_effect(self, key: str) -> Crane:
         """Return a copy without the effect "name@place"."""

@@ -393,12 +393,38 @@ def test_derivatives_on_a_coarser_grid_are_those_on_the_datas_own(monkeypatch, e
     assert np.abs((coarse.Huu - fine.Huu) / np.outer(scale, scale)).max() < 0.05
 
 
-def test_a_stop_is_screened_by_runs_and_offered_with_all_its_starts():
+@pytest.fixture(scope="module")
+def stopped():
+    """A recording of a tilt cylinder that runs into the stop at the end of its stroke, and the crane with the stop."""
     crane, time = Crane.load("patu655"), np.arange(0.0, 2.5, 5e-3)
     commands = np.column_stack([np.zeros(len(time)), np.interp(time, [0.0, 0.3, 0.5, 2.0, 2.2], [0, 0, 0.6, 0.6, 0])])
-    stopped = crane.with_effect("end_stop@tilt", {"stiffness": 1.2e8, "damping": 1e5})
-    data = FitData.of(driven(stopped, time, commands, (0.2, -2.5)), crane)
+    true = crane.with_effect("end_stop@tilt", {"stiffness": 1.2e8, "damping": 1e5})
+    return true, driven(true, time, commands, (0.2, -2.5))
+
+
+def test_a_stop_is_screened_by_runs_and_found_back_though_windows_had_gone_through_it(stopped):
+    true, recording = stopped
+    crane = true.nominal()
+    data = FitData.of(recording, crane)
     without = all_parameters(crane, data)
     offered = [s.start for s in likely(screened(without, LOOSE.stiffness), CRITERIA.singles, CRITERIA.promise)]
     begins = [s.values for s in offered if s.key == "end_stop@tilt"]
     assert [v["stiffness"] for v in begins] == [1e7, 1e8], "every stop, since a run through it tells of none which"
+    variables = effect_variables("end_stop@tilt", begins[1], crane.layout)
+    u = np.array([v.to_u(v.start) for v in variables])
+    found = staged(crane, data, variables, u, without, (LOOSE,))
+    assert found.error < 1.1
+    for name, value in true.effect("end_stop@tilt").parameters.items():
+        assert found.crane.effect("end_stop@tilt").parameters[name] == pytest.approx(value, rel=0.03)
+
+
+def test_parts_of_a_step_grow_again_after_a_stop_was_hit(stopped):
+    """In the first quarter of a second on the stop steps are halved twelve times, but only where it begins to act."""
+    crane, recording = stopped
+    data = FitData.of(recording, crane)
+    window, knot = cut(data, 0.25)[4], first_knots(crane, data, 0.25)[4]
+    model = model_of(crane, data)
+    W = model.W[window.start : window.start + len(window.data.time)]
+    machine = (model.P, model.E, model.topology)
+    _, status, _, halved = kernel.simulate(knot, W, window.data.time, data.step, *machine, ACCURACY, 1.0)
+    assert (status, halved > 10) == (kernel.OK, True), "no more than 1100 parts; it took twenty times as many"

@@ -27,7 +27,6 @@ from validation.learned.own_effect import own_effect
 from validation.learned.resembles import as_large, resembles
 from validation.learned.screen import best_prior, screened
 from validation.learning import Learned, learn
-from validation.selection.model import with_effects
 from validation.selection.moves import starts
 from validation.selection.screen import screen
 from validation.semi_recursive.engine import SemiRecursiveEngine
@@ -311,7 +310,7 @@ def stubbed(monkeypatch):
             return Diagnosis("rec", verdict, crane, path.problem.crane, {}, (surrogate,), (LEAK,), error_before=5.0)
 
         def learn_from(crane, *_, **__):
-            found, left = with_effects(crane, {LAW: LAWFUL.effect(LAW).parameters}), laws(crane)
+            found, left = crane.changed({}, {LAW: LAWFUL.effect(LAW).parameters}), laws(crane)
             law = SimpleNamespace(effect=LAW, over="pressure_drop", resembles="")
             given = Learned("rec", crane, crane)
             return (

@@ -18,10 +18,11 @@ from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_param
 from validation.fit.windows import cut
 from validation.improvement import explained
 from validation.selection.criteria import CRITERIA
-from validation.selection.drifting import DRIFTING
+from validation.selection.drifting import DRIFTING, DriftingPath
 from validation.selection.levels import Levels, falls, independent, likelihoods, window_errors
 from validation.selection.search import Problem, search
-from validation.selection.whole_runs import Proven, Taken, believable
+from validation.selection.together import Proven, believable, proven
+from validation.selection.whole_runs import Taken
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 NOISE = {"z1": 1e-3, "z4": 1e-3, "p1": 3e4, "p2": 2e4, "p3": 2e4, "p4": 2e4}
@@ -86,20 +87,31 @@ def test_priors_hold_an_effect_near_what_the_file_says_or_near_what_is_met_in_pr
     assert free.to_value(free.to_u(0.3)) == pytest.approx(0.3)
 
 
+def searched(crane: Crane, recording: Recording, most: int) -> DriftingPath:
+    return search(DRIFTING, Problem.of(crane, [recording], (), 1), most)
+
+
 def many(crane: Crane, recording: Recording, most: int) -> Proven | None:
-    return search(DRIFTING, Problem.of(crane, [recording], (), 1), most).proven
+    return searched(crane, recording, most).proven
 
 
 def test_real_sensors_alone_ask_for_no_effect(crane):
     assert many(crane, recorded(crane), most=1) is None
 
 
-def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monkeypatch):
-    monkeypatch.setattr("validation.selection.drifting.CRITERIA", replace(CRITERIA, tried=4))  # half of the time
-    truth = crane.with_effect("pressure_compensation@lift", {"dpc": 7e5}).with_effect(
-        "seal_friction@lift", {"dFc": 5000.0, "dFs": 5000.0, "vs": 5e-3}
+@pytest.fixture
+def rubbing(crane, monkeypatch):
+    """A recording of a compensated valve and rubbing seals; half as many effects are tried, for half of the time."""
+    for place in ("drifting", "together"):
+        monkeypatch.setattr(f"validation.selection.{place}.CRITERIA", replace(CRITERIA, tried=4))
+    friction = {"dFc": 5000.0, "dFs": 5000.0, "vs": 5e-3}
+    return recorded(
+        crane.with_effect("pressure_compensation@lift", {"dpc": 7e5}).with_effect("seal_friction@lift", friction)
     )
-    found = many(crane, recorded(truth), most=2)
+
+
+def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, rubbing):
+    found = many(crane, rubbing, most=2)
     assert found is not None
     assert "pressure_compensation@lift" in found.needed
     assert any("friction" in key for key in found.needed)
@@ -109,6 +121,17 @@ def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, monke
     texts = explained(found)
     assert sum(t.startswith("Demanded: ") for t in texts) == len(found.needed)
     assert any(t.startswith("Left, in %") for t in texts)
+
+
+def test_what_no_round_took_in_is_where_everything_is_fitted_together(crane, rubbing):
+    path = searched(crane, rubbing, most=1)
+    _, last = path.served
+    found = proven(path.problem, last, path.parameters.errors[1], most=2)
+    assert len(path.rounds) == len(path.proven.needed) == 1
+    metering, friction = found.needed
+    assert metering == "pressure_compensation@lift" and "friction" in friction
+    assert found.after["p1"] < 0.5 * path.proven.after["p1"]
+    assert found.taken[1].evidence > CRITERIA.proof
 
 
 def test_what_shows_in_the_last_part_alone_is_learned_from_all_of_the_recording(crane):

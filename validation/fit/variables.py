@@ -282,11 +282,8 @@ def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray, r
             variable.moved(effects.setdefault(variable.key, dict(variable.start)), float(number))
         elif isinstance(variable, EffectParameter):
             effects.setdefault(variable.key, {})[variable.parameter.name] = variable.to_value(float(number))
-    changed = crane.with_parameters(physical(crane, values))
-    for key, parameters in effects.items():
-        acting = changed.effect(key)
-        changed = changed.with_effect(key, {**(acting.parameters if acting else {}), **parameters})
-    return changed
+    acting = {e.key: e.parameters for e in crane.effects}
+    return crane.changed(physical(crane, values), {key: {**acting.get(key, {}), **own} for key, own in effects.items()})
 
 
 def physical(crane: Crane, values: Mapping[str, float]) -> dict[str, float]:

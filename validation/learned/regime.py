@@ -170,7 +170,7 @@ def _gained(path: LearningPath) -> bool:
     return len(path.best.keys) == len(path.rounds)
 
 
-def _finished(path: LearningPath, progress: Progress) -> LearningPath:
+def _finished(path: LearningPath, most: int, progress: Progress) -> LearningPath:
     """Return the path; without laws that leave too much, or need parameters where they cannot be."""
     best, nothing = path.best, path.parameters
     if not best.model.curves or (repairs(best, nothing) and best.plausible):

@@ -22,11 +22,12 @@ from ..fit.windows import cut
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import Levels, levels_of
-from .model import Fitted, Model, at_bound, best_of_each, effects_of, fitted, with_effects
+from .model import Fitted, Model, at_bound, best_of_each, effects_of, fitted
 from .moves import scaled, starts
 from .screen import best_starts, screen
 from .search import Move, Path, Problem, Progress, Regime, Round, Stages
-from .whole_runs import Proven, Standing, Taken, first_part, joined, judged, loose, proven, run, typical
+from .together import Proven, proven
+from .whole_runs import Standing, Taken, first_part, joined, judged, loose, run, typical
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def _carried(
     nothing. Another effect is to come in addition to it.
     """
     effects = effects_of(before.crane, keys)
-    crane = with_effects(problem.crane, {k: effects[k] for k in held})
+    crane = problem.crane.changed({}, {k: effects[k] for k in held})
     model = Model(problem.shared, {k: values for k, values in effects.items() if k not in held})
     found = fitted(crane, data, model, before, stages).fit
     inactive = [k for k in model.keys if _neutral(found, k)]
@@ -277,12 +278,12 @@ def _gained(path: DriftingPath) -> bool:
     return bool(path.rounds[-1].done) and sum(path.served[0].left) > CRITERIA.gained
 
 
-def _finished(path: DriftingPath, progress: Progress) -> DriftingPath:
+def _finished(path: DriftingPath, most: int, progress: Progress) -> DriftingPath:
     """Return the path with the best of what the last round that served left, fitted to whole runs."""
     _, last = path.served
     if not last:
         return path
-    return replace(path, proven=proven(path.problem, last, path.parameters.errors[1], progress))
+    return replace(path, proven=proven(path.problem, last, path.parameters.errors[1], most, progress))
 
 
 DRIFTING = Regime(_begun, _beam, _likely, _tried, _judged, _after, _gained, _finished)

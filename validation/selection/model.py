@@ -418,13 +418,6 @@ def misled(before: float, after: float) -> bool:
     return after > CRITERIA.misled and excess(after) > CRITERIA.left * excess(before)
 
 
-def with_effects(crane: Crane, effects: Mapping[str, Mapping[str, float]]) -> Crane:
-    """Return a crane with effects set."""
-    for key, values in effects.items():
-        crane = crane.with_effect(key, values)
-    return crane
-
-
 def unmoving(crane: Crane) -> Crane:
     """Return the crane with all its parameters known exactly."""
     return replace(crane, uncertainty={})

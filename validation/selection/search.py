@@ -24,7 +24,7 @@ from ..fit.staged import Stage, all_parameters, informed_directions
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
 from .manoeuvre import best_manoeuvre
-from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of, with_effects
+from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of
 from .moves import scaled
 from .screen import Score
 
@@ -93,7 +93,7 @@ class Regime(Generic[F, P]):
         judged: the round, the leading ones at their end.
         after: the path with a round.
         gained: whether a path's last round brought what it must, and leaves something to look for.
-        finished: the path with what is known at its end only.
+        finished: the path with what is known at its end only, of at most so many effects.
     """
 
     begun: Callable[[Problem], P]
@@ -103,7 +103,7 @@ class Regime(Generic[F, P]):
     judged: Callable[[P, Sequence[F], Sequence[F]], Round[F]]
     after: Callable[[P, Round[F]], P]
     gained: Callable[[P], bool]
-    finished: Callable[[P, Progress], P]
+    finished: Callable[[P, int, Progress], P]
 
 
 def search(regime: Regime[F, P], problem: Problem, most: int, progress: Progress = silent) -> P:
@@ -115,7 +115,7 @@ def search(regime: Regime[F, P], problem: Problem, most: int, progress: Progress
         path = regime.after(path, regime.judged(path, beam, tried))
         if not regime.gained(path):
             break
-    return regime.finished(path, progress)
+    return regime.finished(path, most, progress)
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class Problem:
         """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined
         windows, which begin as measured, or as those of a fit nearby.
         """
-        return all_parameters(unmoving(with_effects(self.crane, effects)), self.data, near=near)
+        return all_parameters(unmoving(self.crane.changed({}, effects)), self.data, near=near)
 
     def anew(self, model: Model, stages: Stages) -> Fitted:
         """Return a model fitted from the crane as given with its effects."""

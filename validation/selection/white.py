@@ -346,7 +346,7 @@ def _gained(path: WhitePath) -> bool:
     return after is not None and (before is None or after.evidence >= before.evidence + CRITERIA.proof)
 
 
-def _finished(path: WhitePath, progress: Progress) -> WhitePath:
+def _finished(path: WhitePath, most: int, progress: Progress) -> WhitePath:
     """Return the path with errors on blocks that were left out, where the best model repairs something and leaves
     something.
     """

@@ -21,7 +21,15 @@ from typing import NamedTuple
 import numpy as np
 
 from crane_exudyn import compiled
-from crane_exudyn.step_control import MOST_HALVINGS, POSITION_ERROR, PRESSURE_ERROR, RATE_ERROR, limit, next_level
+from crane_exudyn.step_control import (
+    MOST_HALVINGS,
+    POSITION_ERROR,
+    PRESSURE_ERROR,
+    RATE_ERROR,
+    limit,
+    may_grow,
+    next_level,
+)
 
 from .equations import (
     CYLINDERS,
@@ -330,10 +338,11 @@ def newton(start, w1, t1, h, P, E, work, level):
 def local_error(start, w0, w1, t0, h, P, E, work, level):
     """Return the local error of the step from `start` to `work.end` in units of `step_control.*_ERROR`.
 
-    It is the defect of the trapezoidal rule against Simpson's. Three ever better estimates, each only where the one
-    before is not enough: by the change of the rates over the step, which bounds the defect of rates that change one
-    way; by the rates in the middle; and after what the system's own stiffness makes of the defect, by one iteration of
-    Newton's method.
+    It is the defect of the trapezoidal rule against Simpson's. Ever better estimates, each only where the one before is
+    not enough: by the change of the rates over the step, which bounds the defect of rates that change one way, but
+    falls with the square of h only (so where a step was halved, it must also tell that parts may grow again); by how
+    the rates bend; by those in the middle; and after what the system's own stiffness makes of the defect, by one
+    iteration of Newton's method.
     """
     places, end, middle, r, defect = work.places, work.end, work.moved, work.rows[1], work.rows[2]
     n, m = places.shape[0], r.size
@@ -341,9 +350,10 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
         k = place_of_rate(i, work)
         defect[i] = h / 3.0 * abs(start.g[k] - end.g[k])
     worst = defect_size(defect, h, start, end, P, work)
-    if worst <= work.said[LIMIT]:
+    good = worst <= work.said[LIMIT]
+    if good and (level == 0 or may_grow(level, h, worst, work.said[ALLOWED])):
         return worst
-    back = work.said[BEFORE]
+    bound, back = worst, work.said[BEFORE]
     if 0.5 * h <= back <= 2.0 * h:
         for i in range(m):
             k = place_of_rate(i, work)
@@ -351,7 +361,9 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
             defect[i] = h**3 / 6.0 * abs(bend)
         worst = defect_size(defect, h, start, end, P, work)
         if worst <= work.said[LIMIT]:
-            return worst
+            return min(worst, bound) if good else worst
+    if good:
+        return bound
     middle_rates(start, w0, w1, t0, h, P, E, work)
     for i in range(m):
         k = place_of_rate(i, work)

@@ -1,0 +1,314 @@
+"""All effects and parameters of the models that a search ends with, fitted together in one open-loop run to all of the
+recordings; each effect left out once, and what acts beside them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crane_exudyn.crane import Crane
+
+from ..fit.evidence import log_evidence
+from ..fit.solve import Fit
+from ..fit.staged import first_knots, run_fitted, staged, timings
+from ..fit.variables import EffectParameter, NominalDirection, Variable, stated_effects, uncertain_parameters
+from ..fit.windows import cut
+from ..workers import in_parallel
+from .criteria import CRITERIA
+from .levels import Errors, falls, levels_of, likelihoods
+from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of
+from .moves import scaled, starts
+from .screen import best_starts, screen
+from .search import Problem, Progress, silent
+from .whole_runs import Judged, Standing, Taken, errors_of, first_part, joined, judged, run, typical
+
+
+@dataclass(frozen=True)
+class Proven:
+    """The crane with all effects that were taken in, and how each proved itself; errors are open loop, in units of the
+    sensors' noise.
+
+    Attributes:
+        taken: the rounds in their order, of the effects that stayed.
+        before, after: errors of the crane as given, its start fitted, and of the crane at the end.
+        needed, without: effect -> log evidence lost and errors when it is left out and all else is fitted again.
+        nominal, predicted: errors on what was left out, of parameters alone and with effects, fitted to the rest only.
+        deviations: parameter -> standard deviation (SI). alike: variables that can hardly be told apart -> their
+            correlation.
+        moved: nominal parameter -> how far it moved, in standard uncertainties; where only a range is known, in shares
+            of it.
+        ranges: channel -> its range in units of the noise.
+    """
+
+    crane: Crane
+    taken: tuple[Taken, ...]
+    before: Errors
+    after: Errors
+    needed: Mapping[str, float]
+    without: Mapping[str, Errors]
+    nominal: Errors
+    predicted: Errors
+    deviations: Mapping[str, float]
+    alike: Mapping[tuple[str, str], float]
+    moved: Mapping[str, float]
+    ranges: Mapping[str, float]
+
+    @property
+    def explains(self) -> bool:
+        """Whether it leaves hardly more than noise, on the average of the channels."""
+        return math.sqrt(sum(e**2 for e in self.after.values()) / len(self.after)) < CRITERIA.level
+
+    @property
+    def predicts_better(self) -> bool:
+        """Whether what was not fitted is predicted better by a tenth, on the average of the channels, than by the
+        fitted nominal model.
+        """
+        first, last = self.nominal, self.predicted
+        return sum(math.log(first[c] / last[c]) for c in last) / len(last) > -math.log(1.0 - CRITERIA.worth)
+
+
+def proven(
+    problem: Problem, last: Sequence[Standing], nominal: Errors, most: int, progress: Progress = silent
+) -> Proven:
+    """Return the best of several models fitted to the whole recordings, without what is not needed, and how well each
+    effect is determined; nominal: errors of the model without effects on what was left out; most: how many effects at
+    most.
+    """
+    progress("fitting everything together", 0.7)
+    now = _whole_run(problem, last)
+    while True:
+        progress("leaving out each effect once", 0.8)
+        now, left = _needed(problem, now)
+        progress("looking for what acts beside them", 0.9)
+        further = _further(problem, now, left, most)
+        if further is now:
+            break
+        now = further
+    final, keys, full = now.fit, now.keys, _whole_errors(problem, now.fit)
+    parts = problem.data.parts
+    before = errors_of(problem, [run_fitted(problem.crane, p) for p in parts])
+    ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
+    shared = zip(final.variables, final.u, strict=True)
+    moved = {v.name: float(u) for v, u in shared if isinstance(v, NominalDirection) and v.recording is None}
+    return Proven(
+        final.crane, tuple(t for t in now.taken if t.key in keys),
+        before, full, {k: w.brought for k, w in left.items()}, {k: w.errors for k, w in left.items()},
+        nominal, now.predicted, _deviations(final, keys), _alike(final, keys), moved, ranges,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Without:
+    """The fit without one of the effects, its errors, and the log evidence that the effect brought."""
+
+    fit: Fit
+    errors: Errors
+    brought: float
+
+
+def _left_over(errors: Errors) -> float:
+    """Return the log by which errors could still fall."""
+    return falls(errors, dict.fromkeys(errors, 1.0))
+
+
+def _whole_errors(problem: Problem, final: Fit) -> dict[str, float]:
+    return errors_of(problem, [final.of(i) for i in range(len(problem.data.parts))])
+
+
+def _needed(problem: Problem, now: Standing) -> tuple[Standing, dict[str, _Without]]:
+    """Return the model without effects that are not needed, one dropped after the other, and the fits without each."""
+    while True:
+        fits: list[Fit] = in_parallel(problem.jobs, [(_best_run, problem, now, key) for key in now.keys])
+        full, evidence = _whole_errors(problem, now.fit), log_evidence(now.fit)
+        left = {
+            key: _Without(fit, _whole_errors(problem, fit), evidence - log_evidence(fit))
+            for key, fit in zip(now.keys, fits, strict=True)
+        }
+        unneeded = [k for k, w in left.items() if w.brought < CRITERIA.demanded and not mends(w.errors, full)]
+        if not unneeded or len(left) == 1:
+            return now, left
+        weakest = min(unneeded, key=lambda k: left[k].brought)
+        now = _with_fit(now, left[weakest].fit, [k for k in now.keys if k != weakest])
+
+
+def _with_fit(now: Standing, fit: Fit, keys: Sequence[str]) -> Standing:
+    return replace(now, model=Model((), effects_of(fit.crane, keys)), fit=fit, loose=fit)
+
+
+def _further(problem: Problem, now: Standing, left: Mapping[str, _Without], most: int) -> Standing:
+    """Return a likelier model that one more step leads to where all is fitted together, or the same one.
+
+    An effect is brought back, as large as is met in practice, where all else has settled without it: two can hold each
+    other in a false minimum, such as metering that hardly acts and air that comes too late. Or one more is taken in:
+    which of several a round took first, and at which values of all else, hangs on little, and what was not demanded
+    then may be now.
+    """
+    ways = [
+        _Way(now, typical(without.fit.crane, effects_of(now.fit.crane, [key])), without.fit)
+        for key, without in left.items()
+    ]
+    parent = now
+    if len(now.keys) < most and _left_over(_whole_errors(problem, now.fit)) > CRITERIA.gained:
+        parent = replace(now, errors=_judged_apart(problem, now), unseen=None)
+        ways += _one_more(parent)
+    found = _settled(problem, ways, now.fit)
+    added = {one.keys[-1]: gain for one, gain in found if len(one.keys) > len(now.keys)}
+    for one, gain in found[: CRITERIA.finished]:
+        if gain <= CRITERIA.proof:
+            break
+        if len(one.keys) == len(now.keys):
+            return one
+        key = one.keys[-1]
+        taken = Taken(key, gain, {k: g for k, g in added.items() if k != key})
+        one = replace(one, errors=_judged_apart(problem, one), taken=(*now.taken, taken))
+        if one.serves(parent):
+            return one
+    return now
+
+
+def _one_more(now: Standing) -> list[_Way]:
+    """Return the ways to what a look along its runs promises beside a model, at least half as much as the first."""
+    found = best_starts(screen(now.fit, starts(now.fit.crane, now.fit.data), 1.0))[: CRITERIA.tried]
+    ways = []
+    for s in found:
+        if s.gain >= CRITERIA.serious * found[0].gain:
+            crane = now.fit.crane.with_effect(s.start.key, scaled(s.start, s.amplitude))
+            ways.append(_Way(_with_fit(now, replace(now.fit, crane=crane), (*now.keys, s.start.key)), crane, now.fit))
+    return ways
+
+
+def _judged_apart(problem: Problem, now: Standing) -> Judged:
+    """Return open-loop errors of a model of which all was fitted together, over the first part of each recording,
+    fitted to that alone, and over the rest.
+    """
+    variables, u = _everything(problem, now.keys, now.fit, now.fit.crane)
+    learned = first_part(now.fit.data)
+    return judged(problem, staged(problem.crane, learned, variables, u, now.fit, run(12)))
+
+
+def mends(without: Errors, full: Errors) -> bool:
+    """Whether a channel's error is half as large again without an effect as with everything, and more than its sensor's
+    noise.
+    """
+    return any(without[c] > CRITERIA.mended * max(full[c], 1.0) for c in full)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """Where an open-loop fit of everything begins: which model, the values of all in a crane, and the fit with its
+    windows, their first states and the levels of the channels.
+    """
+
+    model: Standing
+    crane: Crane
+    before: Fit
+
+
+def _whole_run(problem: Problem, last: Sequence[Standing]) -> Standing:
+    """Return the most likely of the last round's models, fitted to open-loop runs of the whole recordings.
+
+    Each begins at its fit, at the machine, and anew: at the crane as given, with effects of the size that is met in
+    practice. Where much has moved step by step, that valley may be the deeper one.
+    """
+    ways = []
+    for standing in last:
+        found, fresh = standing.extended(problem), typical(problem.crane, standing.effects)
+        windows = tuple(cut(found.data, CRITERIA.window))
+        machine = [
+            replace(found, windows=windows, knots=first_knots(c, found.data, CRITERIA.window))
+            for c in (found.crane, fresh)
+        ]
+        begins = (found.crane, found), (found.crane, machine[0]), (fresh, machine[1])
+        ways += [_Way(standing, crane, fit) for crane, fit in begins]
+    return _settled(problem, ways)[0][0]
+
+
+def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) -> list[tuple[Standing, float]]:
+    """Return where several ways lead, the likeliest carried to their ends with the error levels that they leave, and by
+    how much each is likelier than a fit beside them (than the first); best first.
+    """
+    fits: list[Fit] = in_parallel(problem.jobs, [(_open_loop, problem, w, 6) for w in ways])
+    likely = likelihoods(fits, problem.data)
+    leading = sorted(range(len(ways)), key=lambda k: -likely[k])[: CRITERIA.finished]
+    ended: list[Fit] = in_parallel(problem.jobs, [(_at_own_levels, problem, fits[k]) for k in leading])
+    for k, fit in zip(leading, ended, strict=True):
+        fits[k] = fit
+    first, *likely = likelihoods([fits[0] if beside is None else beside, *fits], problem.data)
+    rows = zip(ways, fits, likely, strict=True)
+    found = [(_with_fit(w.model, fit, w.model.keys), gain - first) for w, fit, gain in rows]
+    return sorted(found, key=lambda one: -one[1])
+
+
+def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
+    """Return clocks, all uncertain parameters and all effects as variables, and their values in a crane; clocks as a
+    fit found them.
+    """
+    given, data = problem.crane, problem.data
+    nominal = [believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
+    stated, clocks, known = stated_effects(given), timings(data), values_of(before)
+    values: list[float] = [known.get(v.name, 0.0) for v in clocks]
+    values += [moved_to(v, crane, before) for v in nominal]
+    values += [
+        v.to_u(parameters_of(crane, v.key)[v.parameter.name]) if isinstance(v, EffectParameter) else v.begin
+        for v in stated
+    ]
+    own = Model((), effects_of(crane, keys)).own(crane.layout)
+    return [*clocks, *nominal, *stated, *own], np.array([*values, *(v.begin for v in own)])
+
+
+def believable(v: NominalDirection) -> NominalDirection:
+    """Return a nominal parameter that stays within what can be believed of it."""
+    return (
+        v if math.isinf(v.prior) else replace(v, lower=-CRITERIA.believed * v.prior, upper=CRITERIA.believed * v.prior)
+    )
+
+
+def _open_loop(problem: Problem, way: _Way, iterations: int) -> Fit:
+    """Return everything fitted to one open-loop run, by way of long windows."""
+    variables, u = _everything(problem, way.model.keys, way.before, way.crane)
+    windows = staged(problem.crane, way.before.data, variables, u, way.before, joined(iterations))
+    return staged(problem.crane, way.before.data, variables, windows.u, windows, run(2 * iterations))
+
+
+def _at_own_levels(problem: Problem, found: Fit) -> Fit:
+    """Return an open-loop fit made again a few times with the error levels that it leaves."""
+    for _ in range(CRITERIA.settled):
+        data = levels_of(found, problem.data, apart=CRITERIA.drifts).raised(problem.data)
+        found = staged(problem.crane, data, found.variables, found.u, found, run(12))
+    return found
+
+
+def _best_run(problem: Problem, now: Standing, without: str) -> Fit:
+    """Return the best of three fits of one open-loop run without an effect: straight from where all of them stand, and
+    by way of long windows that begin on that run, or on the machine's: without an effect the run may be far from both.
+    """
+    final, data = now.fit, now.fit.data
+    crane, model = final.crane.without_effect(without), _with_fit(now, final, [k for k in now.keys if k != without])
+    straight = staged(problem.crane, data, *_everything(problem, model.keys, final, crane), final, run(8))
+    knots = first_knots(crane, data, CRITERIA.window)
+    measured = replace(final, windows=tuple(cut(data, CRITERIA.window)), knots=knots)
+    ways = [straight, *(_open_loop(problem, _Way(model, crane, start), 4) for start in (final, measured))]
+    return max(ways, key=log_evidence)
+
+
+def _deviations(final: Fit, keys: Sequence[str]) -> dict[str, float]:
+    """Return the standard deviation (SI) of each parameter of the effects, and of each nominal parameter that moved."""
+    model = Fitted(Model((), {key: {} for key in keys}), final, final)
+    found = {f"{k}:{name}": spread for k in keys for name, spread in model.deviations(k).items()}
+    nominal = {v.name: next(iter(v.weights.values())) for v in final.variables if isinstance(v, NominalDirection)}
+    return found | {name: scale * final.std(name) for name, scale in nominal.items()}
+
+
+def _alike(final: Fit, keys: Sequence[str]) -> dict[tuple[str, str], float]:
+    """Return pairs of variables, one of them an effect's that was taken in, whose errors are correlated."""
+    spread = np.sqrt(np.maximum(np.diag(final.cov), 1e-300))
+    R = final.cov / np.outer(spread, spread)
+    own = [isinstance(v, EffectParameter) for v in final.variables]
+    names = [v.name for v in final.variables]
+    taken = [i for i, v in enumerate(final.variables) if isinstance(v, EffectParameter) and v.key in keys]
+    pairs = ((i, j) for i in taken for j in range(len(names)) if i != j and (j > i or not own[j]))
+    return {(names[i], names[j]): float(R[i, j]) for i, j in pairs if abs(R[i, j]) > CRITERIA.alike}
