@@ -97,6 +97,21 @@ def test_what_all_sensors_once_told_of_a_wrong_model_narrows_intervals_that_hold
     assert result.std[moving, p3].mean() < 0.8 * before.std[moving, p3].mean()
 
 
+def test_a_payload_is_estimated_along_only_where_the_innovations_ask_for_another_one():
+    leaking, laden = (model_error.find(NOMINAL, recorded(n)[0], STD) for n in ("leak", "payload"))
+    assert not any("payload.mass" in u.names for u in leaking.unknowns)
+    assert any("payload.mass" in u.names for u in laden.unknowns)
+
+
+def test_what_a_crane_file_keeps_is_held_against_the_model_and_not_against_a_gauge(monkeypatch):
+    """In no recording a gauge that drifts by thirty times its noise differs from a moment that does."""
+    seen, expected = [], model_error.expected
+    monkeypatch.setattr(model_error, "expected", lambda *given: (seen.append(expected(*given)), seen[-1])[1])
+    model_error.lasting(NOMINAL, [(recorded("leak", 8)[0], ALL)])
+    gauges = [u for u in seen[0].unknowns if u.names[0].startswith("bias.p")]
+    assert len(gauges) == 4 and all(u.most == pytest.approx(u.size) for u in gauges)
+
+
 def test_what_the_file_calls_constant_has_no_memory_to_be_searched():
     still = replace(NOMINAL, model_error={"torque.A": GaussMarkov(50.0)})
     start = model_error.expected(still, STD)

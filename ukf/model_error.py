@@ -57,6 +57,9 @@ from .tuning import busiest, descend, limits_of, logs_of, noise_of
 _PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.25
 #: shares of that that are tried, the widest first
 _SHARES = (1.0, 0.75, 0.5, 0.25)
+#: largest offset of a sensor in parts of its noise; and of a gauge where a crane file is to tell of the model: what is
+#: held against a gauge is lost there, and no recording tells a gauge that drifts from a moment that does
+_DRIFT, _STEADY = 30.0, 1.0 / 3.0
 #: how far below what is expected a size is searched, powers of ten
 _BELOW = -4.0
 #: unknowns whose size is so many powers of ten below what is expected are left out
@@ -87,8 +90,8 @@ _PRESSURE = 0.3
 @dataclass(frozen=True)
 class Unknown:
     """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest
-    size, a part that stays, of which the size says nothing, and the shortest memory that is searched (s; infinite: none
-    is).
+    size, a part that stays, of which the size says nothing, the shortest memory that is searched (s; infinite: none
+    is), and whether it is left out where the innovations are as likely without it.
 
     With a part that stays it is a random walk from there, as fast as noise of that size and memory is at first.
     """
@@ -99,6 +102,7 @@ class Unknown:
     most: float
     stays: float = 0.0
     least: float = np.inf
+    spared: bool = False
 
     def augments(self, size: float) -> tuple[Augment, ...]:
         """Return the quantities as states of the filter, of a given size."""
@@ -139,11 +143,14 @@ class ModelError:
         return f"<ModelError: {', '.join(listed) or 'nothing'}>"
 
 
-def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> tuple[Unknown, ...]:
+def unknowns(
+    crane: Crane, sensors: Mapping[str, float], without: Collection[str] = (), drift: float = _DRIFT
+) -> tuple[Unknown, ...]:
     """Return what may be wrong about a crane's model and its sensors, with the sizes that are expected; `without` some
     names.
 
-    `sensors` are channels with the standard deviation of their noise, SI.
+    `sensors` are channels with the standard deviation of their noise, SI; `drift` is the largest offset of a gauge in
+    parts of that.
     """
     lay, pump = crane.layout, crane["supply.pump_pressure"]
     found = [
@@ -164,10 +171,12 @@ def unknowns(crane: Crane, sensors: Mapping[str, float], without: Collection[str
     found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0, pump))
     gauges = [n for n in sensors if lay.sensors[n].unit == "Pa"]
     found = [_as_filed(u, crane) for u in found]
-    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 10.0, 30.0 * sensors[n]) for n in gauges]
+    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 10.0, drift * sensors[n]) for n in gauges]
     others = [n for n in sensors if n not in gauges]
-    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 0.2, 30.0 * sensors[n]) for n in others]
-    found += [Unknown((e.name,), e.std, np.inf, 10.0 * e.std) for e in resolve(crane, _openly_unknown(crane))]
+    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 0.2, _DRIFT * sensors[n]) for n in others]
+    found += [
+        Unknown((e.name,), e.std, np.inf, 10.0 * e.std, spared=True) for e in resolve(crane, _openly_unknown(crane))
+    ]
     return tuple(u for u in found if u.size > 0.0 and not set(u.names) & set(without))  # machines without hoses
 
 
@@ -228,9 +237,11 @@ def _held(crane: Crane) -> np.ndarray:
     return arms * forces[own]
 
 
-def expected(crane: Crane, sensors: Mapping[str, float], without: Collection[str] = ()) -> ModelError:
+def expected(
+    crane: Crane, sensors: Mapping[str, float], without: Collection[str] = (), drift: float = _DRIFT
+) -> ModelError:
     """Return the model error with the sizes that are expected; arguments as of `unknowns`."""
-    found = unknowns(crane, sensors, without)
+    found = unknowns(crane, sensors, without, drift)
     noise, pressure = ProcessNoise.of(crane.layout), _PRESSURE * crane["supply.pump_pressure"]
     return ModelError(found, tuple(u.size for u in found), noise, pressure)
 
@@ -297,7 +308,7 @@ def lasting(
     found: dict[str, list[tuple[float, float]]] = {}
     for k, (recording, sensors) in enumerate(recordings):
         done = None if progress is None else partial(_share_of, progress, k, len(recordings))
-        search, logs, _ = _searched(crane, recording, sensors, engine, (), _LONG, done)
+        search, logs, _ = _searched(crane, recording, sensors, engine, (), _LONG, done, _STEADY)
         model, usual = search.model_error(logs), search.start.sizes
         for unknown, size, expected_size in zip(model.unknowns, model.sizes, usual, strict=True):
             if unknown.names[0] in told:
@@ -318,12 +329,13 @@ def _searched(
     augment: tuple[Any, ...],
     seconds: float,
     progress: Callable[[float], None] | None,
+    drift: float = _DRIFT,
 ) -> tuple[_Search, np.ndarray, Replay]:
     """Return the search, the most likely logarithms, and the last run in which they were searched."""
     std = sensor_std(crane, sensors)
     signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
     piece = busiest(signals, seconds).thinned(_RATE)
-    search = _Search(expected(crane, std, _names(augment)))
+    search = _Search(expected(crane, std, _names(augment), drift))
     logs = search.first
     for k, step in enumerate(_STEPS):
         if progress is not None:
@@ -332,7 +344,7 @@ def _searched(
         estimator = now.behind(Estimator(crane, engine, std, augment=augment, max_step=_STEP))
         replay = Replay(estimator, piece, estimator.extras[len(augment) :])
         logs = search.climb(replay, logs, step)
-    return search, logs, replay
+    return search, search.sparing(replay, logs), replay
 
 
 class _Search:
@@ -378,6 +390,20 @@ class _Search:
             return 0.5 * float(off @ off) - self._log_likelihood(replay, trial)
 
         return descend(cost, logs, cost(logs), self._limits, step=step, finest=step / 4, gain=_GAIN)[0]
+
+    def sparing(self, replay: Replay, logs: np.ndarray) -> np.ndarray:
+        """Return the logarithms without what is openly unknown, where the innovations are as likely without it.
+
+        A payload that is as the file says may be told from one that is not, as a model from another: of how far it is
+        off, if it is, the expected size says little.
+        """
+        for k, unknown in enumerate(self.start.unknowns):
+            if unknown.spared:
+                bare = logs.copy()
+                bare[k] = _BELOW
+                if self._log_likelihood(replay, bare) >= self._log_likelihood(replay, logs):
+                    logs = bare
+        return logs
 
     def _log_likelihood(self, replay: Replay, logs: np.ndarray) -> float:
         now = self.model_error(logs)
