@@ -14,7 +14,7 @@ from .crane import Crane
 from .effects import hooks, registry
 from .errors import CraneError, nearest
 from .static_start import static_start
-from .step_control import MOST_HALVINGS, limit, next_level
+from .step_control import MOST_HALVINGS, enough, limit, next_level
 
 _MOST_ITERATIONS = 15
 #: systems that are kept for further steps, one a batch size
@@ -198,7 +198,7 @@ class ExudynEngine:
                 own.
         """
         system = self._system(len(x))
-        out, beyond = system.step(x, w0, w1, h, time, P, E, self.accuracy)
+        out, beyond = system.step(x, w0, w1, h, time, P, E, self.accuracy, self.accuracy)
         status = system.status.tolist() if system.status.any() else []
         for k, cause in enumerate(status):
             if cause == trapezoidal.DONE:
@@ -232,7 +232,8 @@ class ExudynEngine:
             start = w0 + done * (w1 - w0) if done > 0.0 else w0
             end = w0 + (done + part) * (w1 - w0) if done + part < 1.0 else w1
             t = time + done * h
-            out, beyond = system.step(x, start, end, part * h, t, P, E, limit(level, part * h, self.accuracy))
+            errors = limit(level, part * h, self.accuracy), enough(level, part * h, self.accuracy)
+            out, beyond = system.step(x, start, end, part * h, t, P, E, *errors)
             cause = int(system.status[0])
             if cause == trapezoidal.DONE:
                 if beyond >= 0:
@@ -362,9 +363,12 @@ class System:
         P: np.ndarray | None,
         E: np.ndarray | None,
         allowed: float,
+        enough: float,
     ) -> tuple[np.ndarray, int]:
         """Return (states, first crane beyond its stroke or -1); `status` and `errors` say crane by crane how the step
         went.
+
+        A local error below `allowed` is good; one above `enough` is estimated as well as can be.
         """
         plant, out = self.plant, np.empty_like(x)
         before = self._set_parameters(P, E, time, time + h)
@@ -381,7 +385,7 @@ class System:
             residual = self.residual()
             if not trapezoidal.correct(machines, h, self._scale, w1, residual, ends, self.status, self._last):
                 break
-        return out, trapezoidal.finish(machines, step, allowed, ends, self.status, self.errors, out)
+        return out, trapezoidal.finish(machines, step, allowed, enough, ends, self.status, self.errors, out)
 
     def push(self, x: np.ndarray, w: np.ndarray, time: float) -> np.ndarray:
         """Return the forces (n, width) of objects of one's own on the redundant coordinates at states x."""

@@ -41,12 +41,12 @@ def next_level(level, done, h, error, allowed):
     Its error is taken to be that of the last part times eight. done: share of the step that lies behind.
     """
     fits = (done * 2.0**level) % 2.0 == 0.0
-    return level - 1 if level > 0 and fits and may_grow(level, h, error, allowed) else level
+    return level - 1 if level > 0 and fits and error <= enough(level, h, allowed) else level
 
 
 @njit
-def may_grow(level, h, error, allowed):
-    """Return whether a part of twice the length h, halved once less, would be good, where this one had such an
-    error.
+def enough(level, h, allowed):
+    """Return the local error of a part of length h with which the next may be twice as long: a smaller one tells no
+    more, and an estimate that is larger must be bettered before parts can grow again.
     """
-    return 8.0 * error <= limit(level - 1, 2.0 * h, allowed)
+    return limit(level - 1, 2.0 * h, allowed) / 8.0 if level > 0 else limit(level, h, allowed)

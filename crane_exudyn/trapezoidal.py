@@ -426,14 +426,14 @@ def _apply(machine, w, h, d, change, scratch, balances, end):
 
 
 @njit
-def finish(machines, step, allowed, ends, status, errors, out):
+def finish(machines, step, allowed, enough, ends, status, errors, out):
     """Fill out (m, nx) with the independent states at the end of the step, of the machines that are DONE.
 
     `errors` (m,) get the local errors of their steps. A machine whose error is too large becomes COARSE.
 
     Args:
         machines: with the masses at the end of the step.
-        allowed: local error in units of `step_control.*_ERROR`.
+        allowed: local error in units of `step_control.*_ERROR`; enough: below which no better estimate is needed.
 
     Returns:
         the first machine that is beyond its stroke, or -1.
@@ -452,7 +452,7 @@ def finish(machines, step, allowed, ends, status, errors, out):
         _settle(machine, own, scratch, end, balances, out[k])
         if beyond < 0 and stroke_end(machine.P, machine.E, scratch.lines, out[k, 2 * n : 4 * n]) > 0:
             beyond = k
-        errors[k] = _local_error(machine, own, allowed, scratch, end, balances[GAIN], out[k])
+        errors[k] = _local_error(machine, own, allowed, enough, scratch, end, balances[GAIN], out[k])
         if not errors[k] <= allowed:
             status[k] = COARSE
     return beyond
@@ -477,12 +477,13 @@ def _settle(machine, step, scratch, end, balances, out):
 
 
 @njit
-def _local_error(machine, step, allowed, scratch, end, gain, out):
+def _local_error(machine, step, allowed, enough, scratch, end, gain, out):
     """Return the local error of one machine's step in units of `step_control.*_ERROR`; `scratch` and the motion q, v of
     `end` are overwritten. `gain` (chambers,): rates of the amounts of oil at the end.
 
-    First by the change of the rates over the step, which bounds the defect of rates that change one way; then by the
-    rates in the middle; then after what the system's stiffness makes of it.
+    First by the change of the rates over the step, which bounds the defect of rates that change one way, but falls with
+    the square of h only (so where a step was halved it must also tell that parts may grow again); then by the rates in
+    the middle; then after what the system's stiffness makes of it.
     """
     topology, P, E, inertia = machine
     h, x, held, udd = step.h, step.x, end.held, end.udd
@@ -495,9 +496,10 @@ def _local_error(machine, step, allowed, scratch, end, gain, out):
     for j in range(chambers):
         defect[nu + j] = h / 3.0 * (gain[j] - held[GAIN, j])
     positions = 0.25 * h * np.abs(defect[:nu])
-    error = _size(P, held, defect, positions)
-    if error <= allowed:
-        return error
+    bound = _size(P, held, defect, positions)
+    if bound <= min(allowed, enough):
+        return bound
+    unknown = bound if bound <= allowed else math.inf
     middle, w, amount = np.empty(x.size), np.empty(step.w0.size), np.empty(chambers)
     for i in range(w.size):
         w[i] = 0.5 * (step.w0[i] + step.w1[i])
@@ -507,7 +509,7 @@ def _local_error(machine, step, allowed, scratch, end, gain, out):
         middle[rate] = 0.5 * (x[rate] + out[rate]) + 0.125 * h * (udd[i] - after[i])
     theta = middle[4 * n] if nu > n else 0.0
     if not red.close_position(topology, P, E, inertia, middle, theta, scratch.arms, end.q):
-        return math.inf
+        return unknown
     geo.fill_lines(topology, scratch.arms, end.q, end.v, scratch.lines)
     for j in range(chambers):
         amount[j] = (
@@ -517,14 +519,14 @@ def _local_error(machine, step, allowed, scratch, end, gain, out):
     between = np.empty((N_BALANCES, chambers))
     there = Motion(end.q, end.v, np.empty(end.a.size), np.empty(chambers), np.empty(chambers), between, np.empty(nu))
     if start(machine, step.t + 0.5 * h, middle, w, step.push, scratch, there) != ITERATING:
-        return math.inf
+        return unknown
     for i in range(nu):
         defect[i] = h / 3.0 * (udd[i] + after[i] - 2.0 * there.udd[i])
     for j in range(chambers):
         defect[nu + j] = h / 3.0 * (held[GAIN, j] + gain[j] - 2.0 * between[GAIN, j])
     error = _size(P, held, defect, positions)
-    if error <= allowed:
-        return error
+    if min(error, bound) <= allowed:
+        return min(error, bound)
     return _stiff_error(machine, h, w, held, scratch, there, defect, positions)
 
 

@@ -26,8 +26,8 @@ from crane_exudyn.step_control import (
     POSITION_ERROR,
     PRESSURE_ERROR,
     RATE_ERROR,
+    enough,
     limit,
-    may_grow,
     next_level,
 )
 
@@ -351,7 +351,7 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
         defect[i] = h / 3.0 * abs(start.g[k] - end.g[k])
     worst = defect_size(defect, h, start, end, P, work)
     good = worst <= work.said[LIMIT]
-    if good and (level == 0 or may_grow(level, h, worst, work.said[ALLOWED])):
+    if good and worst <= enough(level, h, work.said[ALLOWED]):
         return worst
     bound, back = worst, work.said[BEFORE]
     if 0.5 * h <= back <= 2.0 * h:
