@@ -20,7 +20,7 @@ demo: $(VENV)/installed
 	$(BIN)/patu demo --force -o $(OUT)/demo
 
 test: $(VENV)/installed-dev
-	$(BIN)/pytest -n auto --dist loadfile --durations=10
+	$(BIN)/pytest -n auto --dist worksteal --durations=10
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check
