@@ -14,7 +14,7 @@ from .crane import Crane
 from .effects import hooks, registry
 from .errors import CraneError, nearest
 from .static_start import static_start
-from .step_control import MOST_HALVINGS, enough, limit, next_level
+from .step_control import MOST_HALVINGS, enough_to_grow, limit, next_level
 
 _MOST_ITERATIONS = 15
 #: systems that are kept for further steps, one a batch size
@@ -232,7 +232,7 @@ class ExudynEngine:
             start = w0 + done * (w1 - w0) if done > 0.0 else w0
             end = w0 + (done + part) * (w1 - w0) if done + part < 1.0 else w1
             t = time + done * h
-            errors = limit(level, part * h, self.accuracy), enough(level, part * h, self.accuracy)
+            errors = limit(level, part * h, self.accuracy), enough_to_grow(level, part * h, self.accuracy)
             out, beyond = system.step(x, start, end, part * h, t, P, E, *errors)
             cause = int(system.status[0])
             if cause == trapezoidal.DONE:

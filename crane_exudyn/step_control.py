@@ -41,12 +41,14 @@ def next_level(level, done, h, error, allowed):
     Its error is taken to be that of the last part times eight. done: share of the step that lies behind.
     """
     fits = (done * 2.0**level) % 2.0 == 0.0
-    return level - 1 if level > 0 and fits and error <= enough(level, h, allowed) else level
+    return level - 1 if level > 0 and fits and error <= enough_to_grow(level, h, allowed) else level
 
 
 @njit
-def enough(level, h, allowed):
+def enough_to_grow(level, h, allowed):
     """Return the local error of a part of length h with which the next may be twice as long: a smaller one tells no
-    more, and an estimate that is larger must be bettered before parts can grow again.
+    more, and an estimate that is larger must be bettered before parts can grow again. It is never more than `limit`.
     """
-    return limit(level - 1, 2.0 * h, allowed) / 8.0 if level > 0 else limit(level, h, allowed)
+    if level == 0:
+        return allowed
+    return min(limit(level, h, allowed), limit(level - 1, 2.0 * h, allowed) / 8.0)

@@ -497,7 +497,7 @@ def _local_error(machine, step, allowed, enough, scratch, end, gain, out):
         defect[nu + j] = h / 3.0 * (gain[j] - held[GAIN, j])
     positions = 0.25 * h * np.abs(defect[:nu])
     bound = _size(P, held, defect, positions)
-    if bound <= min(allowed, enough):
+    if bound <= enough:
         return bound
     unknown = bound if bound <= allowed else math.inf
     middle, w, amount = np.empty(x.size), np.empty(step.w0.size), np.empty(chambers)

@@ -20,8 +20,8 @@ from validation.improvement import explained
 from validation.selection.criteria import CRITERIA
 from validation.selection.drifting import DRIFTING, DriftingPath
 from validation.selection.levels import Levels, falls, independent, likelihoods, window_errors
+from validation.selection.proven import Proven, believable, proven
 from validation.selection.search import Problem, search
-from validation.selection.together import Proven, believable, proven
 from validation.selection.whole_runs import Taken
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -102,7 +102,7 @@ def test_real_sensors_alone_ask_for_no_effect(crane):
 @pytest.fixture
 def rubbing(crane, monkeypatch):
     """A recording of a compensated valve and rubbing seals; half as many effects are tried, for half of the time."""
-    for place in ("drifting", "together"):
+    for place in ("drifting", "proven"):
         monkeypatch.setattr(f"validation.selection.{place}.CRITERIA", replace(CRITERIA, tried=4))
     friction = {"dFc": 5000.0, "dFs": 5000.0, "vs": 5e-3}
     return recorded(

@@ -32,8 +32,8 @@ from .selection.criteria import CRITERIA
 from .selection.drifting import DRIFTING
 from .selection.levels import Errors
 from .selection.model import open_loop_error, parameters_of, together
+from .selection.proven import Proven
 from .selection.search import Progress, search, silent
-from .selection.together import Proven
 from .selection.verdict import verdict_of
 from .selection.white import WhitePath
 from .workers import in_parallel

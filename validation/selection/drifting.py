@@ -24,9 +24,9 @@ from .criteria import CRITERIA
 from .levels import Levels, levels_of
 from .model import Fitted, Model, at_bound, best_of_each, effects_of, fitted
 from .moves import scaled, starts
+from .proven import Proven, proven
 from .screen import best_starts, screen
 from .search import Move, Path, Problem, Progress, Regime, Round, Stages
-from .together import Proven, proven
 from .whole_runs import Standing, Taken, first_part, joined, judged, loose, run, typical
 
 

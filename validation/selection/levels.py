@@ -113,6 +113,11 @@ def falls(before: Errors, after: Errors) -> float:
     return float(np.mean([math.log(max(before[c], 1.0) / max(after[c], 1.0)) for c in before]))
 
 
+def left_over(errors: Errors) -> float:
+    """Return the mean over channels of the log by which errors could still fall: to the sensors' noise."""
+    return falls(errors, dict.fromkeys(errors, 1.0))
+
+
 def likelihoods(fits: Sequence[Fit], data: Data) -> list[float]:
     """Return the log-likelihoods of fits to the same data, each channel's level at its most likely value that is not
     below its sensor's noise, with the log prior, up to a constant that all share.

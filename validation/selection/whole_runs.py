@@ -17,7 +17,7 @@ from ..fit.staged import LONG, SHORT, Stage, first_knots, residuals
 from ..fit.variables import Timing
 from ..fit.windows import cut
 from .criteria import CRITERIA
-from .levels import Errors, Levels, each_part, falls
+from .levels import Errors, Levels, each_part, falls, left_over
 from .model import Fitted
 from .search import Problem
 
@@ -77,7 +77,7 @@ class Standing(Fitted):
     @property
     def left(self) -> tuple[float, float]:
         """The log by which its errors could still fall, over what was learned from and over the rest."""
-        first, rest = (falls(e, dict.fromkeys(e, 1.0)) for e in self.errors)
+        first, rest = (left_over(e) for e in self.errors)
         return first, rest
 
     def fall(self, before: Standing) -> float:

@@ -26,7 +26,7 @@ from crane_exudyn.step_control import (
     POSITION_ERROR,
     PRESSURE_ERROR,
     RATE_ERROR,
-    enough,
+    enough_to_grow,
     limit,
     next_level,
 )
@@ -350,8 +350,7 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
         k = place_of_rate(i, work)
         defect[i] = h / 3.0 * abs(start.g[k] - end.g[k])
     worst = defect_size(defect, h, start, end, P, work)
-    good = worst <= work.said[LIMIT]
-    if good and worst <= enough(level, h, work.said[ALLOWED]):
+    if worst <= enough_to_grow(level, h, work.said[ALLOWED]):
         return worst
     bound, back = worst, work.said[BEFORE]
     if 0.5 * h <= back <= 2.0 * h:
@@ -361,8 +360,8 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
             defect[i] = h**3 / 6.0 * abs(bend)
         worst = defect_size(defect, h, start, end, P, work)
         if worst <= work.said[LIMIT]:
-            return min(worst, bound) if good else worst
-    if good:
+            return min(worst, bound)
+    if bound <= work.said[LIMIT]:
         return bound
     middle_rates(start, w0, w1, t0, h, P, E, work)
     for i in range(m):

@@ -19,7 +19,7 @@ from ..fit.variables import EffectParameter, NominalDirection, Variable, stated_
 from ..fit.windows import cut
 from ..workers import in_parallel
 from .criteria import CRITERIA
-from .levels import Errors, falls, levels_of, likelihoods
+from .levels import Errors, left_over, levels_of, likelihoods
 from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of
 from .moves import scaled, starts
 from .screen import best_starts, screen
@@ -82,14 +82,13 @@ def proven(
     now = _whole_run(problem, last)
     while True:
         progress("leaving out each effect once", 0.8)
-        now, left = _needed(problem, now)
+        now, full, left = _needed(problem, now)
         progress("looking for what acts beside them", 0.9)
-        further = _further(problem, now, left, most)
+        further = _further(problem, now, full, left, most)
         if further is now:
             break
         now = further
-    final, keys, full = now.fit, now.keys, _whole_errors(problem, now.fit)
-    parts = problem.data.parts
+    final, keys, parts = now.fit, now.keys, problem.data.parts
     before = errors_of(problem, [run_fitted(problem.crane, p) for p in parts])
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
     shared = zip(final.variables, final.u, strict=True)
@@ -110,17 +109,14 @@ class _Without:
     brought: float
 
 
-def _left_over(errors: Errors) -> float:
-    """Return the log by which errors could still fall."""
-    return falls(errors, dict.fromkeys(errors, 1.0))
-
-
 def _whole_errors(problem: Problem, final: Fit) -> dict[str, float]:
     return errors_of(problem, [final.of(i) for i in range(len(problem.data.parts))])
 
 
-def _needed(problem: Problem, now: Standing) -> tuple[Standing, dict[str, _Without]]:
-    """Return the model without effects that are not needed, one dropped after the other, and the fits without each."""
+def _needed(problem: Problem, now: Standing) -> tuple[Standing, Errors, dict[str, _Without]]:
+    """Return the model without effects that are not needed, one dropped after the other; its errors, and the fits
+    without each.
+    """
     while True:
         fits: list[Fit] = in_parallel(problem.jobs, [(_best_run, problem, now, key) for key in now.keys])
         full, evidence = _whole_errors(problem, now.fit), log_evidence(now.fit)
@@ -130,7 +126,7 @@ def _needed(problem: Problem, now: Standing) -> tuple[Standing, dict[str, _Witho
         }
         unneeded = [k for k, w in left.items() if w.brought < CRITERIA.demanded and not mends(w.errors, full)]
         if not unneeded or len(left) == 1:
-            return now, left
+            return now, full, left
         weakest = min(unneeded, key=lambda k: left[k].brought)
         now = _with_fit(now, left[weakest].fit, [k for k in now.keys if k != weakest])
 
@@ -139,7 +135,7 @@ def _with_fit(now: Standing, fit: Fit, keys: Sequence[str]) -> Standing:
     return replace(now, model=Model((), effects_of(fit.crane, keys)), fit=fit, loose=fit)
 
 
-def _further(problem: Problem, now: Standing, left: Mapping[str, _Without], most: int) -> Standing:
+def _further(problem: Problem, now: Standing, full: Errors, left: Mapping[str, _Without], most: int) -> Standing:
     """Return a likelier model that one more step leads to where all is fitted together, or the same one.
 
     An effect is brought back, as large as is met in practice, where all else has settled without it: two can hold each
@@ -148,11 +144,11 @@ def _further(problem: Problem, now: Standing, left: Mapping[str, _Without], most
     then may be now.
     """
     ways = [
-        _Way(now, typical(without.fit.crane, effects_of(now.fit.crane, [key])), without.fit)
+        _Way(now, now.keys, typical(without.fit.crane, effects_of(now.fit.crane, [key])), without.fit)
         for key, without in left.items()
     ]
     parent = now
-    if len(now.keys) < most and _left_over(_whole_errors(problem, now.fit)) > CRITERIA.gained:
+    if len(now.keys) < most and left_over(full) > CRITERIA.gained:
         parent = replace(now, errors=_judged_apart(problem, now), unseen=None)
         ways += _one_more(parent)
     found = _settled(problem, ways, now.fit)
@@ -177,7 +173,7 @@ def _one_more(now: Standing) -> list[_Way]:
     for s in found:
         if s.gain >= CRITERIA.serious * found[0].gain:
             crane = now.fit.crane.with_effect(s.start.key, scaled(s.start, s.amplitude))
-            ways.append(_Way(_with_fit(now, replace(now.fit, crane=crane), (*now.keys, s.start.key)), crane, now.fit))
+            ways.append(_Way(now, (*now.keys, s.start.key), crane, now.fit))
     return ways
 
 
@@ -199,11 +195,12 @@ def mends(without: Errors, full: Errors) -> bool:
 
 @dataclass(frozen=True)
 class _Way:
-    """Where an open-loop fit of everything begins: which model, the values of all in a crane, and the fit with its
-    windows, their first states and the levels of the channels.
+    """Where an open-loop fit of everything begins: the model that it grows from, its effects, the values of all in a
+    crane, and the fit with its windows, their first states and the levels of the channels.
     """
 
-    model: Standing
+    parent: Standing
+    keys: Sequence[str]
     crane: Crane
     before: Fit
 
@@ -223,7 +220,7 @@ def _whole_run(problem: Problem, last: Sequence[Standing]) -> Standing:
             for c in (found.crane, fresh)
         ]
         begins = (found.crane, found), (found.crane, machine[0]), (fresh, machine[1])
-        ways += [_Way(standing, crane, fit) for crane, fit in begins]
+        ways += [_Way(standing, standing.keys, crane, fit) for crane, fit in begins]
     return _settled(problem, ways)[0][0]
 
 
@@ -239,7 +236,7 @@ def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) 
         fits[k] = fit
     first, *likely = likelihoods([fits[0] if beside is None else beside, *fits], problem.data)
     rows = zip(ways, fits, likely, strict=True)
-    found = [(_with_fit(w.model, fit, w.model.keys), gain - first) for w, fit, gain in rows]
+    found = [(_with_fit(w.parent, fit, w.keys), gain - first) for w, fit, gain in rows]
     return sorted(found, key=lambda one: -one[1])
 
 
@@ -269,7 +266,7 @@ def believable(v: NominalDirection) -> NominalDirection:
 
 def _open_loop(problem: Problem, way: _Way, iterations: int) -> Fit:
     """Return everything fitted to one open-loop run, by way of long windows."""
-    variables, u = _everything(problem, way.model.keys, way.before, way.crane)
+    variables, u = _everything(problem, way.keys, way.before, way.crane)
     windows = staged(problem.crane, way.before.data, variables, u, way.before, joined(iterations))
     return staged(problem.crane, way.before.data, variables, windows.u, windows, run(2 * iterations))
 
@@ -287,11 +284,11 @@ def _best_run(problem: Problem, now: Standing, without: str) -> Fit:
     by way of long windows that begin on that run, or on the machine's: without an effect the run may be far from both.
     """
     final, data = now.fit, now.fit.data
-    crane, model = final.crane.without_effect(without), _with_fit(now, final, [k for k in now.keys if k != without])
-    straight = staged(problem.crane, data, *_everything(problem, model.keys, final, crane), final, run(8))
+    crane, keys = final.crane.without_effect(without), [k for k in now.keys if k != without]
+    straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
     knots = first_knots(crane, data, CRITERIA.window)
     measured = replace(final, windows=tuple(cut(data, CRITERIA.window)), knots=knots)
-    ways = [straight, *(_open_loop(problem, _Way(model, crane, start), 4) for start in (final, measured))]
+    ways = [straight, *(_open_loop(problem, _Way(now, keys, crane, start), 4) for start in (final, measured))]
     return max(ways, key=log_evidence)
 
 
