@@ -16,6 +16,8 @@ NO_SENSOR, USUAL_SENSOR = 1e-6, 2e-3
 #: large (shares of the range, of what is usual, of the range); the values come in finer steps than those of 16 bits
 _QUIETEST, _QUIETER, _MOTION, _FINEST = 5e-6, 0.1, 3e-4, 1e-5
 _THIRD_DIFFERENCE = math.sqrt(20.0)  # 1² + 3² + 3² + 1²: what a third difference makes of white noise
+#: third differences are correlated (-3/4, 3/10, -1/20): 1 + 2 Σ ρ² of them tell as much as an independent one
+_CORRELATED = 2.31
 
 
 def sampling_rate(time: np.ndarray) -> float:
@@ -47,6 +49,15 @@ def noise_std(values: np.ndarray) -> float:
     squares = _window_squares(third)
     square = float(np.median(squares)) / _median_share(len(squares), len(third))
     return max(math.sqrt(square) / _THIRD_DIFFERENCE, floor)
+
+
+def noise_uncertainty(values: np.ndarray) -> float:
+    """Return the relative standard error of `noise_std`: the median of windows tells the square of the noise √(π/2)
+    times less surely than the mean of n/2.31 independent squares.
+    """
+    values = np.asarray(values, dtype=float)
+    count = len(_own_samples(values, quantisation(values)))
+    return math.sqrt(0.25 * math.pi * _CORRELATED / max(1, count))
 
 
 def is_noise_free(values: np.ndarray) -> bool:
@@ -87,12 +98,11 @@ def _median_share(windows: int, count: int) -> float:
     """Return the median of a window's mean square over its expectation: that of χ²/dof, (1 - 2/(9 dof))³ (Wilson,
     Hilferty).
 
-    Third differences are correlated (-3/4, 3/10, -1/20), so that a window has 1 + 2 Σ ρ² = 2.31 times fewer degrees of
-    freedom.
+    Third differences are correlated, so that a window has 2.31 times fewer degrees of freedom.
     """
     if windows < 3:  # the median of one or two is their mean
         return 1.0
-    return float((1.0 - 2.0 / (9.0 * count / windows / 2.31)) ** 3)
+    return float((1.0 - 2.0 / (9.0 * count / windows / _CORRELATED)) ** 3)
 
 
 def _own_samples(values: np.ndarray, step: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from crane_exudyn import tables
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
-from crane_exudyn.signals import noise_std
+from crane_exudyn.signals import noise_std, noise_uncertainty
 
 GOOD = "time[s],u1,u2[-],z1[deg],p1[bar]\n0.000,0,0,10,38.5\n0.005,0.5,0,10.5,39\n0.010,0.5,0,11,40\n"
 
@@ -327,6 +327,14 @@ def test_noise_under_motion_ringing_and_a_jump(std: float) -> None:
     signal += np.where(time > 12.0, 500 * std, 0.0)
     # 5000 samples: the estimate's own standard error is near 2 %, so 8 % is four of them
     assert noise_std(signal + rng.normal(0, std, time.size)) == pytest.approx(std, rel=0.08)
+
+
+@pytest.mark.parametrize("count", [250, 1000])
+def test_noise_is_uncertain_by_what_is_told_of_it(count: int) -> None:
+    rng = np.random.default_rng(14)
+    found = [noise_std(rng.standard_normal(count)) for _ in range(400)]
+    # the spread of 400 estimates is itself known to 3.5 %: 15 % is four times that
+    assert np.std(found) == pytest.approx(noise_uncertainty(rng.standard_normal(count)), rel=0.15)
 
 
 def test_noise_of_a_quantised_channel_is_not_below_rounding() -> None:

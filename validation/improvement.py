@@ -30,7 +30,7 @@ from .learning import learn as learn_laws
 from .learning import sentence as learned_sentence
 from .selection.criteria import CRITERIA
 from .selection.drifting import DRIFTING
-from .selection.levels import Errors
+from .selection.levels import Errors, noise_level
 from .selection.model import open_loop_error, parameters_of, together
 from .selection.proven import Proven
 from .selection.search import Progress, search, silent
@@ -158,7 +158,7 @@ def improve(
         named, _ = path_of(without_learned(crane))
         path, replaced = (named, replaced) if _as_well(named, path) else (path, ())
     d = replace(diagnosis_of(path, check, notes), given=crane)
-    judge = Judge(path.problem.recordings, check, path.problem.data.own, jobs)
+    judge = Judge(path.problem.recordings, check, path.problem.data.own, jobs, noise_level(path.problem.data))
     steps = [judge.step(None, crane, d.verdict, sentence(d))]
     told(steps[0])
     result = _named(
@@ -246,9 +246,7 @@ def _named(
         entry = entry | {"replaced": list(replaced)}
     best = added(crane, replace(improved, history=crane.history), **entry)
     step = judge.step(name, best, d.verdict)
-    good = step.search_error < CRITERIA.level or (
-        proven is None and chosen is not None and chosen.level < CRITERIA.level
-    )
+    good = step.search_error < judge.level or (proven is None and chosen is not None and chosen.level < judge.level)
     text = text or ("nothing but noise is left" if good else "more than noise is left")
     if replaced:
         text += f"; it replaces {' and '.join(replaced)}"
@@ -264,7 +262,7 @@ def _with_laws(result: Improvement, found: Learned, judge: Judge) -> Improvement
     if found.given is not result.crane:
         text += f"; {result.steps[-1].added}, which leaves more, goes again"
     step = judge.step(name, found.crane, "unknown", f"learned, as no named effect explains it: {text}")
-    left = "adequate" if step.search_error < CRITERIA.level else "unknown"
+    left = "adequate" if step.search_error < judge.level else "unknown"
     return replace(result, steps=(*result.steps, step), crane=found.crane, verdict=left, learned=found)
 
 
@@ -283,13 +281,14 @@ def _chosen(d: Diagnosis) -> Candidate | None:
 @dataclass(frozen=True)
 class Judge:
     """What the steps of an improvement are confirmed on; `own`: parameters that differ from recording to recording;
-    `jobs`: processes to use.
+    `jobs`: processes to use; `level`: below which hardly more than noise is left.
     """
 
     recordings: tuple[Recording, ...]
     check: Recording | None
     own: tuple[str, ...]
     jobs: int
+    level: float
 
     def step(self, name: str | None, crane: Crane, verdict: str, text: str = "") -> Step:
         """Return a step to a crane: errors on the Exudyn engine and on that of the search, on the check recording, and

@@ -24,6 +24,7 @@ from .learned.regime import LEARNING, LearningPath, named, sound
 from .learned.resembles import Resemblance, as_large, resembles
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
+from .selection.levels import noise_level
 from .selection.model import Fitted, misled, run_error, together
 from .selection.moves import starts
 from .selection.search import Move, Problem, Progress, search, silent
@@ -163,7 +164,7 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
     if not formed.model.curves:
         if formed.keys:
             notes.append(f"effects of the library do as well: {', '.join(formed.keys)}. Go on with `patu diagnose`")
-        elif best.good and unchanged.error_before > CRITERIA.level:
+        elif best.good and unchanged.error_before > noise_level(problem.data):
             notes.append("nominal parameters within their uncertainty explain it. Go on with `patu diagnose`")
         return replace(unchanged, notes=tuple(notes))
     lean = leaner(problem.crane, problem.data, formed)

@@ -11,8 +11,8 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
-from crane_exudyn.recording import Recording
-from crane_exudyn.signals import NO_SENSOR
+from crane_exudyn.recording import Channel, Recording
+from crane_exudyn.signals import NO_SENSOR, noise_std, noise_uncertainty
 
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
 #: local error of a step in a fit, in units of the engine's: 0.06 bar and 2e-7 rad, a fifth of what good sensors show;
@@ -26,7 +26,7 @@ _FORGOTTEN, _SHORTEST = 0.25, 0.5
 @dataclass(frozen=True)
 class Samples:
     """One channel's samples: where they lie on the grid (index and fraction of a step), values in SI, noise std in
-    SI.
+    SI, and its relative standard error where it is estimated.
     """
 
     channel: str
@@ -34,6 +34,7 @@ class Samples:
     fraction: np.ndarray
     values: np.ndarray
     noise: float
+    unsure: float = 0.0
 
     def taken(self, grid: np.ndarray) -> np.ndarray:
         """Return what `grid` (N, …) on the grid is at the samples (n, …), linear between grid points."""
@@ -130,19 +131,11 @@ class FitData:
         end = max(recording.channels[c].time[-1] for c in sensors)
         step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
         grid = start + step * np.arange(int(np.floor((end - start) / step + 1e-6)) + 2)
-        noise = recording.noise()
         blind = _blind(recording, float(start), float(end))
         samples = _sharing(
             _without(
                 blind,
-                _samples(
-                    c,
-                    recording.channels[c].time,
-                    recording.channels[c].values,
-                    crane.sensors.get(c, noise.get(c)),
-                    grid,
-                    rate,
-                ),
+                _samples(c, recording.channels[c], crane.sensors.get(c), grid, rate),
                 grid,
             )
             for c in sensors
@@ -177,7 +170,8 @@ class FitData:
         kept = []
         for s in self.samples:
             inside = slice(*np.searchsorted(s.index, [start, end]))  # views: windows of ten minutes are thousands
-            kept.append(Samples(s.channel, s.index[inside] - start, s.fraction[inside], s.values[inside], s.noise))
+            index, fraction, values = s.index[inside] - start, s.fraction[inside], s.values[inside]
+            kept.append(replace(s, index=index, fraction=fraction, values=values))
         cut = slice(start, end + 1)
         moments = None if self.moments is None else self.moments[cut]
         return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept), moments=moments)
@@ -282,12 +276,12 @@ def grid_step(interval: float, longest: float = 2.5e-3) -> float:
     return longest if interval > longest else min(_STEPS)
 
 
-def _samples(
-    channel: str, time: np.ndarray, values: np.ndarray, noise: float | None, grid: np.ndarray, rate: float
-) -> Samples:
+def _samples(name: str, channel: Channel, stated: float | None, grid: np.ndarray, rate: float) -> Samples:
+    time, values = channel.time, channel.values
+    noise, unsure = (stated, 0.0) if stated else (noise_std(values), noise_uncertainty(values))
     if not noise or not np.isfinite(noise):
         raise CraneError(
-            f"Channel {channel}: its noise cannot be estimated from the data. Give sensors.{channel} in the crane file."
+            f"Channel {name}: its noise cannot be estimated from the data. Give sensors.{name} in the crane file."
         )
     noise = max(noise, NO_SENSOR * float(np.ptp(values)))  # with less, equations lose all their digits
     block = max(1, int(np.floor(1.0 / (rate * np.median(np.diff(time))) + 1e-6))) if len(time) > 1 else 1
@@ -296,7 +290,7 @@ def _samples(
         time = time[:whole].reshape(-1, block).mean(axis=1)
         values = values[:whole].reshape(-1, block).mean(axis=1)
         noise = noise / np.sqrt(block)
-    return _placed(Samples(channel, np.empty(0, int), np.empty(0), values, float(noise)), time, grid)
+    return _placed(Samples(name, np.empty(0, int), np.empty(0), values, float(noise), unsure), time, grid)
 
 
 def _sharing(samples: Iterable[Samples]) -> tuple[Samples, ...]:

@@ -12,7 +12,8 @@ class Criteria:
     """
 
     # what is said of a model
-    level: float = 1.04  # below it hardly more than noise is left: noise that is estimated is itself wrong by 2 %
+    level: float = 1.04  # below it hardly more than noise is left, or below one and
+    doubt: float = 4.0  # so many standard errors of the noise, where it is estimated from few samples
     share: float = 0.03  # of short windows such a model may leave unexplained; noise makes fewer than one in a hundred
     explained: float = 1.3  # error up to which a window counts as explained, or
     explained_errors: float = 4.0  # so many standard errors where its samples are few

@@ -43,6 +43,16 @@ class Levels:
         return replace(part, samples=tuple(samples))
 
 
+def noise_level(data: Data) -> float:
+    """Return the level (RMS error in noise units) below which hardly more than noise is left: noise that is estimated
+    from few samples is itself wrong.
+    """
+    samples = [s for part in data.parts for s in part.samples]
+    counts, unsure = (np.array(each) for each in ([len(s.values) for s in samples], [s.unsure for s in samples]))
+    spread = float(np.linalg.norm(counts * unsure)) / max(1, counts.sum())
+    return max(CRITERIA.level, 1.0 + CRITERIA.doubt * spread)
+
+
 def each_part(data: Data, change: Callable[[FitData], FitData]) -> Data:
     """Return data with each recording's changed."""
     return change(data) if isinstance(data, FitData) else replace(data, parts=tuple(map(change, data.parts)))

@@ -48,6 +48,7 @@ from ..fit.variables import (
     uncertain_parameters,
 )
 from .criteria import CRITERIA
+from .levels import noise_level
 
 
 class Curve(Protocol):
@@ -160,7 +161,7 @@ class Fitted:
     @property
     def near(self) -> bool:
         """Whether it leaves hardly more than noise, wherever its parameters may have moved."""
-        return self.level < CRITERIA.level and float(self.bad.mean()) <= CRITERIA.share
+        return self.level < noise_level(self.fit.data) and float(self.bad.mean()) <= CRITERIA.share
 
     @property
     def good(self) -> bool:

@@ -19,7 +19,7 @@ from ..fit.variables import EffectParameter, NominalDirection, Variable, stated_
 from ..fit.windows import cut
 from ..workers import in_parallel
 from .criteria import CRITERIA
-from .levels import Errors, left_over, levels_of, likelihoods
+from .levels import Errors, left_over, levels_of, likelihoods, noise_level
 from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of
 from .moves import scaled, starts
 from .screen import best_starts, screen
@@ -41,7 +41,7 @@ class Proven:
             correlation.
         moved: nominal parameter -> how far it moved, in standard uncertainties; where only a range is known, in shares
             of it.
-        ranges: channel -> its range in units of the noise.
+        ranges: channel -> its range in units of the noise. level: below which hardly more than noise is left.
     """
 
     crane: Crane
@@ -56,11 +56,12 @@ class Proven:
     alike: Mapping[tuple[str, str], float]
     moved: Mapping[str, float]
     ranges: Mapping[str, float]
+    level: float
 
     @property
     def explains(self) -> bool:
         """Whether it leaves hardly more than noise, on the average of the channels."""
-        return math.sqrt(sum(e**2 for e in self.after.values()) / len(self.after)) < CRITERIA.level
+        return math.sqrt(sum(e**2 for e in self.after.values()) / len(self.after)) < self.level
 
     @property
     def predicts_better(self) -> bool:
@@ -97,6 +98,7 @@ def proven(
         final.crane, tuple(t for t in now.taken if t.key in keys),
         before, full, {k: w.brought for k, w in left.items()}, {k: w.errors for k, w in left.items()},
         nominal, now.predicted, _deviations(final, keys), _alike(final, keys), moved, ranges,
+        noise_level(problem.data),
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from ..workers import in_parallel
 from .criteria import CRITERIA
 from .ending import still_to_do, taken_on
 from .lean import leaner
+from .levels import noise_level
 from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, run_error, together
 from .moves import starts
 from .race import in_heats, raced, still_leading
@@ -181,7 +182,7 @@ def _unseen(path: WhitePath, parent: Fitted, led: Sequence[Fitted]) -> list[Fitt
     if any(w.good and w.move_cost < CRITERIA.helped and excess(w.level) < left for w in led):
         return []
     moved = parent.move_cost >= CRITERIA.helped if parent.keys else not path.given.good
-    if not moved or parent.level >= (CRITERIA.level if parent.keys else CRITERIA.left_level):
+    if not moved or parent.level >= (noise_level(parent.fit.data) if parent.keys else CRITERIA.left_level):
         return []
     problem = path.problem
     models = [Model(problem.shared, {**parent.effects, s.key: s.values}) for s in unseen(parent.fit)]
