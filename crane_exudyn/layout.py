@@ -61,22 +61,22 @@ class Layout:
 
     # -- the state -------------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def rates(self) -> tuple[str, ...]:
         """Names of the coordinates' rates."""
         return tuple(f"d{name}" for name in self.coordinates)
 
-    @property
+    @cached_property
     def chambers(self) -> tuple[str, ...]:
         """Names of all chambers, piston side before rod side."""
         return tuple(name for pair in self.sides for name in pair)
 
-    @property
+    @cached_property
     def states(self) -> tuple[str, ...]:
         """Names of the states, without those that effects add."""
         return (*self.coordinates, *self.rates, *self.chambers)
 
-    @property
+    @cached_property
     def all_states(self) -> tuple[str, ...]:
         """Names of the states, with those that effects add."""
         return (*self.states, *self.added)
@@ -195,24 +195,24 @@ class Layout:
 
     # -- the inputs ------------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Names of the inputs without disturbances: spool positions and supply pressures."""
         return (*self.voltages, *self.supply)
 
-    @property
+    @cached_property
     def disturbances(self) -> tuple[str, ...]:
         """Names of what may act without a law that explains it: moments (forces on sliding joints), forces on E, flows
         into chambers.
         """
         return (*self.torques, "force.x", "force.y", *self.flows)
 
-    @property
+    @cached_property
     def torques(self) -> tuple[str, ...]:
         """Names of unknown moments on the joints."""
         return tuple(f"torque.{name}" for name in self.joints)
 
-    @property
+    @cached_property
     def flows(self) -> tuple[str, ...]:
         """Names of unknown flows into the chambers."""
         return tuple(f"flow.{name}" for name in self.chambers)
@@ -222,7 +222,7 @@ class Layout:
         """Names of the balances, by what is missing in them: moments on the joints, flows into the chambers."""
         return (*self.torques, *self.flows)
 
-    @property
+    @cached_property
     def all_inputs(self) -> tuple[str, ...]:
         """Names of the inputs with disturbances behind."""
         return (*self.inputs, *self.disturbances)

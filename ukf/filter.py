@@ -244,7 +244,9 @@ def update_linear(
 
 def linearise(function: Points, at: np.ndarray, increments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return f(x) (k,) and its Jacobian (k, n) by forward differences, all n + 1 points in one call."""
-    values = function(np.vstack([at, at + np.diag(increments)]))
+    points = at[None].repeat(at.size + 1, 0)
+    points[1:].reshape(-1)[:: at.size + 1] += increments  # the diagonal
+    values = function(points)
     return values[0], np.ascontiguousarray(((values[1:] - values[0]) / increments[:, None]).T)
 
 

@@ -13,7 +13,7 @@ Bell, The iterated Kalman smoother as a Gauss-Newton method, SIAM J. Optimizatio
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -112,11 +112,12 @@ def _through(
     belief = start
     means[0], covariances[0] = start.mean, start.covariance
     for k, step in enumerate(steps, 1):
-        prior = predict_linearised(replace(belief, at=trajectory[k - 1]), step.over, step.noise, increments)
+        about = Belief(belief.mean, belief.covariance, at=trajectory[k - 1])
+        prior = predict_linearised(about, step.over, step.noise, increments)
         prior_means[k], prior_covariances[k], crosses[k] = prior.mean, prior.covariance, prior.cross
         belief = prior
         if step.shown.size:
-            about = replace(prior, at=trajectory[k])
+            about = Belief(prior.mean, prior.covariance, at=trajectory[k])
             belief = update_linearised(about, step.observe, step.shown, step.variance, increments)
         means[k], covariances[k] = belief.mean, belief.covariance
     if not np.isfinite(means).all():
