@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .compiled import njit, part
+from .compiled import lean, njit, part
 from .crane import Crane
 from .errors import CraneError
 from .layout import Layout
@@ -67,24 +67,24 @@ FIRST_END, SECOND_END = 0, 2
 LENGTH, RATE, E_X, E_Y, N_LINE = range(5)
 
 
-@part
+@lean
 def arm_rows(topology):
     """Return how many rows a table of arms has."""
     return topology[0, BODIES] + topology[0, LOOPS] + topology[0, CYLINDERS] + 1
 
 
-@part
+@lean
 def joint_rows(topology):
     """Return how many joint equations there are, without a pendulum's."""
     return 2 * (topology[0, BODIES] + topology[0, LOOPS])
 
 
-@part
+@lean
 def _place(P, point, axis):
     return P[point + axis] if point >= 0 else 0.0
 
 
-@part
+@lean
 def _at(P, arms, body, point):
     """Return x, y of a point of a body (-1: the ground, where it is the point itself)."""
     x, y = _place(P, point, 0), _place(P, point, 1)
@@ -130,7 +130,7 @@ def _close_loop(topology, P, arms, l):
     return True
 
 
-@part
+@lean
 def fill_frames(topology, P, z, arms):
     """Fill the frames in arms at the independent coordinates in z; return -1, or the loop that cannot be closed."""
     l = 0
@@ -198,7 +198,7 @@ def _fill_slide(topology, P, q, arms, b):
     arms[b, WAY] = ux * (own_x - x) + uy * (own_y - y)
 
 
-@part
+@lean
 def _point(q, body, arms, row, column):
     """Return x, y of the point at the end of an arm of a body (-1: the ground)."""
     x, y = arms[row, column], arms[row, column + 1]
@@ -230,7 +230,7 @@ def close_position(topology, P, inertia, z, arms, q):
     return -1
 
 
-@part
+@lean
 def fill_lines(topology, arms, q, v, lines):
     """Fill the table of lines (cylinders, 4) with the cylinders' lengths, rates and directions."""
     first = topology[0, BODIES] + topology[0, LOOPS]
@@ -242,7 +242,7 @@ def fill_lines(topology, arms, q, v, lines):
         lines[c, RATE] = line_rate(topology, arms, v, lines, c)
 
 
-@part
+@lean
 def line_rate(topology, arms, v, lines, c):
     """Return the rate of the length of cylinder c at velocities v."""
     first = topology[0, BODIES] + topology[0, LOOPS]
@@ -251,7 +251,7 @@ def line_rate(topology, arms, v, lines, c):
     return lines[c, E_X] * (vx - ux) + lines[c, E_Y] * (vy - uy)
 
 
-@part
+@lean
 def chain(topology, arms, unit, v, g, x):
     """Fill the bodies' part of x with the solution of G x = g for given independent parts.
 
@@ -285,7 +285,7 @@ def chain(topology, arms, unit, v, g, x):
         _hang(arms, v, b, rate, px, py, x)
 
 
-@part
+@lean
 def square(v, b):
     """Return the square of the angular rate of body b; 0 without velocities."""
     return v[3 * b + 2] * v[3 * b + 2] if v.size else 0.0
@@ -299,7 +299,7 @@ def sliding_rate(topology, arms, v, b):
     return arms[b, ALONG] * (px - kx) + arms[b, ALONG + 1] * (py - ky)
 
 
-@part
+@lean
 def carried(x, v, body, arms, row, column):
     """Return velocity (or, with velocities v, acceleration) of the point at the end of an arm of a body (-1: the
     ground).

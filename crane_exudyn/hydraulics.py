@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from .compiled import njit, part
+from .compiled import lean, njit, part
 from .effects import hooks
 from .geometry import LENGTH, RATE
 from .laws.friction import cylinder_friction
@@ -39,7 +39,7 @@ GAIN, AMOUNT, DRAW, SLOPE, INTO, REAL, SPEED, N_BALANCES = range(8)
 _LOOP_TOLERANCE = 1e-13
 
 
-@part
+@lean
 def areas(P, c):
     """Return (piston-side area, rod-side area) of cylinder c in m^2."""
     k = CYLINDER + N_CYLINDER * c
@@ -54,7 +54,7 @@ def pressure_force(P, c, pa, pb):
     return pa * area_a - pb * area_b
 
 
-@part
+@lean
 def supplies(P, w, n):
     """Return (pp, pt) in Pa for n cylinders: those of w, or the machine's own where w has NaN."""
     pp = P[SUPPLY] if math.isnan(w[n]) else w[n]
@@ -62,13 +62,13 @@ def supplies(P, w, n):
     return pp, pt
 
 
-@part
+@lean
 def flow_disturbances(n):
     """Return where unknown flows into the chambers begin in w, for n cylinders: behind n moments and two forces."""
     return 2 * n + 4
 
 
-@part
+@lean
 def port_flows(topology, P, E, c, spool, pp, pt, pa, pb):
     """Return (Q_a, Q_b, drawn, returned) of one valve in m^3/s, (15) at its two open edges.
 
@@ -128,7 +128,7 @@ def _solve_supply(topology, P, E, w, p, of_tank, start, other):
     return b
 
 
-@part
+@lean
 def supply_loop(topology, P, E, w, p):
     """Return (pp, pt) in Pa that agree with the flows that they cause; the set pressures where no effect acts on
     them.
@@ -137,7 +137,7 @@ def supply_loop(topology, P, E, w, p):
     return _solve_supply(topology, P, E, w, p, False, pp, pt), _solve_supply(topology, P, E, w, p, True, pt, pp)
 
 
-@part
+@lean
 def fluid(P):
     """Return (1/B, 1/Bw, vapour pressure, zero) of `laws.oil`; pressures as the crane's gauges read them."""
     zero = P[REFERENCE] * P[AIR]
@@ -145,7 +145,7 @@ def fluid(P):
     return softness, 1.0 / P[FLUID + HOSE] - 1.0 / P[FLUID + WALL], vapour_pressure(P), zero
 
 
-@part
+@lean
 def vapour_pressure(P):
     """Return the pressure in Pa below which no chamber falls, as the crane's gauges read it."""
     return P[FLUID + VAPOUR] - P[REFERENCE] * P[AIR]
@@ -160,7 +160,7 @@ def real_pressures(P, y, p):
         p[j] = max(y[j], vapour_pressure(P))
 
 
-@part
+@lean
 def lengths(P, E, c, s, ya, yb):
     """Return the chambers' lengths (l_a, l_b) in m; with a spring in series at the hydraulic length s + F/k."""
     k = CYLINDER + N_CYLINDER * c
@@ -182,7 +182,7 @@ def fillings(P, E, c, s, ya, yb):
     )
 
 
-@part
+@lean
 def chambers(P, E, c, s, ya, yb):
     """Return (l_a, l_b, V_a, V_b, B_a, B_b) of cylinder c at pin-to-pin length s, (14) and (41): V dp = B dN /
     density.
@@ -298,7 +298,7 @@ def _piston_speed(P, E, c, ds, ya, yb, fill_a, fill_b, into_a, into_b):
     return (ds + inv_k * from_flow) / (1.0 + inv_k * (stiff_a * volume_a * area_a + stiff_b * volume_b * area_b))
 
 
-@part
+@lean
 def chamber_balances(topology, P, E, w, lines, y, balances):
     """Fill the table (N_BALANCES, chambers) of all chambers at a state's pressures y (chambers,).
 
@@ -328,7 +328,7 @@ def _cylinder_balances(P, E, c, s, ds, y, balances):
     balances[SPEED, a] = balances[SPEED, b] = v
 
 
-@part
+@lean
 def pressure_rates(balances, out):
     """Fill out (chambers,) with the rates of the state's pressures in Pa/s, (34), from the table of balances."""
     for j in range(out.size):
@@ -379,14 +379,14 @@ def settle(P, E, lines, amounts, guess, y):
         y[a], y[b] = settled_pressures(P, E, c, lines[c, LENGTH], amounts[a], amounts[b], guess[a], guess[b])
 
 
-@part
+@lean
 def friction_force(P, c, speed):
     """Return the friction F_mu of cylinder c by (19) in N, to be taken off its force."""
     k = CYLINDER + N_CYLINDER * c
     return cylinder_friction(speed, P[k + FC], P[k + FS], P[k + VS], P[k + VISCOUS])
 
 
-@part
+@lean
 def extra_force(P, E, c, s, v, ya, yb):
     """Return what the cylinder's force has beyond that of the state's pressures ya, yb, in N.
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from . import geometry as geo
 from . import hydraulics as hyd
-from .compiled import njit, part
+from .compiled import lean, njit, part
 from .effects import hooks
 from .geometry import COM_X, COM_Y, E_X, E_Y, FIRST_END, INERTIA, MASS, SECOND_END
 from .machine import (
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
     udd: np.ndarray
 
 
-@part
+@lean
 def inertias(topology, P, E, t, out):
     """Fill out (bodies + 1, 4) with mass, centre of mass and inertia of the bodies and, last, of the swinging payload
     at time t.
@@ -104,14 +104,14 @@ def inertias(topology, P, E, t, out):
     out[b, INERTIA] += own + body_mass * share * (dx * dx + dy * dy)
 
 
-@part
+@lean
 def all_inertias(topology, P, E, t, out):
     """Fill out (m, bodies + 1, 4) with the `inertias` of m machines of parameters P (m, .), E (m, .)."""
     for k in range(out.shape[0]):
         inertias(topology, P[k], E[k], t, out[k])
 
 
-@part
+@lean
 def swings(topology, q):
     """Whether redundant coordinates q (or velocities) hold a payload on a pendulum, behind those of the bodies."""
     return q.size > 3 * topology[0, BODIES]
@@ -143,7 +143,7 @@ def close_position(topology, P, E, inertia, z, theta, arms, q):
     return True
 
 
-@part
+@lean
 def arms_of(topology, P, inertia, q, arms):
     """Fill arms for redundant coordinates that may violate the joints a little."""
     geo.turn_frames(topology, q, arms)
@@ -154,7 +154,7 @@ def arms_of(topology, P, inertia, q, arms):
         arms[row, SECOND_END + 1] = q[j + 1] - q[3 * b + 1] - arms[row, FIRST_END + 1]
 
 
-@part
+@lean
 def chain(topology, arms, unit, v, g, x):
     """Fill x with the solution of G x = g, as `geometry.chain`, and behind the bodies the pendulum's mass.
 
@@ -172,7 +172,7 @@ def chain(topology, arms, unit, v, g, x):
     x[j], x[j + 1] = px - rate * ry - squared * rx + stretch * rx, py + rate * rx - squared * ry + stretch * ry
 
 
-@part
+@lean
 def joint_equations(topology, swinging):
     """Return how many joint equations a machine has, with or without a payload on a pendulum."""
     return geo.joint_rows(topology) + (1 if swinging else 0)
@@ -186,7 +186,7 @@ def null_space(topology, arms, N):
         chain(topology, arms, i, none, none, N[i])
 
 
-@part
+@lean
 def place(topology, P, E, inertia, x, arms, N, q, v):
     """Fill arms, null space N, q and v (nq,) of a state x (nx,), all joints closed; return whether the loops can be
     closed.
@@ -204,19 +204,19 @@ def place(topology, P, E, inertia, x, arms, N, q, v):
     return True
 
 
-@part
+@lean
 def rate_place(n, i):
     """Return where the rate of independent coordinate i of n stands in a state; the pendulum's for i = n."""
     return n + i if i < n else 4 * n + 1
 
 
-@part
+@lean
 def position_place(n, i):
     """Return where independent coordinate i of n stands in a state; the pendulum's for i = n."""
     return i if i < n else 4 * n
 
 
-@part
+@lean
 def centripetal(topology, arms, v, out):
     """Fill out (nq,) with the part of the accelerations that comes from the velocities alone."""
     chain(topology, arms, -1, v, v[:0], out)
@@ -231,7 +231,7 @@ def pendulum_rate(topology, arms, v):
     return (rx * (v[j + 1] - py) - ry * (v[j] - px)) / (rx * rx + ry * ry)
 
 
-@part
+@lean
 def read_motion(topology, arms, x, q, v, out):
     """Write the independent coordinates and rates of redundant ones to out (nx,); a pendulum's angle stays near that in
     x.
@@ -274,7 +274,7 @@ def add_cylinder_forces(topology, arms, lines, F, f):
         add_point_force(arms, row, FIRST_END, topology[1 + row, BASE_BODY], -fx, -fy, f)
 
 
-@part
+@lean
 def add_gravity(topology, P, E, inertia, f):
     """Add the weights to f."""
     gx, gy = hooks.gravity(E, 0.0, -P[GRAVITY])
@@ -310,7 +310,7 @@ def coordinate_rate(topology, arms, v, b):
     return v[3 * b + 2] - (v[3 * k + 2] if k >= 0 else 0.0)
 
 
-@part
+@lean
 def coordinate(topology, arms, b):
     """Return the coordinate of body b."""
     if topology[1 + b, KIND] == SLIDES:
@@ -319,7 +319,7 @@ def coordinate(topology, arms, b):
     return arms[b, geo.ANGLE] - (arms[k, geo.ANGLE] if k >= 0 else 0.0)
 
 
-@part
+@lean
 def add_joint_forces(topology, E, t, w, arms, v, f):
     """Add moments on the coordinates, the forces on the payload's point, the pendulum's damping and disturbances to
     f.
@@ -361,7 +361,7 @@ def extra_forces(machine, t, w, q, v, p, arms, lines, f):
     add_joint_forces(topology, E, t, w, arms, v, f)
 
 
-@part
+@lean
 def dot(a, b):
     """Return the scalar product, summed in order: the result must not depend on where the arrays lie in memory."""
     total = 0.0
@@ -370,7 +370,7 @@ def dot(a, b):
     return total
 
 
-@part
+@lean
 def mass_times(inertia, a, out):
     """Fill out with M a for the diagonal mass matrix of centre-of-mass coordinates."""
     n = inertia.shape[0] - 1
@@ -382,7 +382,7 @@ def mass_times(inertia, a, out):
         out[j] = inertia[n, MASS] * a[j]
 
 
-@part
+@lean
 def reduced_mass(inertia, N, work, M):
     """Fill M (nu, nu) with N M N^T."""
     n = N.shape[0]
@@ -392,7 +392,7 @@ def reduced_mass(inertia, N, work, M):
             M[i, k] = dot(N[k], work)
 
 
-@part
+@lean
 def solve(A, b):
     """Solve A x = b in place by Gaussian elimination with row pivoting; x replaces b. Return False if A is singular."""
     n = b.size

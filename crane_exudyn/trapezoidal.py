@@ -28,7 +28,7 @@ import numpy as np
 from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
-from .compiled import njit, part
+from .compiled import lean, njit, part
 from .effects import hooks
 from .geometry import LENGTH, RATE
 from .machine import BODIES, CYLINDERS
@@ -47,7 +47,7 @@ _DV, _DP = 1e-7, 20.0
 GAIN, AMOUNT, DRAW, SLOPE, SPEED, N_BALANCES = hyd.GAIN, hyd.AMOUNT, hyd.DRAW, hyd.SLOPE, hyd.SPEED, hyd.N_BALANCES
 
 
-@part
+@lean
 def widths(topology, swinging):
     """Return how many redundant coordinates and how many independent velocities a machine has."""
     extra = 1 if swinging else 0
@@ -354,7 +354,7 @@ def _fill_right_side(N, linear, ds, rate, b):
         b[nu + j] = -rate[j] - slopes.Rv[j] * ds[j // 2]
 
 
-@part
+@lean
 def _judge(size, last):
     """Return the status after an increment: the error left is about its size times the last contraction."""
     if not size < math.inf:
@@ -565,7 +565,7 @@ def _stiff_error(machine, h, w, held, scratch, middle, defect, positions):
     return _size(machine.P, held, left, positions)
 
 
-@part
+@lean
 def stroke_end(P, E, lines, p):
     """Return 0, or 1 + number of the first chamber that is shorter than nothing and has no end stop.
 

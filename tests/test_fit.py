@@ -256,9 +256,9 @@ def test_inputs_in_another_order_in_memory_are_not_compiled_anew():
     model = model_of(crane, data)
     x0 = np.repeat(first_knots(crane, data, 1.0), 2, axis=1)[0, ::2]
     usual = model.run(np.ascontiguousarray(x0), model.W, data.time, data.step)[0]
-    compiled = len(kernel.simulate.signatures)
+    compiled = len(kernel.simulate_each.signatures)
     assert model.run(x0, np.asfortranarray(model.W), data.time, data.step)[0] == pytest.approx(usual, nan_ok=True)
-    assert len(kernel.simulate.signatures) == compiled
+    assert len(kernel.simulate_each.signatures) == compiled
 
 
 def test_a_window_swept_in_pieces_is_the_window_swept_at_once(monkeypatch):

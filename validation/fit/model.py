@@ -71,7 +71,7 @@ class Model:
         by run (K,) what `run` returns.
         """
         x0, W, time = (np.ascontiguousarray(a) for a in (x0, W, time))
-        X, status, last = kernel.simulate_each(
+        X, status, last, _ = kernel.simulate_each(
             x0, first, W, time, step, self.P, self.E, self.topology, ACCURACY, kernel.MOST_PARTS
         )
         return X, status, last

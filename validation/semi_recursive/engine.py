@@ -209,7 +209,7 @@ class SemiRecursiveEngine:
         """
         wide = np.zeros((2, rows, len(self._layout.all_inputs)))
         wide[:, :, self._layout.driving] = w
-        P, E = np.tile(self._P, (rows, 1)), np.tile(self._E, (rows, 1))
+        P, E = self._P[None].repeat(rows, 0), self._E[None].repeat(rows, 0)
         for name, values in parameters.items():
             table, column = self._column(name)
             if table == "w":

@@ -33,8 +33,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crane_exudyn import compiled
 from crane_exudyn import parameters as par
+from crane_exudyn.compiled import inner, part
 from crane_exudyn.effects import hooks
 from crane_exudyn.machine import (
     BASE,
@@ -64,18 +64,8 @@ from crane_exudyn.machine import (
     TIP_POINT,
 )
 
-
-def njit(function=None, **options):
-    """Compile a part of a term or a step: it is cached within what calls it, not on its own.
-
-    It makes no arrays, so it need not count references to those it is given: that would take most of its time.
-    """
-    return compiled.njit(function, cache=False, _nrt=False, **options) if function else lambda f: njit(f, **options)
-
-
 #: a part that becomes one with what calls it
-part = njit(forceinline=True)
-
+inline = part(forceinline=True)
 
 # Places in P. They stand here as plain integers because compiled code reads globals as constants.
 PAYLOAD, FLUID, SUPPLY, GRAVITY = par.PAYLOAD, par.FLUID, par.SUPPLY, par.GRAVITY
@@ -160,7 +150,7 @@ class Chambers(NamedTuple):
     b: Oil
 
 
-@compiled.njit(cache=False)
+@inner
 def sheet(topology):
     """Return an empty Sheet of a machine."""
     rows, n = topology.shape[0], topology[0, CYLINDERS]
@@ -172,45 +162,45 @@ def sheet(topology):
 # ------------------------------------------------------------------------------------------------ vectors
 
 
-@part
+@inline
 def dot(a, b):
     return a.real * b.real + a.imag * b.imag
 
 
-@part
+@inline
 def cross(a, b):
     return a.real * b.imag - a.imag * b.real
 
 
-@part
+@inline
 def square(a):
     return a.real * a.real + a.imag * a.imag
 
 
-@part
+@inline
 def turned(a):
     """i a, without a product."""
     return complex(-a.imag, a.real)
 
 
-@part
+@inline
 def point(P, k):
     """Return the point at k in P; the origin of its frame where k is -1."""
     return complex(P[k], P[k + 1]) if k >= 0 else complex(0.0, 0.0)
 
 
-@part
+@inline
 def turn(angle):
     return complex(math.cos(angle), math.sin(angle))
 
 
-@part
+@inline
 def placed(body, k, P, s):
     """Return where the point at k in P of a body is."""
     return s.vectors[body, FRAME] + s.vectors[body, TURN] * point(P, k)
 
 
-@part
+@inline
 def moved(body, r, s):
     """Return the velocity of the point at r of a body with Z = (v, w)."""
     return s.vectors[body, SPEED] + s.numbers[body, OMEGA] * turned(r)
@@ -219,26 +209,26 @@ def moved(body, r, s):
 # ------------------------------------------------------------------------------------------------- joints
 
 
-@part
+@inline
 def carrier(j, s):
     return s.topology[j, CARRIER] + 1
 
 
-@part
+@inline
 def lever(j, r, s):
     """Return the velocity of a point at r per rate of joint j; at the origin it is the translation of b_j (2)."""
     axis = s.vectors[j, AXIS]
     return axis if s.topology[j, KIND] == SLIDES else turned(r - axis)
 
 
-@part
+@inline
 def joint_force(j, f, n, s):
     """R_d^T: generalised force on joint j of a force f with moment n about the origin."""
     axis = s.vectors[j, AXIS]
     return dot(axis, f) if s.topology[j, KIND] == SLIDES else n - cross(axis, f)
 
 
-@part
+@inline
 def add_rate(row, column, j, amount, s):
     """Add an amount per rate of joint j to the numbers of a row by independent coordinate: R_z (11)."""
     i = s.topology[j, COORDINATE]
@@ -249,7 +239,7 @@ def add_rate(row, column, j, amount, s):
             s.numbers[row, column + i] += amount * s.numbers[j, BY + i]
 
 
-@part
+@inline
 def clear(row, s):
     for i in range(s.topology[0, CYLINDERS]):
         s.numbers[row, BY + i] = 0.0
@@ -258,7 +248,7 @@ def clear(row, s):
 # ---------------------------------------------------------------------------------------------- positions
 
 
-@part
+@inline
 def third_corner(B, D, BC, CD, side):
     """Return C left (side 1) or right (-1) of the line from B to D, at the distances of BC and CD; NaN if the loop
     cannot be closed.
@@ -270,7 +260,7 @@ def third_corner(B, D, BC, CD, side):
     return B + along * complex(share, side * math.sqrt(height2) if height2 >= 0.0 else math.nan)
 
 
-@part
+@inline
 def loop_of(first, s):
     """Return the row of the loop whose first dependent body is in a row."""
     k = 1 + s.topology[0, BODIES]
@@ -279,7 +269,7 @@ def loop_of(first, s):
     return k
 
 
-@part
+@inline
 def close_loop(a, P, s):
     """Place the two dependent bodies of a loop, a and the next, between its first pin and where it is cut."""
     b, k = a + 1, loop_of(a, s)
@@ -295,7 +285,7 @@ def close_loop(a, P, s):
     s.vectors[b, FRAME] = C - s.vectors[b, TURN] * own_b
 
 
-@part
+@inline
 def place_joint(j, q, P, s):
     """Place a body whose joint has the coordinate q."""
     c = carrier(j, s)
@@ -309,7 +299,7 @@ def place_joint(j, q, P, s):
     s.vectors[j, TURN], s.vectors[j, FRAME] = e, r - e * point(P, s.topology[j, OWN_PIN])
 
 
-@part
+@inline
 def place_lines(P, s):
     """Write pins, directions and lengths of the cylinders (35)."""
     first = 1 + s.topology[0, BODIES] + s.topology[0, LOOPS]
@@ -321,7 +311,7 @@ def place_lines(P, s):
         s.numbers[k, LENGTH] = length
 
 
-@njit
+@part
 def place(x, P, s):
     """Write the positions of all bodies and cylinders at a state x, loops being closed."""
     s.vectors[0, TURN], s.vectors[0, FRAME] = 1.0, 0.0
@@ -337,14 +327,14 @@ def place(x, P, s):
 # --------------------------------------------------------------------------------------------- velocities
 
 
-@part
+@inline
 def solve_joints(first, second, r):
     """Return x, y with x (i first) + y (i second) = i r, for the columns i first, i second of Phi_z^d."""
     determinant = cross(first, second)
     return cross(r, second) / determinant, cross(first, r) / determinant
 
 
-@part
+@inline
 def add_column(a, k, j, sign, s):
     """Add what joint j, on a path of the loop in row k, contributes to R_z of the dependent bodies a and the next, and
     to Phi_z' z'.
@@ -358,7 +348,7 @@ def add_column(a, k, j, sign, s):
         s.vectors[k, NESTED] += s.numbers[j, FOLLOWED] * column
 
 
-@part
+@inline
 def partition(a, s):
     """Write the rows of R_z of the dependent bodies a and the next by the partition of Phi_z (10), -Phi_z^d \\ Phi_z^i.
 
@@ -380,7 +370,7 @@ def partition(a, s):
             q = carrier(q, s)
 
 
-@part
+@inline
 def follow(b, s):
     """Write R_z' z_i' of the dependent bodies b and the one before: their accelerations while independent coordinates
     have none.
@@ -396,7 +386,7 @@ def follow(b, s):
     )
 
 
-@part
+@inline
 def joint_rate(j, x, s):
     """Return the rate of joint j: R_z z_i'."""
     n, i = s.topology[0, CYLINDERS], s.topology[j, COORDINATE]
@@ -408,7 +398,7 @@ def joint_rate(j, x, s):
     return rate
 
 
-@part
+@inline
 def move_joint(j, rate, s):
     """Write Z_j (2) and the velocity product d_j (3), (T R_d)' z', of a body whose joint has a rate.
 
@@ -427,7 +417,7 @@ def move_joint(j, rate, s):
         s.vectors[j, PRODUCT] = s.vectors[c, PRODUCT] + (turning * turning - w * w) * axis
 
 
-@part
+@inline
 def move(x, s):
     """Write the motions of all bodies at a state x that is placed."""
     for j in range(1, 1 + s.topology[0, BODIES]):
@@ -439,12 +429,12 @@ def move(x, s):
             follow(j, s)
 
 
-@part
+@inline
 def add_unit_force(k, j, sign, n, s):
     add_rate(k, BY, j, sign * joint_force(j, s.vectors[k, ALONG], n, s), s)
 
 
-@part
+@inline
 def move_lines(s):
     """Write the rates of the cylinders (36), and R_z^T R_d^T T^T of unit forces that push their pins apart."""
     first = 1 + s.topology[0, BODIES] + s.topology[0, LOOPS]
@@ -463,7 +453,7 @@ def move_lines(s):
                 q = carrier(q, s)
 
 
-@part
+@inline
 def move_tip(s):
     """Write the velocity of the payload's point by independent coordinate; return what accelerates it while these have
     no acceleration.
@@ -487,7 +477,7 @@ def move_tip(s):
 # -------------------------------------------------------------------------------------- the tree's dynamics
 
 
-@part
+@inline
 def weigh(j, mass, P, s):
     """Write M of a body about the origin (7), mass, first moment m g and second moment J + m |g|^2, and Q - M d of it.
 
@@ -506,7 +496,7 @@ def weigh(j, mass, P, s):
     s.vectors[j, FORCE], s.numbers[j, COUPLE] = w * w * mg - m * d, -cross(mg, d)
 
 
-@part
+@inline
 def collect(j, s):
     """Add what joint j carries to what the joint of its carrier carries: T^T."""
     c = carrier(j, s)
@@ -518,7 +508,7 @@ def collect(j, s):
         s.numbers[c, COUPLE] += s.numbers[j, COUPLE]
 
 
-@part
+@inline
 def add_row(j, s):
     """Add row j of the tree's mass matrix R_d^T T^T M T R_d (9), on both sides of its diagonal, to the rows of its
     product with R_z.
@@ -537,7 +527,7 @@ def add_row(j, s):
         k = carrier(k, s)
 
 
-@part
+@inline
 def reduce(j, g, s):
     """Add what joint j contributes to R_z^T (.) R_z and to the generalised forces of weights and velocities (12); g is
     gravity.
@@ -559,7 +549,7 @@ def reduce(j, g, s):
             s.general[MATRIX + i, k] += by * s.numbers[j, BY + n + k]
 
 
-@part
+@inline
 def gather(mass, g, P, s):
     """Write the mass matrix M and the generalised forces of weights and velocities on the independent coordinates.
 
@@ -580,7 +570,7 @@ def gather(mass, g, P, s):
         collect(j, s)
 
 
-@part
+@inline
 def add_swing(mass, damping, g, product, theta, dtheta, s):
     """Add what a payload on a pendulum does to the balance, and write its own balance, L theta'' = own - across . z''.
 
@@ -605,7 +595,7 @@ def add_swing(mass, damping, g, product, theta, dtheta, s):
             s.general[MATRIX + i, k] += mass * s.general[DOWN, i] * s.general[DOWN, k]
 
 
-@part
+@inline
 def factorise(s):
     """Write V above the diagonal of M, and 1 over its diagonal to PIVOT, with M = V^T diag(PIVOT) V."""
     for j in range(s.topology[0, CYLINDERS]):
@@ -619,7 +609,7 @@ def factorise(s):
                 s.general[MATRIX + j, i] = entry
 
 
-@part
+@inline
 def solve(s):
     """Replace what stands in ACCELERATION, the sum of all forces, by the accelerations."""
     n = s.topology[0, CYLINDERS]
@@ -635,7 +625,7 @@ def solve(s):
         s.general[ACCELERATION, i] -= force * s.general[PIVOT, i]
 
 
-@njit
+@part
 def mechanics(x, t, P, E, s):
     """Write everything that does not depend on pressures and inputs at a state x that is placed: motions, M, weights,
     velocities.
@@ -664,7 +654,7 @@ def mechanics(x, t, P, E, s):
 # --------------------------------------------------------------------------------------------- hydraulics
 
 
-@part
+@inline
 def root_flow(dp, laminar):
     """q(dp) of (15): sgn(dp) sqrt|dp|, and linear below the laminar pressure."""
     if dp > laminar:
@@ -674,12 +664,12 @@ def root_flow(dp, laminar):
     return dp / math.sqrt(laminar)
 
 
-@part
+@inline
 def first_cylinder(s):
     return 1 + s.topology[0, BODIES] + s.topology[0, LOOPS]
 
 
-@njit
+@part
 def pump_edge(c, pp, P, E, s):
     """Flow from the pump through valve c: into the piston side where it is open that way (u > 0), or into the rod
     side.
@@ -694,7 +684,7 @@ def pump_edge(c, pp, P, E, s):
     return P[i] * edge * abs(u) * root_flow(hooks.supply_drop(E, c, pp - own), P[LAMINAR])
 
 
-@njit
+@part
 def tank_edge(c, pt, P, E, s):
     """Flow to the tank through valve c: out of the rod side where it is open that way (u > 0), or out of the piston
     side.
@@ -706,7 +696,7 @@ def tank_edge(c, pt, P, E, s):
     return gain * P[i] * edge * abs(u) * root_flow(own - pt, P[LAMINAR])
 
 
-@njit
+@part
 def pump_gap(p, nominal, P, E, s):
     """How far the pressure p is above what the supply gives at the flow that p drives; the flows remain in the
     sheet.
@@ -718,7 +708,7 @@ def pump_gap(p, nominal, P, E, s):
     return p - hooks.supply_pressure(E, nominal, total)
 
 
-@njit
+@part
 def tank_gap(p, nominal, P, E, s):
     first, total = first_cylinder(s), 0.0
     for c in range(s.topology[0, CYLINDERS]):
@@ -732,7 +722,7 @@ def _balanced(gap, doc):
     it tried last.
     """
 
-    @njit
+    @part
     def balanced(nominal, P, E, s):
         a, fa = nominal, gap(nominal, nominal, P, E, s)
         if fa == 0.0:
@@ -761,7 +751,7 @@ pump_pressure = _balanced(pump_gap, "Return the pressure at the valves' pump por
 tank_pressure = _balanced(tank_gap, "Return the pressure at the valves' tank ports, in balance with the flow returned.")
 
 
-@part
+@inline
 def fluid(P, E):
     """Return the Fluid of a machine."""
     zero = P[REFERENCE] * P[AIR]
@@ -771,7 +761,7 @@ def fluid(P, E):
     )  # fmt: skip
 
 
-@part
+@inline
 def pressed_oil(y, pressed, share, gas, Al, Vh, f):
     """Return the Oil at a pressure y that is not below vapour pressure; pressed = exp(y/B) - 1, share and gas: see
     `oil_at`.
@@ -786,7 +776,7 @@ def pressed_oil(y, pressed, share, gas, Al, Vh, f):
     return Oil(y, y, V * k + wall / f.soft * pressed, V * k * (f.soft + gas) + wall * (1.0 + pressed), k, k)
 
 
-@part
+@inline
 def pulled_oil(y, empty, Al, Vh, f):
     """Return the Oil at a state y below vapour pressure, `empty` being the Oil there."""
     k, soft = empty.density, (Al + Vh) * f.soft + Vh * f.wall
@@ -794,7 +784,7 @@ def pulled_oil(y, empty, Al, Vh, f):
     return Oil(y, f.least, empty.amount + pull * soft, k * soft, k + pull * f.soft, k)
 
 
-@njit
+@part
 def oil_at(y, Al, Vh, f, E):
     """Return the Oil of a chamber of volume Al with a hose of volume Vh, where the state says y for its pressure.
 
@@ -812,7 +802,7 @@ def oil_at(y, Al, Vh, f, E):
     return there if y >= f.least else pulled_oil(y, there, Al, Vh, f)
 
 
-@njit
+@part
 def oil_of(N, Al, Vh, guess, f, E):
     """Return the Oil of a chamber that holds the amount N: the inverse of `oil_at`, in closed form where there is no
     gas.
@@ -837,7 +827,7 @@ def oil_of(N, Al, Vh, guess, f, E):
     return there
 
 
-@njit
+@part
 def chambers_at(c, s, ya, yb, f, P, E):
     """Return the Chambers of cylinder c at pin-to-pin length s and the state's pressures ya, yb.
 
@@ -854,7 +844,7 @@ def chambers_at(c, s, ya, yb, f, P, E):
     )
 
 
-@njit
+@part
 def chambers_of(c, s, Na, Nb, ya, yb, f, P, E):
     """Return the Chambers that hold the amounts Na, Nb; ya, yb: a guess of their pressures.
 
@@ -882,14 +872,14 @@ def chambers_of(c, s, Na, Nb, ya, yb, f, P, E):
     return Chambers(la, a, b)
 
 
-@part
+@inline
 def piston_areas(i, P):
     """Return the areas of piston side and rod side of the cylinder whose block begins at i."""
     Aa = 0.25 * math.pi * P[i + BORE] * P[i + BORE]
     return Aa, Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
 
 
-@njit
+@part
 def friction(P, i, v):
     """Friction force (19) of the cylinder whose block begins at i, with the sign of v."""
     x = v / P[i + STRIBECK]
@@ -898,7 +888,7 @@ def friction(P, i, v):
     return P[i + COULOMB] * math.tanh(4.0 * x) + stribeck + P[i + VISCOUS] * v * TANH4
 
 
-@part
+@inline
 def keep(k, first, o, s):
     """Write the Oil of a chamber to its place in row k."""
     s.numbers[k, first], s.numbers[k, first + PRESSURE], s.numbers[k, first + AMOUNT] = o.y, o.pressure, o.amount
@@ -906,7 +896,7 @@ def keep(k, first, o, s):
     s.numbers[k, first + DENSITY] = o.density
 
 
-@njit
+@part
 def read_pressures(x, P, E, s):
     """Write the oil of all chambers at the pressures of a state x that is placed."""
     first, n, f = first_cylinder(s), s.topology[0, CYLINDERS], fluid(P, E)
@@ -917,7 +907,7 @@ def read_pressures(x, P, E, s):
         keep(first + c, OIL_B, b, s)
 
 
-@njit
+@part
 def read_amounts(x, N, P, E, s):
     """Write the oil of all chambers that hold the amounts N (2n,) at a state x that is placed, and its pressures to
     x.
@@ -932,7 +922,7 @@ def read_amounts(x, N, P, E, s):
         x[i], x[i + 1] = a.y, b.y
 
 
-@part
+@inline
 def cylinder(c, flow_a, flow_b, P, E, s):
     """Write all hydraulic quantities of cylinder c, (17)-(19), (34), (37), (38).
 
@@ -969,14 +959,14 @@ def cylinder(c, flow_a, flow_b, P, E, s):
 # -------------------------------------------------------------------------------------------- all together
 
 
-@part
+@inline
 def supply(w, k, P, s):
     """Measured pump (k = 0) or tank (k = 1) pressure, or the machine's own where it is not measured."""
     given = w[s.topology[0, CYLINDERS] + k]
     return P[SUPPLY + k] if math.isnan(given) else given
 
 
-@part
+@inline
 def disturbance(w, k, s):
     """Unknown input k of [torques (n), force x, force y at the payload, flows into the chambers (2n)]; 0 where w has
     but n + 2 entries.
@@ -985,7 +975,7 @@ def disturbance(w, k, s):
     return w[n + 2 + k] if w.shape[0] > n + 2 else 0.0
 
 
-@part
+@inline
 def add_joint_forces(x, w, t, E, s):
     """Write the generalised forces Qj: on the joints themselves, and of the force on the payload's point."""
     n, tip, force = s.topology[0, CYLINDERS], s.topology.shape[0], 0j
@@ -996,7 +986,7 @@ def add_joint_forces(x, w, t, E, s):
         s.general[JOINTS, i] = dot(by, force) + hooks.joint_torque(E, i, x[n + i], x[i]) + disturbance(w, i, s)
 
 
-@njit
+@part
 def balance(x, w, t, P, E, s):
     """Write the rest of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20), where mechanics and oil are in
     the sheet.
@@ -1024,7 +1014,7 @@ def balance(x, w, t, P, E, s):
         s.numbers[0, SWINGING] = own / s.numbers[0, PENDULUM]
 
 
-@njit
+@part
 def at_pressures(x, w, t, P, E, s):
     """Write all terms at a state x (nx,)."""
     place(x, P, s)
@@ -1033,7 +1023,7 @@ def at_pressures(x, w, t, P, E, s):
     balance(x, w, t, P, E, s)
 
 
-@njit
+@part
 def at_amounts(x, N, w, t, P, E, s):
     """Write the same for amounts of oil N (2n,) instead of the pressures in x, which are replaced by what follows from
     N.
@@ -1044,14 +1034,14 @@ def at_amounts(x, N, w, t, P, E, s):
     balance(x, w, t, P, E, s)
 
 
-@njit
+@part
 def settle_pressures(x, N, P, E, s):
     """Write the pressures that follow from the amounts of oil N (2n,) at the pose in x to x."""
     place(x, P, s)
     read_amounts(x, N, P, E, s)
 
 
-@part
+@inline
 def rates(x, s, out):
     """Write the rates of [z z' N (theta theta')] to out: amounts of oil in the place of pressures."""
     first, n = first_cylinder(s), s.topology[0, CYLINDERS]
@@ -1063,7 +1053,7 @@ def rates(x, s, out):
         out[4 * n], out[4 * n + 1] = (x[4 * n + 1], s.numbers[0, SWINGING]) if swings else (0.0, 0.0)
 
 
-@part
+@inline
 def amounts(s, N):
     """Write the amounts of oil in all chambers to N."""
     first = first_cylinder(s)
@@ -1071,7 +1061,7 @@ def amounts(s, N):
         N[2 * c], N[2 * c + 1] = s.numbers[first + c, OIL_A + AMOUNT], s.numbers[first + c, OIL_B + AMOUNT]
 
 
-@compiled.njit(cache=False)
+@inner
 def at_rest(x, P, E, s):
     """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, the
     joints' torques, and the force on the payload's point.
@@ -1088,7 +1078,7 @@ def at_rest(x, P, E, s):
         )
 
 
-@njit
+@part
 def held_pressures(c, s, F, less_loaded, P, E):
     """Return pa, pb of cylinder c that give the force F at rest, the lower of the two being `less_loaded`.
 
@@ -1113,7 +1103,7 @@ def held_pressures(c, s, F, less_loaded, P, E):
     return pa, pb
 
 
-@njit
+@part
 def chamber_lengths(x, P, E, s, out):
     """Write the lengths of all chambers (2n,) at a state x to out; negative: beyond the stroke's end."""
     place(x, P, s)

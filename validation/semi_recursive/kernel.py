@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crane_exudyn import compiled
+from crane_exudyn.compiled import inner, njit, part
 from crane_exudyn.step_control import (
     MOST_HALVINGS,
     POSITION_ERROR,
@@ -39,8 +39,7 @@ from .equations import (
     at_amounts,
     at_pressures,
     balance,
-    njit,
-    part,
+    inline,
     rates,
     read_amounts,
     settle_pressures,
@@ -105,7 +104,7 @@ HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE, PARTS = range(8)
 PATIENT = 3.0
 
 
-@compiled.njit(cache=False)
+@inner
 def places_of(nx, n):
     """Return where positions (the coordinates, the pendulum's angle) and their rates stand in x; the other primary
     variables are amounts.
@@ -116,13 +115,13 @@ def places_of(nx, n):
     return places
 
 
-@compiled.njit(cache=False)
+@inner
 def point(nx, n):
     """Return an empty Point."""
     return Point(np.empty(nx), np.empty(2 * n), np.empty(nx))
 
 
-@compiled.njit(cache=False)
+@inner
 def workspace(topology, nx, n_inputs):
     """Return the Work of a machine with nx states and n_inputs inputs."""
     n, levels = topology[0, CYLINDERS], MOST_HALVINGS + 1
@@ -137,13 +136,13 @@ def workspace(topology, nx, n_inputs):
     )  # fmt: skip
 
 
-@part
+@inline
 def copy(source, target):
     for i in range(target.size):
         target[i] = source[i]
 
 
-@njit
+@part
 def factorise(A, pivot):
     """Replace A by its LU factors with row exchanges `pivot`; False if A is singular or not finite."""
     n = A.shape[0]
@@ -165,7 +164,7 @@ def factorise(A, pivot):
     return True
 
 
-@njit
+@part
 def solve_factorised(A, pivot, b):
     """Replace b by the solution of the system whose factors `factorise` left in A."""
     n = A.shape[0]
@@ -181,7 +180,7 @@ def solve_factorised(A, pivot, b):
         b[k] /= A[k, k]
 
 
-@njit
+@part
 def begin(p, w, t, P, E, s):
     """Fill amounts and rates of a Point from its state."""
     at_pressures(p.x, w, t, P, E, s)
@@ -189,7 +188,7 @@ def begin(p, w, t, P, E, s):
     rates(p.x, s, p.g)
 
 
-@njit
+@part
 def settle(p, w, t, P, E, s):
     """Fill pressures and rates of a Point from its positions, rates and amounts; then the amounts as the pressures have
     them.
@@ -199,7 +198,7 @@ def settle(p, w, t, P, E, s):
     rates(p.x, s, p.g)
 
 
-@njit
+@part
 def end_rates(start, end, h, places):
     """Write the rates at the end of a step that its positions ask for (22)."""
     for i in range(places.shape[0]):
@@ -207,7 +206,7 @@ def end_rates(start, end, h, places):
         end.x[r] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[r]
 
 
-@njit
+@part
 def residual(start, end, w1, t1, h, P, E, work, r):
     """Write the residual (23) of the step to r, completing the end from its positions and amounts.
 
@@ -219,7 +218,7 @@ def residual(start, end, w1, t1, h, P, E, work, r):
     defects(start, end, h, work, r)
 
 
-@njit
+@part
 def residual_of_amounts(start, end, w1, t1, h, P, E, work, r):
     """Write the residual (23) to r where only amounts differ from what was evaluated last: positions and mass matrix
     stand.
@@ -229,7 +228,7 @@ def residual_of_amounts(start, end, w1, t1, h, P, E, work, r):
     defects(start, end, h, work, r)
 
 
-@njit
+@part
 def defects(start, end, h, work, r):
     """Write what the sheet's rates leave of the residual (23) to r."""
     places = work.places
@@ -242,7 +241,7 @@ def defects(start, end, h, work, r):
         r[n + i] = (end.N[i] - start.N[i] - 0.5 * h * (start.g[first + i] + end.g[first + i])) / AMOUNT
 
 
-@njit
+@part
 def tangent(start, base, w1, t1, h, P, E, work, level):
     """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step, whose residual,
     the last evaluated, is `base`; False if it is singular.
@@ -267,7 +266,7 @@ def tangent(start, base, w1, t1, h, P, E, work, level):
     return good
 
 
-@njit
+@part
 def predict(start, h, work):
     """Write a first guess of the primary variables to the end of the step: rates go on as they changed in the part
     before.
@@ -284,7 +283,7 @@ def predict(start, h, work):
         end.N[i] = start.N[i] + h * (start.g[k] + 0.5 * bend * (start.g[k] - work.past[k]))
 
 
-@njit
+@part
 def change_size(n, r, h):
     """Return the largest change, n of positions and then of amounts, in units of its tolerance in a step h; NaN if any
     is not a number.
@@ -299,7 +298,7 @@ def change_size(n, r, h):
     return largest
 
 
-@njit
+@part
 def newton(start, w1, t1, h, P, E, work, level):
     """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not
     converge.
@@ -334,7 +333,7 @@ def newton(start, w1, t1, h, P, E, work, level):
     return False
 
 
-@njit
+@part
 def local_error(start, w0, w1, t0, h, P, E, work, level):
     """Return the local error of the step from `start` to `work.end` in units of `step_control.*_ERROR`.
 
@@ -382,20 +381,20 @@ def local_error(start, w0, w1, t0, h, P, E, work, level):
     return worst if worst == worst else math.inf
 
 
-@part
+@inline
 def place_of_rate(i, work):
     """Return where what residual i is about stands in g: the acceleration of a position, or the rate of an amount."""
     n = work.places.shape[0]
     return work.places[i, 1] if i < n else 2 * work.sheet.topology[0, CYLINDERS] + i - n
 
 
-@part
+@inline
 def of_position(start, end, rate, h):
     """Return the defect h/3 (z0' + z1' - 2 zm') of a position, the rate in the middle being Hermite's."""
     return -h * h / 12.0 * (start.g[rate] - end.g[rate])
 
 
-@njit
+@part
 def middle_rates(start, w0, w1, t0, h, P, E, work):
     """Fill `work.moved` with the state in the middle of the step, by Hermite's interpolation, and its rates."""
     end, middle, w, first = work.end, work.moved, work.w[2], 2 * work.sheet.topology[0, CYLINDERS]
@@ -413,7 +412,7 @@ def middle_rates(start, w0, w1, t0, h, P, E, work):
     rates(middle.x, work.sheet, middle.g)
 
 
-@njit
+@part
 def defect_size(defect, h, start, end, P, work):
     """Return the largest of the defects of rates and amounts, and of those of the positions, in units of
     `step_control.*_ERROR`.
@@ -433,13 +432,13 @@ def defect_size(defect, h, start, end, P, work):
     return worst
 
 
-@njit
+@part
 def between(w0, w1, share, w):
     for k in range(w.size):
         w[k] = w0[k] if share == 0.0 else (w1[k] if share == 1.0 else w0[k] + share * (w1[k] - w0[k]))
 
 
-@njit
+@part
 def try_step(now, wa, wb, t, h, P, E, work, level):
     """Take one step from `now` to `work.end`, pressures left out; return OK or why it has to be halved."""
     if not newton(now, wb, t + h, h, P, E, work, level):
@@ -449,7 +448,7 @@ def try_step(now, wa, wb, t, h, P, E, work, level):
     return OK if work.said[ERROR] <= work.said[LIMIT] else TOO_COARSE
 
 
-@part
+@inline
 def remember(start, h, work):
     """Keep the rates at the start of a part of length h that was good, for the first guess and the error of the
     next.
@@ -458,19 +457,19 @@ def remember(start, h, work):
     work.said[BEFORE] = h
 
 
-@part
+@inline
 def exhausted(steps, most, work):
     """Whether so many steps had more parts than they may, `most` on the average."""
     return work.said[PARTS] > most * steps + PARTS_BESIDE
 
 
-@part
+@inline
 def forget(work):
     """Begin anew: no part lies before the next."""
     work.said[LEVEL], work.said[BEFORE] = 0.0, 0.0
 
 
-@njit
+@part
 def advance(now, w0, w1, t0, h, P, E, work, last):
     """Move the Point `now` by h in place; a step that fails is halved, and its halves again. Return a status.
 
@@ -504,10 +503,10 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
     return OK
 
 
-@compiled.njit(cache=False)
+@inner
 def run(x0, first, end, W, time, step, P, E, topology, allowed, most, X):
-    """Write states from sample `first` to the last one before `end` to X (N, nx), as `simulate` does; return a status,
-    the sample before the step that failed, and halved steps.
+    """Write states from sample `first` to the last one before `end` to X (N, nx), as `simulate_each` does; return a
+    status, the sample before the step that failed, and halved steps.
     """
     nx = x0.size
     work, now = workspace(topology, nx, W.shape[1]), point(nx, topology[0, CYLINDERS])
@@ -534,13 +533,23 @@ def run(x0, first, end, W, time, step, P, E, topology, allowed, most, X):
     return OK, -1, int(work.said[HALVED])
 
 
-@compiled.njit
 def simulate(x0, W, time, step, P, E, topology, allowed=1.0, most=math.inf):
-    """Return states X (N, nx) at increasing times (N,), the status, the sample before the step that failed, and halved
-    steps.
+    """Return states X (N, nx) from x0 (nx,), the status, the sample before the step that failed, and halved steps; as
+    `simulate_each` with one window.
+    """
+    one = np.zeros(1, np.int64)
+    X, status, failed, halved = simulate_each(x0[None], one, W, time, step, P, E, topology, allowed, most)
+    return X, status[0], failed[0], halved[0]
+
+
+@njit
+def simulate_each(x0, first, W, time, step, P, E, topology, allowed, most):
+    """Return states X (N, nx) at increasing times (N,) of K windows, one after the other, and by window (K,) the
+    status, the sample before the step that failed, and halved steps.
 
     Args:
-        x0: state (nx,) at the first time; with n coordinates nx is 4n, or 4n + 2 with a pendulum.
+        x0: states (K, nx) at the first sample of each window; with n coordinates nx is 4n, or 4n + 2 with a pendulum.
+        first: (K,) these samples, from 0; a window ends before the next one begins.
         W: inputs [U pp pt] (N, n + 2) at the times, linear between; NaN in pp or pt: the machine's own.
         time, step: s; each interval is cut into equal steps of at most `step`.
         P, E: parameter and effect vectors.
@@ -548,31 +557,16 @@ def simulate(x0, W, time, step, P, E, topology, allowed=1.0, most=math.inf):
         allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
         most: parts that a step may have on the average; a run that needs more ends as one whose steps are too coarse.
     """
-    X = np.full((W.shape[0], x0.size), math.nan)
-    status, failed, halved = run(x0, 0, W.shape[0], W, time, step, P, E, topology, allowed, most, X)
+    K = first.size
+    X = np.full((W.shape[0], x0.shape[1]), math.nan)
+    status, failed, halved = np.empty(K, np.int64), np.empty(K, np.int64), np.empty(K, np.int64)
+    for w in range(K):
+        end = first[w + 1] if w + 1 < K else W.shape[0]
+        status[w], failed[w], halved[w] = run(x0[w], first[w], end, W, time, step, P, E, topology, allowed, most, X)
     return X, status, failed, halved
 
 
-@compiled.njit
-def simulate_each(x0, first, W, time, step, P, E, topology, allowed, most):
-    """Return states X (N, nx) of K windows, one after the other, and by window (K,) status and the sample before the
-    step that failed.
-
-    Args:
-        x0: states (K, nx) at the first sample of each window.
-        first: (K,) these samples, from 0; a window ends before the next one begins.
-        W, time: inputs (N, n + 2) and times (N,); the rest as of `simulate`.
-    """
-    K = first.size
-    X = np.full((W.shape[0], x0.shape[1]), math.nan)
-    status, failed = np.empty(K, np.int64), np.empty(K, np.int64)
-    for w in range(K):
-        end = first[w + 1] if w + 1 < K else W.shape[0]
-        status[w], failed[w], _ = run(x0[w], first[w], end, W, time, step, P, E, topology, allowed, most, X)
-    return X, status, failed
-
-
-@compiled.njit
+@njit
 def propagate_batch(states, W0, W1, t0, dt, n, P, E, topology, allowed=1.0):
     """Return states (rows, nx) one dt later, in n equal steps, the status and the row that failed, and how many steps
     were halved.

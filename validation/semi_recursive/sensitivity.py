@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crane_exudyn.compiled import njit
+from crane_exudyn.compiled import inner, njit
 from crane_exudyn.effects.registry import slots_of
 from crane_exudyn.parameters import CYLINDER, FLUID, N_CYLINDER, PAYLOAD
 from crane_exudyn.step_control import MOST_HALVINGS, limit, next_level
@@ -83,7 +83,7 @@ class Sweep(NamedTuple):
     halved: int
 
 
-@njit(cache=False)
+@inner
 def tangents_at(here, w, t, P, E, s, Y, G, moved):
     """Write Y = dN/dx (2n, nx) in AMOUNT and G = dg/dx (nx, nx) around the Point that was filled last, by forward
     differences.
@@ -128,13 +128,13 @@ def in_units(i, n, rate):
     return rate / AMOUNT if holds_oil(i, n) else rate
 
 
-@njit(cache=False)
+@inner
 def add_rows(target, factor, source):
     for c in range(target.size):
         target[c] += factor * source[c]
 
 
-@njit(cache=False)
+@inner
 def solve_columns(A, pivot, R):
     """Replace R (n, M) by the solution of the system whose LU factors are in A."""
     n = A.shape[0]
@@ -153,7 +153,7 @@ def solve_columns(A, pivot, R):
             R[k, c] *= factor
 
 
-@njit(cache=False)
+@inner
 def right_side(S, Y, G, h, R):
     """Write (dy/dx + h/2 G) S to R."""
     n = Y.shape[0]
@@ -168,7 +168,7 @@ def right_side(S, Y, G, h, R):
                 add_rows(R[i], 0.5 * h * G[i, j], S[j])
 
 
-@njit(cache=False)
+@inner
 def left_factors(Y, G, h, L, pivot):
     """Write the LU factors of dy/dx - h/2 G to L; False if singular."""
     n = Y.shape[0]
@@ -224,12 +224,12 @@ class Moving(NamedTuple):
     inputs: np.ndarray
 
 
-@njit(cache=False)
+@inner
 def new_tangents(nx, chambers, m):
     return Tangents(np.empty((chambers, nx)), np.empty((nx, nx)), np.zeros((chambers, m)), np.zeros((nx, m)))
 
 
-@njit(cache=False)
+@inner
 def new_moving(topology, nx, m, columns, n_inputs):
     """Return the arrays of a sweep with `columns` sensitivities, of which the last may be transitions."""
     n = topology[0, CYLINDERS]
@@ -241,7 +241,7 @@ def new_moving(topology, nx, m, columns, n_inputs):
     )  # fmt: skip
 
 
-@njit(cache=False)
+@inner
 def stand(base, v, k, share, t):
     """Fill v.now from its state, at `share` of the way from sample k to k + 1."""
     w = v.inputs[2]
@@ -249,23 +249,24 @@ def stand(base, v, k, share, t):
     begin(v.now, w, t, base.P, base.E, v.sheet)
 
 
-@njit(cache=False)
+@inner
 def evaluate_base(base, v, k, share, t, into):
     """Fill v.now from its state, and Y and G of the tangents there."""
     stand(base, v, k, share, t)
     tangents_at(v.now, v.inputs[2], t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
 
 
-@njit(cache=False)
+@inner
 def evaluate(base, v, k, share, t, into):
     """Fill v.now from its state, and the tangents there with those of the probes."""
     stand(base, v, k, share, t)
-    take_probes(base, v, k, share, t, False, into)  # first those for which the mechanics of the base stand
-    tangents_at(v.now, v.inputs[2], t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
-    take_probes(base, v, k, share, t, True, into)
+    for bodies in (False, True):  # written as two calls, each is compiled for its constant
+        take_probes(base, v, k, share, t, bodies, into)  # first those for which the mechanics of the base stand
+        if not bodies:
+            tangents_at(v.now, v.inputs[2], t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
 
 
-@njit(cache=False)
+@inner
 def take_probes(base, v, k, share, t, bodies, into):
     """Write b and c of the probes whose bodies differ from the base's, or of those whose do not: then its mechanics
     must stand in the sheet.
@@ -290,7 +291,7 @@ def take_probes(base, v, k, share, t, bodies, into):
             into.b[i, j] = in_units(i, now.N.size, probed.g[i] - now.g[i]) / base.delta[j]
 
 
-@njit(cache=False)
+@inner
 def add_probe(j, h, n, first, second, column):
     """Add c0 - c1 + h/2 (b0 + b1) of probe j to a column (nx,); n chambers."""
     for i in range(column.size):
@@ -299,7 +300,7 @@ def add_probe(j, h, n, first, second, column):
             column[i] += first.c[i - n, j] - second.c[i - n, j]
 
 
-@njit(cache=False)
+@inner
 def linear_step(base, h, first, second, v):
     """Move the sensitivities over one step between two tangents; False if a system is singular."""
     nx, m, n, R = v.now.x.size, base.delta.size, v.now.N.size, v.R
@@ -313,12 +314,12 @@ def linear_step(base, h, first, second, v):
     return True
 
 
-@njit(cache=False)
+@inner
 def copy_tangents(source, target):
     target.Y[:], target.G[:], target.c[:], target.b[:] = source.Y, source.G, source.c, source.b
 
 
-@njit(cache=False)
+@inner
 def step_part(base, k, done, level, v, work):
     """Move the state by a part of the step that begins at `done` (in steps) of sample k; return a status and the length
     of the part, s. A part that is not OK leaves it where it is.
@@ -338,7 +339,7 @@ def step_part(base, k, done, level, v, work):
     return status, h
 
 
-@njit(cache=False)
+@inner
 def advance_sample(base, k, v, work):
     """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a
     status.
@@ -363,14 +364,14 @@ def advance_sample(base, k, v, work):
     return OK
 
 
-@njit(cache=False)
+@inner
 def halve_next(work):
     """Begin the next sample with a half: its whole step was tried and failed."""
     work.said[LEVEL] = 1.0
     work.said[HALVED] += 1.0
 
 
-@njit(cache=False)
+@inner
 def advance_two(base, k, v, work, X, S):
     """Move state and sensitivities by two samples, as long as none has to be halved, with the probes' b and c in the
     middle as the mean of those at the ends; return how many samples they have moved, and a status. X and S (of a
@@ -409,7 +410,7 @@ def advance_two(base, k, v, work, X, S):
     return 2, OK
 
 
-@njit(cache=False)
+@inner
 def begin_window(base, k, start, v, work):
     """Set the state anew at sample k, sensitivities to identity and zeros, and forget the tangent of earlier
     windows.
@@ -423,7 +424,7 @@ def begin_window(base, k, start, v, work):
     forget(work)
 
 
-@njit(cache=False)
+@inner
 def set_identity(S, first):
     """Set the nx columns of S from `first` on to the identity."""
     for i in range(S.shape[0]):
@@ -431,7 +432,7 @@ def set_identity(S, first):
             S[i, first + j] = 1.0 if i == j else 0.0
 
 
-@njit(cache=False)
+@inner
 def run_window(first, end, v, base, work, X, S, Phi):
     """Move states and sensitivities from sample `first`, at which v stands, to the last one before `end`; return a
     status, and the sample before the step that failed.
@@ -533,7 +534,7 @@ def sweep(
     x0, W, P, E, P_cols, E_cols, delta = (
         np.ascontiguousarray(a, float) for a in (x0, W_all, P, E, P_cols, E_cols, delta)
     )
-    steps, begins = (np.ascontiguousarray(np.broadcast_to(a, K), float) for a in (h, t0))
+    steps, begins = (np.broadcast_to(a, K).astype(float) for a in (h, t0))  # what is read only is compiled anew
     thinned = thinned and substeps == 1 and not want_phi
     bodies = moves_bodies(P, E, P_cols, E_cols, topology[0, CYLINDERS])
     base = Base(P, E, P_cols, E_cols, bodies, delta, W, index, 0.0, 0.0, int(substeps), thinned, float(allowed))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from crane_exudyn.compiled import njit
+from crane_exudyn.compiled import inner, njit
 from crane_exudyn.machine import GROUND, Machine
 
 from .equations import (
@@ -86,12 +86,12 @@ def point_rows(machine: Machine) -> np.ndarray:
     return np.array([(row[body], machine.index[f"{p}.x"]) for p, body in machine.points.items()], dtype=np.int64)
 
 
-@njit(cache=False)
+@inner
 def _angle(e):
     return math.atan2(e.imag, e.real)
 
 
-@njit(cache=False)
+@inner
 def _fill_motion(P, points, s, out, k):
     """Write points, angles and dependent coordinates to out from place k on; return the place behind them."""
     for i in range(points.shape[0]):
@@ -108,7 +108,7 @@ def _fill_motion(P, points, s, out, k):
     return k
 
 
-@njit(cache=False)
+@inner
 def _fill_cylinders(P, s, out, k):
     first, n = first_cylinder(s), s.topology[0, CYLINDERS]
     for row in range(first, first + n):
@@ -126,7 +126,7 @@ def _fill_cylinders(P, s, out, k):
     return k
 
 
-@njit(cache=False)
+@inner
 def _fill_chamber(c, side, P, s, out, k):
     row, i, oil = first_cylinder(s) + c, CYLINDER + N_CYLINDER * c, OIL_A if side == 0 else OIL_B
     length = s.numbers[row, LA] if side == 0 else P[i + RANGE] - s.numbers[row, LA]
@@ -137,7 +137,7 @@ def _fill_chamber(c, side, P, s, out, k):
     return k + 6
 
 
-@njit(cache=False)
+@inner
 def pressure_rate(c, side, P, s):
     """Return the rate of a state's pressure, (34): N_p y' = G - N_V A v, A v being the growth of the volume."""
     row, oil = first_cylinder(s) + c, OIL_A if side == 0 else OIL_B
@@ -145,7 +145,7 @@ def pressure_rate(c, side, P, s):
     return (s.numbers[row, GA + side] - s.numbers[row, oil + BY_VOLUME] * growth) / s.numbers[row, oil + BY_PRESSURE]
 
 
-@njit(cache=False)
+@inner
 def _fill_balance(s, out, k):
     n = s.topology[0, CYLINDERS]
     for i in range(n):
