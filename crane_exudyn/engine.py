@@ -41,7 +41,7 @@ class ExudynEngine:
     def __init__(self, crane: Crane, size: int = 1, *, accuracy: float = 1.0) -> None:
         self.crane, self.accuracy = crane, float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
-        self._swings = bool(hooks.pendulum(self._E)[0] > 0.0)
+        self._swings = bool(hooks.plain("pendulum")(self._E)[0] > 0.0)
         self.state_names = crane.layout.all_states if self._swings else crane.layout.states
         self._systems: OrderedDict[int, System] = OrderedDict()
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
@@ -420,7 +420,7 @@ class System:
 
     def _payload_is(self, time: float) -> bool:
         """Whether the bodies have the payload's mass of a time, all cranes being alike."""
-        return bool(hooks.payload_mass(self._E[0], time, self._payload) == self.plant.payload_mass[0])
+        return bool(hooks.plain("payload_mass")(self._E[0], time, self._payload) == self.plant.payload_mass[0])
 
     def residual(self) -> np.ndarray:
         """Return Exudyn's residual [M a - f, rates - dp, G v] at the present iterate."""

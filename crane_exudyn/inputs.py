@@ -201,8 +201,9 @@ class SpoolPath:
 
 def valve_of(P: np.ndarray, E: np.ndarray, c: int) -> Valve:
     """Return what valve c does to its command."""
-    share, creep = hooks.creep(E, c)
-    delay, width, tau = hooks.delay(E, c), hooks.backlash(E, c), P[VALVE + N_VALVE * c + 1]
+    share, creep = hooks.plain("creep")(E, c)
+    delay, width = (hooks.plain(name)(E, c) for name in ("delay", "backlash"))
+    tau = P[VALVE + N_VALVE * c + 1]
     return Valve(float(delay), float(width), float(tau), float(share), float(creep))
 
 

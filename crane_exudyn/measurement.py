@@ -84,7 +84,7 @@ class Measurement:
         slots = slots_of(SENSING)
         self.has_laws = bool((E[slots] != np.array(neutral_vector())[slots]).any())
         self._is_plain = not self.has_laws and not (self._reads.cylinder >= 0).any()
-        taus = [float(hooks.lag(E, place)) for place in self._reads.place]
+        taus = [float(hooks.plain("lag")(E, place)) for place in self._reads.place]
         self.lags = tuple((j, tau) for j, tau in enumerate(taus) if tau > 0.0)
 
     def beside(self, P: np.ndarray, E: np.ndarray) -> Measurement:

@@ -269,14 +269,14 @@ def _local_place(plant: Plant, k: int, body: int, point: int) -> np.ndarray:
 
 def _load_vector(plant: Plant, k: int, name: str) -> list[float]:
     """Return a body's load: gravity for mass-proportional loads, the weight for the payload on its pendulum."""
-    gx, gy = hooks.gravity(plant.E[k], 0.0, -plant.P[k, GRAVITY])
+    gx, gy = hooks.plain("gravity")(plant.E[k], 0.0, -plant.P[k, GRAVITY])
     factor = plant.inertia[k, -1, red.MASS] if name == SWINGING else 1.0
     return [factor * gx, factor * gy, 0.0]
 
 
 def payload_at(crane: Crane, time: float) -> float:
     """Return the mass of the payload in kg at a time in s."""
-    return float(hooks.payload_mass(crane.effect_vector(), time, crane["payload.mass"]))
+    return float(hooks.plain("payload_mass")(crane.effect_vector(), time, crane["payload.mass"]))
 
 
 def build(
@@ -327,14 +327,14 @@ def _outlines(plant: Plant) -> dict[str, list[dict[str, Any]]]:
 def start_pose(crane: Crane) -> np.ndarray:
     """Return a state (nx,) in the crane's pose at the start, all chambers at 20 bar."""
     lay = crane.layout
-    swing = len(lay.added) if hooks.pendulum(crane.effect_vector())[0] > 0.0 else 0
+    swing = len(lay.added) if hooks.plain("pendulum")(crane.effect_vector())[0] > 0.0 else 0
     return np.array([*crane.initial.pose, *[0.0] * len(lay.rates), *[20e5] * len(lay.chambers), *[0.0] * swing])
 
 
 def _plant(crane: Crane, size: int, inputs: Any, time: float) -> Plant:
     P, E = np.tile(crane.parameter_vector(), (size, 1)), np.tile(crane.effect_vector(), (size, 1))
     inertia, mass = np.zeros((size, len(crane.machine.bodies) + 1, 4)), payload_at(crane, time)
-    if mass < 0.0 or (mass == 0.0 and hooks.pendulum(E[0])[0] > 0.0):
+    if mass < 0.0 or (mass == 0.0 and hooks.plain("pendulum")(E[0])[0] > 0.0):
         raise CraneError(
             f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and "
             "one that "
@@ -435,7 +435,7 @@ def _add_joints(mbs: Any, plant: Plant, k: int) -> None:
             _point(mbs, plant, k, int(plant.topology[0, TIP_BODY]), int(plant.topology[0, TIP_POINT])),
             mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=plant.bodies[k][SWINGING])),
         ]
-        length = hooks.pendulum(plant.E[k])[0]
+        length = hooks.plain("pendulum")(plant.E[k])[0]
         joints[PENDULUM] = int(mbs.AddObject(items.ObjectConnectorDistance(markerNumbers=markers, distance=length)))
     plant.joints.append(joints)
 

@@ -595,7 +595,7 @@ def _bucket(crane: Crane, body: str) -> list[Disc] | None:
 
 def pendulum_length(crane: Crane) -> float:
     """Return the length in m of the pendulum on which the payload hangs; 0 without one."""
-    return float(hooks.pendulum(crane.effect_vector())[0])
+    return float(hooks.plain("pendulum")(crane.effect_vector())[0])
 
 
 def rope(crane: Crane, paint: Paint) -> list[Graphics]:

@@ -181,7 +181,8 @@ def _check_payload(crane: Crane, time: np.ndarray) -> None:
     from .effects import hooks
 
     effects, nominal = crane.effect_vector(), crane["payload.mass"]
-    masses = np.array([hooks.payload_mass(effects, t, nominal) for t in time]) if crane.effects else np.zeros(1)
+    mass = hooks.plain("payload_mass")
+    masses = np.array([mass(effects, t, nominal) for t in time]) if crane.effects else np.zeros(1)
     if masses.min() < 0.0:
         worst = int(np.argmin(masses))
         raise CraneError(

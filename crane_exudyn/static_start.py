@@ -38,7 +38,7 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e
     if len(pose) != n:
         raise CraneError(f"{crane.name}: a pose has {n} coordinates ({', '.join(lay.coordinates)}), found {len(pose)}.")
     P, E = crane.parameter_vector(), crane.effect_vector()
-    gx, gy = hooks.gravity(E, 0.0, -1.0)
+    gx, gy = hooks.plain("gravity")(E, 0.0, -1.0)
     state = np.zeros(size_of_state(crane))
     state[lay.positions] = pose
     state[lay.extra][:1] = math.atan2(gx, -gy)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 Part = Literal["exudyn", "semi-recursive", "check", "filter", "fit"]
 #: s of a recording on which every part runs once
 _SHORT = 1.1
+#: s of it in which another kind of filter runs
+_STEPS = 0.05
 #: s between two looks whether a part is done
 _LOOK = 0.1
 
@@ -141,7 +143,9 @@ def _estimate(engine: EngineName, recording: Recording) -> None:
     from crane_exudyn.crane import Crane
     from ukf.estimator import Estimator
 
-    Estimator(Crane.load(DEFAULT_CRANE), engine).run(recording)
+    crane = Crane.load(DEFAULT_CRANE)
+    Estimator(crane, engine).run(recording)
+    Estimator(crane, engine, method="ekf").run(recording.window(recording.start, recording.start + _STEPS))
 
 
 def _compare(recording: Recording) -> None:

@@ -7,7 +7,9 @@ function is written from the registry; `source()` shows it.
 
 from __future__ import annotations
 
+import functools
 import linecache
+from collections.abc import Callable
 from types import FunctionType
 from typing import Any
 
@@ -87,12 +89,23 @@ def _compiled(function: Any) -> Any:
     return njit(function, cache=False)
 
 
-def _compose(hook: str) -> Any:
-    names: dict[str, Any] = {f"{e.name}_{hook}": _compiled(e.hooks()[hook]) for e in known() if hook in e.hooks()}
+def _composed(hook: str, prepare: Callable[[Any], Any]) -> Any:
+    """Return a hook of all effects; `prepare` makes of an effect's hook what the composed one calls."""
+    names: dict[str, Any] = {f"{e.name}_{hook}": prepare(e.hooks()[hook]) for e in known() if hook in e.hooks()}
     text, file = source(hook), f"<composed hook {hook}>"
     linecache.cache[file] = (len(text), None, text.splitlines(True), file)  # so that tracebacks show it
     exec(compile(text, file, "exec"), names)
-    return njit(names[hook], cache=False)
+    return names[hook]
+
+
+@functools.cache
+def plain(hook: str) -> Any:
+    """Return a hook as Python runs it, for what asks for it a few times: nothing is compiled."""
+    return _composed(hook, lambda function: function)
+
+
+def _compose(hook: str) -> Any:
+    return njit(_composed(hook, _compiled), cache=False)
 
 
 command = _compose("command")
