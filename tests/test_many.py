@@ -134,6 +134,15 @@ def test_what_no_round_took_in_is_where_everything_is_fitted_together(crane, rub
     assert found.taken[1].evidence > CRITERIA.proof
 
 
+def test_two_are_taken_in_at_once_where_neither_alone_lowers_the_errors_by_enough(crane, rubbing, monkeypatch):
+    path = searched(crane, rubbing, most=0)
+    monkeypatch.setattr(
+        "validation.selection.whole_runs.CRITERIA", replace(CRITERIA, gained=99.0, part=0.8)
+    )  # one takes 62 %, two 93
+    found = proven(path.problem, [path.parameters], path.parameters.errors[1], most=2)
+    assert len(found.needed) == 2 and "pressure_compensation@lift" in found.needed
+
+
 def test_what_shows_in_the_last_part_alone_is_learned_from_all_of_the_recording(crane):
     """Only noise is left in the first five eighths, from which a search begins to learn."""
     truth = crane.with_effect("payload_change", {"dm": 60.0, "T": 3.6})

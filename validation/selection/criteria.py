@@ -93,6 +93,7 @@ class Criteria:
     told: float = 1.0  # and told from this on
     alike: float = 0.9  # correlation from which on two variables are said not to be separated
     tried: int = 9  # effects that are fitted in a round, from several sides,
+    rounds: int = 2  # of such; what they missed is looked for where all is fitted together
     begun: int = 4  # with so many iterations;
     ended: int = 8  # and with so many more, where they have a `chance`
     worth: float = 0.1  # share by which what was not fitted must be predicted better

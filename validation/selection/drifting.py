@@ -70,7 +70,7 @@ def _beam(path: DriftingPath, most: int) -> Sequence[Standing]:
     noise in what it learned from: what is still missing shows in the rest alone.
     """
     beam = path.rounds[-1].done if path.rounds else (path.parameters,)
-    if len(path.rounds) == most:
+    if len(path.rounds) == min(most, CRITERIA.rounds):
         return ()
     if beam[0].unseen is not None or beam[0].left[0] > CRITERIA.gained:
         return beam

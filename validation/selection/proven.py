@@ -141,31 +141,42 @@ def _further(problem: Problem, now: Standing, full: Errors, left: Mapping[str, _
     """Return a likelier model that one more step leads to where all is fitted together, or the same one.
 
     An effect is brought back, as large as is met in practice, where all else has settled without it: two can hold each
-    other in a false minimum, such as metering that hardly acts and air that comes too late. Or one more is taken in:
-    which of several a round took first, and at which values of all else, hangs on little, and what was not demanded
-    then may be now.
+    other in a false minimum, such as metering that hardly acts and air that comes too late. Or one more is taken in, or
+    two where neither of the likeliest alone lowers the errors: which of several a round took first, and at which values
+    of all else, hangs on little, and what was not demanded then may be now.
     """
     ways = [
         _Way(now, now.keys, typical(without.fit.crane, effects_of(now.fit.crane, [key])), without.fit)
         for key, without in left.items()
     ]
-    parent = now
-    if len(now.keys) < most and left_over(full) > CRITERIA.gained:
-        parent = replace(now, errors=_judged_apart(problem, now), unseen=None)
-        ways += _one_more(parent)
-    found = _settled(problem, ways, now.fit)
-    added = {one.keys[-1]: gain for one, gain in found if len(one.keys) > len(now.keys)}
+    room = most - len(now.keys) if left_over(full) > CRITERIA.gained else 0
+    parent = replace(now, errors=_judged_apart(problem, now), unseen=None) if room else now
+    likelier = _likelier(problem, parent, [*ways, *(_one_more(parent) if room else [])])
+    if room > 1 and likelier and not any(_steps(one, parent) for one in likelier):
+        likelier = _likelier(problem, parent, [way for one in likelier for way in _one_more(one)])
+    return next((one for one in likelier if _steps(one, parent)), now)
+
+
+def _steps(one: Standing, now: Standing) -> bool:
+    """Whether a likelier model is a step from another: with the same effects, or with more that lower the errors."""
+    return len(one.keys) == len(now.keys) or one.serves(now)
+
+
+def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Standing]:
+    """Return the models that ways lead to which the data demand instead of `now`, best first; those with more effects
+    with their open-loop errors.
+    """
+    found = _settled(problem, ways, now.fit) if ways else []
+    likelier = []
     for one, gain in found[: CRITERIA.finished]:
-        if gain <= CRITERIA.proof:
-            break
-        if len(one.keys) == len(now.keys):
-            return one
-        key = one.keys[-1]
-        taken = Taken(key, gain, {k: g for k, g in added.items() if k != key})
-        one = replace(one, errors=_judged_apart(problem, one), taken=(*now.taken, taken))
-        if one.serves(parent):
-            return one
-    return now
+        if gain > CRITERIA.proof:
+            if len(one.keys) > len(now.keys):
+                before = sum(t.evidence for t in one.taken[len(now.taken) :])
+                beside = {w.keys[-1]: g - before for w, g in found if w.keys[:-1] == one.keys[:-1]}
+                taken = Taken(one.keys[-1], beside.pop(one.keys[-1]), beside)
+                one = replace(one, errors=_judged_apart(problem, one), taken=(*one.taken, taken))
+            likelier.append(one)
+    return likelier
 
 
 def _one_more(now: Standing) -> list[_Way]:
