@@ -301,7 +301,7 @@ def stubbed(monkeypatch):
     def set_up(verdict, evidence, laws):
         def searched(crane, *_):
             best = SimpleNamespace(evidence=evidence(crane))
-            problem = SimpleNamespace(recordings=(), data=SimpleNamespace(own=()), crane=crane)
+            problem = SimpleNamespace(recordings=(), data=SimpleNamespace(own=(), parts=()), crane=crane)
             return SimpleNamespace(best=best, bare=evidence(crane), weighed=(best,), problem=problem), []
 
         def diagnosis_of(path, *_):
