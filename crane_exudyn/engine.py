@@ -41,7 +41,7 @@ class ExudynEngine:
     def __init__(self, crane: Crane, size: int = 1, *, accuracy: float = 1.0) -> None:
         self.crane, self.accuracy = crane, float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
-        self._swings = bool(hooks.plain("pendulum")(self._E)[0] > 0.0)
+        self._swings = hooks.swings(self._E)
         self.state_names = crane.layout.all_states if self._swings else crane.layout.states
         self._systems: OrderedDict[int, System] = OrderedDict()
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge

@@ -73,18 +73,18 @@ def arm_rows(topology):
     return topology[0, BODIES] + topology[0, LOOPS] + topology[0, CYLINDERS] + 1
 
 
-@lean
+@part
 def joint_rows(topology):
     """Return how many joint equations there are, without a pendulum's."""
     return 2 * (topology[0, BODIES] + topology[0, LOOPS])
 
 
-@lean
+@part
 def _place(P, point, axis):
     return P[point + axis] if point >= 0 else 0.0
 
 
-@lean
+@part
 def _at(P, arms, body, point):
     """Return x, y of a point of a body (-1: the ground, where it is the point itself)."""
     x, y = _place(P, point, 0), _place(P, point, 1)
@@ -198,7 +198,7 @@ def _fill_slide(topology, P, q, arms, b):
     arms[b, WAY] = ux * (own_x - x) + uy * (own_y - y)
 
 
-@lean
+@part
 def _point(q, body, arms, row, column):
     """Return x, y of the point at the end of an arm of a body (-1: the ground)."""
     x, y = arms[row, column], arms[row, column + 1]
@@ -251,7 +251,7 @@ def line_rate(topology, arms, v, lines, c):
     return lines[c, E_X] * (vx - ux) + lines[c, E_Y] * (vy - uy)
 
 
-@lean
+@part
 def chain(topology, arms, unit, v, g, x):
     """Fill the bodies' part of x with the solution of G x = g for given independent parts.
 
@@ -285,7 +285,7 @@ def chain(topology, arms, unit, v, g, x):
         _hang(arms, v, b, rate, px, py, x)
 
 
-@lean
+@part
 def square(v, b):
     """Return the square of the angular rate of body b; 0 without velocities."""
     return v[3 * b + 2] * v[3 * b + 2] if v.size else 0.0
@@ -299,7 +299,7 @@ def sliding_rate(topology, arms, v, b):
     return arms[b, ALONG] * (px - kx) + arms[b, ALONG + 1] * (py - ky)
 
 
-@lean
+@part
 def carried(x, v, body, arms, row, column):
     """Return velocity (or, with velocities v, acceleration) of the point at the end of an arm of a body (-1: the
     ground).

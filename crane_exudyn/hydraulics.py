@@ -54,7 +54,7 @@ def pressure_force(P, c, pa, pb):
     return pa * area_a - pb * area_b
 
 
-@lean
+@part
 def supplies(P, w, n):
     """Return (pp, pt) in Pa for n cylinders: those of w, or the machine's own where w has NaN."""
     pp = P[SUPPLY] if math.isnan(w[n]) else w[n]
@@ -137,7 +137,7 @@ def supply_loop(topology, P, E, w, p):
     return _solve_supply(topology, P, E, w, p, False, pp, pt), _solve_supply(topology, P, E, w, p, True, pt, pp)
 
 
-@lean
+@part
 def fluid(P):
     """Return (1/B, 1/Bw, vapour pressure, zero) of `laws.oil`; pressures as the crane's gauges read them."""
     zero = P[REFERENCE] * P[AIR]
@@ -160,7 +160,7 @@ def real_pressures(P, y, p):
         p[j] = max(y[j], vapour_pressure(P))
 
 
-@lean
+@part
 def lengths(P, E, c, s, ya, yb):
     """Return the chambers' lengths (l_a, l_b) in m; with a spring in series at the hydraulic length s + F/k."""
     k = CYLINDER + N_CYLINDER * c

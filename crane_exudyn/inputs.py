@@ -202,8 +202,7 @@ class SpoolPath:
 def valve_of(P: np.ndarray, E: np.ndarray, c: int) -> Valve:
     """Return what valve c does to its command."""
     share, creep = hooks.plain("creep")(E, c)
-    delay, width = (hooks.plain(name)(E, c) for name in ("delay", "backlash"))
-    tau = P[VALVE + N_VALVE * c + 1]
+    delay, width, tau = hooks.plain("delay")(E, c), hooks.plain("backlash")(E, c), P[VALVE + N_VALVE * c + 1]
     return Valve(float(delay), float(width), float(tau), float(share), float(creep))
 
 

@@ -327,14 +327,14 @@ def _outlines(plant: Plant) -> dict[str, list[dict[str, Any]]]:
 def start_pose(crane: Crane) -> np.ndarray:
     """Return a state (nx,) in the crane's pose at the start, all chambers at 20 bar."""
     lay = crane.layout
-    swing = len(lay.added) if hooks.plain("pendulum")(crane.effect_vector())[0] > 0.0 else 0
+    swing = len(lay.added) if hooks.swings(crane.effect_vector()) else 0
     return np.array([*crane.initial.pose, *[0.0] * len(lay.rates), *[20e5] * len(lay.chambers), *[0.0] * swing])
 
 
 def _plant(crane: Crane, size: int, inputs: Any, time: float) -> Plant:
     P, E = np.tile(crane.parameter_vector(), (size, 1)), np.tile(crane.effect_vector(), (size, 1))
     inertia, mass = np.zeros((size, len(crane.machine.bodies) + 1, 4)), payload_at(crane, time)
-    if mass < 0.0 or (mass == 0.0 and hooks.plain("pendulum")(E[0])[0] > 0.0):
+    if mass < 0.0 or (mass == 0.0 and hooks.swings(E[0])):
         raise CraneError(
             f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and "
             "one that "

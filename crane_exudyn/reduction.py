@@ -111,7 +111,7 @@ def all_inertias(topology, P, E, t, out):
         inertias(topology, P[k], E[k], t, out[k])
 
 
-@lean
+@part
 def swings(topology, q):
     """Whether redundant coordinates q (or velocities) hold a payload on a pendulum, behind those of the bodies."""
     return q.size > 3 * topology[0, BODIES]
@@ -154,7 +154,7 @@ def arms_of(topology, P, inertia, q, arms):
         arms[row, SECOND_END + 1] = q[j + 1] - q[3 * b + 1] - arms[row, FIRST_END + 1]
 
 
-@lean
+@part
 def chain(topology, arms, unit, v, g, x):
     """Fill x with the solution of G x = g, as `geometry.chain`, and behind the bodies the pendulum's mass.
 
@@ -310,7 +310,7 @@ def coordinate_rate(topology, arms, v, b):
     return v[3 * b + 2] - (v[3 * k + 2] if k >= 0 else 0.0)
 
 
-@lean
+@part
 def coordinate(topology, arms, b):
     """Return the coordinate of body b."""
     if topology[1 + b, KIND] == SLIDES:
@@ -361,7 +361,7 @@ def extra_forces(machine, t, w, q, v, p, arms, lines, f):
     add_joint_forces(topology, E, t, w, arms, v, f)
 
 
-@lean
+@part
 def dot(a, b):
     """Return the scalar product, summed in order: the result must not depend on where the arrays lie in memory."""
     total = 0.0
@@ -392,7 +392,7 @@ def reduced_mass(inertia, N, work, M):
             M[i, k] = dot(N[k], work)
 
 
-@lean
+@part
 def solve(A, b):
     """Solve A x = b in place by Gaussian elimination with row pivoting; x replaces b. Return False if A is singular."""
     n = b.size

@@ -51,7 +51,7 @@ def reduced(crane: Crane, state: np.ndarray, time: float) -> Reduction:
         CraneError: the state has another length, or the machine cannot stand like that.
     """
     P, E, topology = crane.parameter_vector(), crane.effect_vector(), crane.machine.topology
-    width, nu = trapezoidal.widths(topology, hooks.plain("pendulum")(E)[0] > 0.0)
+    width, nu = trapezoidal.widths(topology, hooks.swings(E))
     x = np.asarray(state, dtype=float)
     if x.shape != (size_of_state(crane),):
         raise CraneError(f"{crane.name}: a state has {size_of_state(crane)} numbers, found shape {x.shape}.")
@@ -70,7 +70,7 @@ def reduced(crane: Crane, state: np.ndarray, time: float) -> Reduction:
 
 def size_of_state(crane: Crane) -> int:
     """Return how many numbers a state of the crane has: two more where its payload hangs on a pendulum."""
-    swings = hooks.plain("pendulum")(crane.effect_vector())[0] > 0.0
+    swings = hooks.swings(crane.effect_vector())
     return len(crane.layout.all_states if swings else crane.layout.states)
 
 

@@ -354,7 +354,7 @@ def _fill_right_side(N, linear, ds, rate, b):
         b[nu + j] = -rate[j] - slopes.Rv[j] * ds[j // 2]
 
 
-@lean
+@part
 def _judge(size, last):
     """Return the status after an increment: the error left is about its size times the last contraction."""
     if not size < math.inf:

@@ -104,6 +104,11 @@ def plain(hook: str) -> Any:
     return _composed(hook, lambda function: function)
 
 
+def swings(E: Any) -> bool:
+    """Whether the payload hangs from a pendulum, which adds two states."""
+    return bool(plain("pendulum")(E)[0] > 0.0)
+
+
 def _compose(hook: str) -> Any:
     return njit(_composed(hook, _compiled), cache=False)
 

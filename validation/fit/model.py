@@ -41,7 +41,7 @@ class Model:
     def nx(self) -> int:
         """Number of states: more with a pendulum."""
         lay = self.crane.layout
-        return len(lay.all_states if hooks.plain("pendulum")(self.E)[0] > 0.0 else lay.states)
+        return len(lay.all_states if hooks.swings(self.E) else lay.states)
 
     @cached_property
     def _measurements(self) -> dict[tuple[str, ...], Measurement]:
