@@ -215,6 +215,44 @@ def test_a_lagging_sensors_unknown_first_value_is_integrated_out():
     assert cost == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-9)
 
 
+def test_the_derivative_by_a_lag_tells_what_is_forgotten_with_another():
+    crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.3})
+    data = FitData.of(recorded(crane), crane)
+    variables, windows = effect_variables("sensor_lag@p1", {"tau": 0.27}, crane.layout), cut(data, 0.25)
+    u, group, x0 = np.array([v.begin for v in variables]), Group(tuple(windows)), first_knots(crane, data, 0.25)
+
+    def left(u):
+        base = model_at(crane, variables, u, data)
+        return [np.concatenate(own) for own in group.split(sweeps.left_in(group, sweeps.ran(group, x0, base)[0], base))]
+
+    h, base = 1e-3, model_at(crane, variables, u, data)
+    quotients = [(a - b) / (2.0 * h) for a, b in zip(left(u - h), left(u + h), strict=True)]
+    swept = sweep(group, x0, base, columns_of(crane, variables, u, base, data))
+    pairs = [(s.J[:, -1], q) for s, q in zip(swept[1:], quotients[1:], strict=True)]
+    assert sum((J - q) @ (J - q) for J, q in pairs) < 0.05 * sum(q @ q for _, q in pairs)
+
+
+def test_what_was_averaged_of_a_recording_is_averaged_of_a_run():
+    crane, time = Crane.load("patu655"), np.arange(0.0, 4.0, 1e-3)
+    corner = np.maximum(50e5 - 1e8 * np.abs(np.sin(9.0 * time)), 0.0)  # as of a chamber that boils
+    steady = {"u1": 0.0 * time, "u2": 0.0 * time, "z1": 0.2 + 0.0 * time}
+    recording = Recording.from_arrays("corners", time, {**steady, "p2": corner})
+    data = FitData.of(recording, replace(crane, sensors={"z1": 1e-3, "p2": 3e4}))
+    grid = np.append(corner, corner[-1])
+    (sample,) = (s for s in data.samples if s.channel == "p2")
+    middle = (sample.values - sample.taken(grid)) / sample.noise
+    assert np.abs(middle).max() > 20.0
+    assert np.abs(sample.residuals(grid)).max() < 1e-6
+    for w in cut(data, 0.25):  # windows begin between two blocks
+        (own,) = (s for s in w.data.samples if s.channel == "p2")
+        assert np.abs(own.residuals(grid[w.start : w.start + len(w.data.time)])).max() < 1e-6
+    coarse = data.with_step(2.5e-3)
+    (own,) = (s for s in coarse.samples if s.channel == "p2")
+    ramp = 1e7 * coarse.time**2
+    blocks = (1e7 * time**2).reshape(-1, 5).mean(axis=1)
+    assert replace(own, values=blocks).residuals(ramp)[1:] == pytest.approx(0.0, abs=1e-3)
+
+
 @pytest.mark.parametrize("seconds", [0.25, 10.0])
 def test_a_run_with_kept_derivatives_is_the_sweep_at_the_same_point(seconds):
     crane = Crane.load("patu655").with_effect("sensor_lag@p1", {"tau": 0.05})

@@ -27,6 +27,8 @@ _FORGOTTEN, _SHORTEST = 0.25, 0.5
 class Samples:
     """One channel's samples: where they lie on the grid (index and fraction of a step), values in SI, noise std in
     SI, and its relative standard error where it is estimated.
+
+    around: of each that is a mean of several, when these were taken, in steps from where it lies (n, block).
     """
 
     channel: str
@@ -35,6 +37,7 @@ class Samples:
     values: np.ndarray
     noise: float
     unsure: float = 0.0
+    around: np.ndarray | None = None
 
     def taken(self, grid: np.ndarray) -> np.ndarray:
         """Return what `grid` (N, …) on the grid is at the samples (n, …), linear between grid points."""
@@ -43,8 +46,19 @@ class Samples:
         return np.asarray(before + share * (grid[self.index + 1] - before))
 
     def residuals(self, grid: np.ndarray) -> np.ndarray:
-        """Return measured minus shown (n,), in noise units, where `grid` (N,) is shown on the grid."""
-        return np.asarray((self.values - self.taken(grid)) / self.noise)
+        """Return measured minus shown (n,), in noise units, where `grid` (N,) is shown on the grid.
+
+        What was averaged of the recording is averaged of the run: in a corner (a chamber that begins to boil) the mean
+        of some milliseconds lies many noise units from what is shown in their middle.
+        """
+        return np.asarray((self.values - self._averaged(grid)) / self.noise)
+
+    def _averaged(self, grid: np.ndarray) -> np.ndarray:
+        if self.around is None:
+            return self.taken(grid)
+        place = (self.index + self.fraction)[:, None] + self.around
+        before = np.clip(place.astype(np.int64), 0, len(grid) - 2)
+        return np.asarray((grid[before] + (place - before) * (grid[before + 1] - grid[before])).mean(axis=1))
 
 
 @dataclass(frozen=True)
@@ -154,12 +168,18 @@ class FitData:
             return self
         end = self.time[-1] - 1e-9
         grid = self.time[0] + step * np.arange(int(np.ceil((end - self.time[0]) / step)) + 1)
-        samples = _sharing(_placed(s, self.time[s.index] + s.fraction * self.step, grid) for s in self.samples)
+        samples = _sharing(_placed(s, self._times(s), self._scattered(s), grid) for s in self.samples)
         supply = np.column_stack([np.interp(grid, self.time, c) for c in self.supply.T])
         moments = self.moments
         if moments is not None:
             moments = np.column_stack([np.interp(grid, self.time, m) for m in moments.T])
         return replace(self, time=grid, step=step, supply=supply, samples=samples, moments=moments)
+
+    def _times(self, samples: Samples) -> np.ndarray:
+        return self.time[samples.index] + samples.fraction * self.step
+
+    def _scattered(self, samples: Samples) -> np.ndarray | None:
+        return None if samples.around is None else samples.around * self.step
 
     def stepped(self, longest: float) -> FitData:
         """Return the same data on a grid with a step (s) of at most `longest` that suits its sampling."""
@@ -171,7 +191,8 @@ class FitData:
         for s in self.samples:
             inside = slice(*np.searchsorted(s.index, [start, end]))  # views: windows of ten minutes are thousands
             index, fraction, values = s.index[inside] - start, s.fraction[inside], s.values[inside]
-            kept.append(replace(s, index=index, fraction=fraction, values=values))
+            around = None if s.around is None else _within(s.around[inside], index + fraction, end - start)
+            kept.append(replace(s, index=index, fraction=fraction, values=values, around=around))
         cut = slice(start, end + 1)
         moments = None if self.moments is None else self.moments[cut]
         return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept), moments=moments)
@@ -265,7 +286,10 @@ def _without(blind: tuple[tuple[float, float], ...], samples: Samples, grid: np.
     seen = ~np.any([(time >= a - 1e-9) & (time <= b + 1e-9) for a, b in blind], axis=0)
     if not seen.any():
         raise CraneError(f"Channel {samples.channel}: no sample where the commands are known. Leave it out.")
-    return replace(samples, index=samples.index[seen], fraction=samples.fraction[seen], values=samples.values[seen])
+    around = None if samples.around is None else samples.around[seen]
+    return replace(
+        samples, index=samples.index[seen], fraction=samples.fraction[seen], values=samples.values[seen], around=around
+    )
 
 
 def grid_step(interval: float, longest: float = 2.5e-3) -> float:
@@ -285,12 +309,15 @@ def _samples(name: str, channel: Channel, stated: float | None, grid: np.ndarray
         )
     noise = max(noise, NO_SENSOR * float(np.ptp(values)))  # with less, equations lose all their digits
     block = max(1, int(np.floor(1.0 / (rate * np.median(np.diff(time))) + 1e-6))) if len(time) > 1 else 1
+    around = None
     if block > 1:
         whole = len(time) // block * block
-        time = time[:whole].reshape(-1, block).mean(axis=1)
+        each = time[:whole].reshape(-1, block)
+        time = each.mean(axis=1)
+        around = each - time[:, None]
         values = values[:whole].reshape(-1, block).mean(axis=1)
         noise = noise / np.sqrt(block)
-    return _placed(Samples(name, np.empty(0, int), np.empty(0), values, float(noise), unsure), time, grid)
+    return _placed(Samples(name, np.empty(0, int), np.empty(0), values, float(noise), unsure), time, around, grid)
 
 
 def _sharing(samples: Iterable[Samples]) -> tuple[Samples, ...]:
@@ -299,18 +326,37 @@ def _sharing(samples: Iterable[Samples]) -> tuple[Samples, ...]:
     """
     found: list[Samples] = []
     for s in samples:
-        like = next(
-            (f for f in found if np.array_equal(f.index, s.index) and np.array_equal(f.fraction, s.fraction)), s
-        )
-        found.append(replace(s, index=like.index, fraction=like.fraction))
+        like = next((f for f in found if _alike(f, s)), s)
+        found.append(replace(s, index=like.index, fraction=like.fraction, around=like.around))
     return tuple(found)
 
 
-def _placed(samples: Samples, time: np.ndarray, grid: np.ndarray) -> Samples:
-    """Return the samples, taken at `time`, with their places on a grid."""
-    place = (time - grid[0]) / (grid[1] - grid[0])
+def _alike(a: Samples, b: Samples) -> bool:
+    """Whether two channels were sampled at the same instants."""
+    if (a.around is None) != (b.around is None):
+        return False
+    pairs = [(a.index, b.index), (a.fraction, b.fraction)]
+    if a.around is not None and b.around is not None:
+        pairs.append((a.around, b.around))
+    return all(np.array_equal(one, other) for one, other in pairs)
+
+
+def _placed(samples: Samples, time: np.ndarray, around: np.ndarray | None, grid: np.ndarray) -> Samples:
+    """Return the samples, taken at `time` (n,) and s `around` it, with their places on a grid."""
+    step = grid[1] - grid[0]
+    place = (time - grid[0]) / step
     index = np.minimum(np.floor(place + 1e-6).astype(np.int64), len(grid) - 2)
-    return replace(samples, index=index, fraction=np.clip(place - index, 0.0, 1.0))
+    if around is not None:
+        around = _within(around / step, place, len(grid) - 1)
+    return replace(samples, index=index, fraction=np.clip(place - index, 0.0, 1.0), around=around)
+
+
+def _within(around: np.ndarray, place: np.ndarray, last: int) -> np.ndarray:
+    """Return when blocks (n, block) were taken around their places (n,), those that reach beyond the grid's first or
+    last point drawn together until they do not.
+    """
+    room = np.minimum(place + 1e-9, last - place + 1e-9) / np.maximum(np.abs(around).max(axis=1), 1e-12)
+    return around if (room >= 1.0).all() else around * np.clip(room, 0.0, 1.0)[:, None]
 
 
 def _supply(recording: Recording, grid: np.ndarray) -> np.ndarray:

@@ -73,7 +73,7 @@ def left_in(group: Group, X: np.ndarray, base: Model) -> list[np.ndarray]:
     Z = _shown(measurement, group, X)
     for j, sample in enumerate(group.samples):
         r = sample.residuals(Z[:, j])
-        residuals.append(_without_memory(r[:, None], group, j, measurement, base)[0][:, 0])
+        residuals.append(_without_memory(r[:, None], group, j, dict(measurement.lags).get(j), base)[0][:, 0])
     return residuals
 
 
@@ -196,10 +196,14 @@ def _sweep_piece(group: Group, begun: _Begun, base: Model, columns: Columns) -> 
         X, ended = ran(group, begun.x, base)
         status, Z = np.maximum(status, ended), _shown(measurement, group, X, begun.shown and begun.shown[0])
     residuals, jacobians, volume = [], [], np.zeros(len(group.windows))
+    lags, others = dict(measurement.lags), _other_lags(measurement, base, columns)
     for j, (sample, owner) in enumerate(zip(group.samples, group.owner, strict=True)):
         r, dr = sample.residuals(Z[:, j]), grid.taken(sample, owner, group, dZ[:, j]) / sample.noise
         if begun.shown is None:
-            both, own = _without_memory(np.column_stack([r, dr]), group, j, measurement, base)
+            both, own = _without_memory(np.column_stack([r, dr]), group, j, lags.get(j), base)
+            for c, tau in others.get(j, ()):  # with another lag, something else is forgotten
+                beside, _ = _without_memory(r[:, None], group, j, tau, base)
+                both[:, 1 + nx + c] += (both[:, 0] - beside[:, 0]) / columns.size[c]
             r, dr, volume = both[:, 0], both[:, 1:], volume + own
         residuals.append(r)
         jacobians.append(dr)
@@ -307,13 +311,26 @@ def _followed_by(a: Swept, b: Swept) -> Swept:
     )  # fmt: skip
 
 
+def _other_lags(measurement: Measurement, base: Model, columns: Columns) -> dict[int, list[tuple[int, float]]]:
+    """Return by channel that lags which columns change that, and the lags (s) that they make of it."""
+    slots, found = slots_of(_LAGS), dict[int, list[tuple[int, float]]]()
+    if measurement.lags:
+        for c in np.flatnonzero((columns.E[:, slots] != base.E[slots]).any(axis=1)).tolist():
+            beside = dict(measurement.beside(base.P, columns.E[c]).lags)
+            for j, tau in measurement.lags:
+                if beside.get(j, 0.0) not in (0.0, tau):
+                    found.setdefault(j, []).append((c, beside[j]))
+    return found
+
+
 def _without_memory(
-    columns: np.ndarray, group: Group, j: int, measurement: Measurement, base: Model
+    columns: np.ndarray, group: Group, j: int, tau: float | None, base: Model
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return columns (n, m) at the samples of channel j without what its unknown first value in each window may have
-    done, and the cost of that (K,); nothing where it does not lag, or was known as the recording began.
+    """Return columns (n, m) at the samples of channel j, which lags by tau (s), without what its unknown first value in
+    each window may have done, and the cost of that (K,); nothing where it does not lag, or was known as the recording
+    began.
     """
-    tau, cost = dict(measurement.lags).get(j), np.zeros(len(group.windows))
+    cost = np.zeros(len(group.windows))
     if tau is None:
         return columns, cost
     rate, parts = RATE[base.crane.layout.sensors[group.samples[j].channel].unit], []

@@ -122,7 +122,8 @@ class Group:
         for owner, own in zip(self.owner, zip(*(w.data.samples for w in self.windows), strict=True), strict=True):
             index = np.concatenate([s.index for s in own]) + self.first[owner]
             fraction, values = (np.concatenate([getattr(s, name) for s in own]) for name in ("fraction", "values"))
-            found.append(replace(own[0], index=index, fraction=fraction, values=values))
+            around = None if own[0].around is None else np.concatenate([s.around for s in own])
+            found.append(replace(own[0], index=index, fraction=fraction, values=values, around=around))
         return tuple(found)
 
     def by_window(self, rows: np.ndarray) -> list[np.ndarray]:
