@@ -32,11 +32,11 @@ from ukf.signals import Signals
 
 from .balances import Balances, balances_of
 from .findings import Finding, Scores, balance_words, people_unit, scores_of, told
-from .fit.data import FitData, known_parameters
+from .fit.data import FINE, FitData, known_parameters
 from .fit.model import model_of, spool_path
 from .fit.objects import with_objects
 from .fit.solve import Fit
-from .fit.staged import FINE, residuals, run_fitted, timing_of
+from .fit.staged import residuals, run_fitted, timing_of
 from .fitness import check_recording, usable
 from .metrics import pn_rmse, r2, rmse
 from .phases import Phase, phases_of
@@ -335,7 +335,7 @@ def _open_loop_errors(
     crane: Crane, recording: Recording, starts: np.ndarray, late: float, engine: Engine
 ) -> tuple[Series, Series, dict[str, ChannelError]]:
     """Return what was measured at every sample, what an open-loop run gives there, and each channel's error."""
-    data = FitData.of(recording, crane, rate=np.inf, step=FINE).shifted(late)
+    data = FitData.whole(recording, crane).shifted(late)
     measured, simulated = open_loop(crane, data, starts, engine)
     errors = {
         s.channel: _channel_error(s.channel, crane.layout, measured[s.channel][1], simulated[s.channel][1], s.noise)
@@ -371,7 +371,7 @@ def from_one_start(recording: Recording, cranes: Mapping[str, Crane]) -> dict[st
     start = started(last, FitData.of(kept, last))
     lines: dict[str, Series] = {}
     for label, crane in cranes.items():
-        data = FitData.of(kept, crane, rate=np.inf, step=FINE).shifted(start.late)
+        data = FitData.whole(kept, crane).shifted(start.late)
         own = start.starts[:, : model_of(crane, data).nx]  # of a pendulum that only the last one has, nothing
         measured, simulated = open_loop(crane, data, own, "semi-recursive")
         lines |= {"measured": measured, label: simulated}

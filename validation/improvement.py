@@ -21,8 +21,8 @@ from ukf.model_error import lasting
 
 from .comparison import filtered, longest_stretch
 from .diagnosis import Candidate, Diagnosis, diagnosis_of, searched, sentence
-from .fit.data import FitData
-from .fit.staged import FINE, residuals, rms
+from .fit.data import FINE, FitData
+from .fit.staged import residuals, rms
 from .fitness import usable
 from .history import added, learned, without_learned
 from .learning import Learned
@@ -203,7 +203,7 @@ def _with_model_error(result: Improvement, judge: Judge, progress: Progress) -> 
     known: dict[str, GaussMarkov] = {}
     if result.verdict == "unknown":
         crane = result.crane
-        whole = [FitData.of(usable(r), crane, rate=math.inf, step=FINE) for r in judge.recordings]
+        whole = [FitData.whole(usable(r), crane) for r in judge.recordings]
         seen = [longest_stretch(data, crane.layout) for data in whole]
         known = lasting(crane, seen, progress=partial(progress, "finding how far the model is off"))
     return replace(result, crane=replace(result.crane, model_error=known))
@@ -338,7 +338,7 @@ def confirmed(crane: Crane, recording: Recording, own: Sequence[str], filters: b
     from crane_exudyn.engine import ExudynEngine
 
     searched, fit = open_loop_error(crane, recording, own=own)
-    data = FitData.of(recording, crane, rate=math.inf, step=FINE)
+    data = FitData.whole(recording, crane)
     exudyn = rms(residuals(fit.crane, data, fit.starts, fit.late, ExudynEngine(fit.crane).simulate))
     if not filters:
         return Confirmed(exudyn, searched, math.nan)

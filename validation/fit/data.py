@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,9 +16,13 @@ from crane_exudyn.recording import Channel, Recording
 from crane_exudyn.signals import NO_SENSOR, noise_std, noise_uncertainty
 
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
-#: local error of a step in a fit, in units of the engine's: 0.06 bar and 2e-7 rad, a fifth of what good sensors show;
-#: beyond it a step is halved. A ring of 30 Hz and 60 noise units takes 16 parts of a step, which a fit's run may have
-ACCURACY = 20.0
+#: longest step of runs that are held against the recording closely, s. A ring of 7 Hz loses a thousandth of its
+#: frequency to a step of 2.5 ms: nothing in a quarter of a second, but not in 25 s
+FINE = 1e-3
+#: local error of a step, in units of the engine's; beyond it a step is halved. In short windows 0.06 bar and 2e-7 rad,
+#: a fifth of what good sensors show; in long ones, where it adds up, the engine's own: in 25 s a valve that swings is
+#: off by ten noise units with the other
+ACCURACY, ACCURATE = 20.0, 1.0
 #: seconds after a gap in the commands until the spools have forgotten it, and the shortest stretch between two gaps
 #: that is worth a start of its own
 _FORGOTTEN, _SHORTEST = 0.25, 0.5
@@ -71,6 +76,7 @@ class FitData:
         command_time, commands: (n,) s and (n, valves), linear between, on their own clock.
         supply: (N, 2) measured pump and tank pressure in Pa, NaN where not recorded.
         samples: one entry a measured channel; none where the commands are not known.
+        accuracy: local error of a step of its runs, in units of the engine's.
         moments: (N, coordinates) in N m (N where a joint slides), what objects of one's own put on the joints; None
             without any.
         blind: spans (from, to) in s in which a command was not recorded, or is still felt; the model is not run through
@@ -86,6 +92,7 @@ class FitData:
     samples: tuple[Samples, ...]
     blind: tuple[tuple[float, float], ...] = ()
     moments: np.ndarray | None = None
+    accuracy: float = ACCURACY
 
     @cached_property
     def stretches(self) -> list[tuple[int, int]]:
@@ -156,6 +163,15 @@ class FitData:
         )
         return cls(recording.name, grid, step, times, commands, _supply(recording, grid), samples, blind)
 
+    @classmethod
+    def whole(cls, recording: Recording, crane: Crane) -> FitData:
+        """Return the data of a recording with every sample, for accurate runs from its beginning to its end.
+
+        Raises:
+            CraneError: as `of`.
+        """
+        return replace(cls.of(recording, crane, rate=math.inf, step=FINE), accuracy=ACCURATE)
+
     def shifted(self, late: float) -> FitData:
         """Return the same data with commands that come `late` seconds after their stamps."""
         if late == 0.0:
@@ -181,9 +197,10 @@ class FitData:
     def _scattered(self, samples: Samples) -> np.ndarray | None:
         return None if samples.around is None else samples.around * self.step
 
-    def stepped(self, longest: float) -> FitData:
+    def stepped(self, longest: float, accuracy: float = ACCURACY) -> FitData:
         """Return the same data on a grid with a step (s) of at most `longest` that suits its sampling."""
-        return self.with_step(grid_step(self.interval, longest))
+        found = self.with_step(grid_step(self.interval, longest))
+        return found if found.accuracy == accuracy else replace(found, accuracy=accuracy)
 
     def part(self, start: int, end: int) -> FitData:
         """Return the stretch of grid points start … end (inclusive)."""
@@ -222,9 +239,9 @@ class Joint:
         """From the first to the last instant of any of them, s."""
         return np.array([min(p.time[0] for p in self.parts), max(p.time[-1] for p in self.parts)])
 
-    def stepped(self, longest: float) -> Joint:
+    def stepped(self, longest: float, accuracy: float = ACCURACY) -> Joint:
         """Return the same recordings, each on a grid that suits its sampling."""
-        return replace(self, parts=tuple(p.stepped(longest) for p in self.parts))
+        return replace(self, parts=tuple(p.stepped(longest, accuracy) for p in self.parts))
 
 
 Data = FitData | Joint

@@ -6,11 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.hydraulics import vapour_pressure
 
 from .columns import model_at
 from .data import Data, FitData, Joint
@@ -70,10 +72,11 @@ def begun_anew(
     stiffness: float,
 ) -> np.ndarray:
     """Return first states (K, nx) of windows: of those that stay unexplained the best of its own, as measured, and
-    where the window before ends.
+    where the window before ends; of those in which a chamber boils the void that the window before leaves.
 
     What a window leaves counts by its logarithm only, so one whose first state was caught in a false minimum (of a
-    cylinder that has run through its stop, say) pulls at nothing and stays there, though the model be right.
+    cylinder that has run through its stop, say) pulls at nothing and stays there, though the model be right. Of a void
+    no sensor tells the size; begun as none in every window, it is wrong by a thousand times what a jump may be.
     """
     found = []
     for i, part, mine in by_recording(data, windows):
@@ -96,7 +99,7 @@ def _uncaught(
     data: FitData, windows: Sequence[Window], knots: np.ndarray, model: Model, stiffness: float
 ) -> np.ndarray:
     knots, scale = knots.copy(), jump_of(model.crane.layout)[: model.nx] / stiffness
-    ends, errors = _runs(windows, knots, model)
+    ends, errors = _with_voids(windows, knots, model, *_runs(windows, knots, model))
     for k in np.flatnonzero(errors > _CAUGHT).tolist():
         before = ends[k - 1] if k and follows(windows[k - 1], windows[k]) else None
         after = knots[k + 1] if k + 1 < len(windows) and follows(windows[k], windows[k + 1]) else None
@@ -105,6 +108,26 @@ def _uncaught(
         tried = [begun(x0) for x0 in (knots[k], measured, before) if x0 is not None]
         knots[k], ends[k], _ = min(tried, key=lambda one: one.cost)
     return knots
+
+
+def _with_voids(
+    windows: Sequence[Window], knots: np.ndarray, model: Model, ends: np.ndarray, errors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where windows end and what they leave with voids, which are put into their knots, taken over from one
+    window to the next.
+    """
+    p, floor = model.crane.layout.pressures, float(vapour_pressure(model.P))
+    most = floor + jump_of(model.crane.layout)[p]
+    for k, (a, b) in enumerate(pairwise(windows), 1):
+        void = (ends[k - 1, p] < floor) & (knots[k, p] < most) & np.isfinite(ends[k - 1, p])
+        if not (void.any() and follows(a, b)):
+            continue
+        x0 = knots[k].copy()
+        x0[p] = np.where(void, ends[k - 1, p], x0[p])
+        (end,), (error,) = _runs([b], x0[None], model)
+        if error < max(errors[k], _CAUGHT):
+            knots[k], ends[k], errors[k] = x0, end, error
+    return ends, errors
 
 
 def _runs(windows: Sequence[Window], knots: np.ndarray, model: Model) -> tuple[np.ndarray, np.ndarray]:

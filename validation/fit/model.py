@@ -23,7 +23,8 @@ from .data import ACCURACY, FitData
 @dataclass(frozen=True)
 class Model:
     """Vectors of one crane for one recording: P, E, the inputs W (N, valves + 2) on the recording's grid, with
-    disturbances behind where any are known; and the commands' lateness, s.
+    disturbances behind where any are known; the commands' lateness, s; and the local error of a step of its runs, in
+    units of the engine's.
     """
 
     crane: Crane
@@ -31,6 +32,7 @@ class Model:
     E: np.ndarray
     W: np.ndarray
     late: float = 0.0
+    accuracy: float = ACCURACY
 
     @property
     def topology(self) -> np.ndarray:
@@ -59,9 +61,7 @@ class Model:
         that failed, as accurate as fits need; a machine that runs away fails.
         """
         x0, W, time = (np.ascontiguousarray(a) for a in (x0, W, time))  # another order in memory is compiled anew
-        X, status, last, _ = kernel.simulate(
-            x0, W, time, step, self.P, self.E, self.topology, ACCURACY, kernel.MOST_PARTS
-        )
+        X, status, last, _ = kernel.simulate(x0, W, time, step, *self._machine)
         return X, status, last
 
     def each(
@@ -71,10 +71,12 @@ class Model:
         by run (K,) what `run` returns.
         """
         x0, W, time = (np.ascontiguousarray(a) for a in (x0, W, time))
-        X, status, last, _ = kernel.simulate_each(
-            x0, first, W, time, step, self.P, self.E, self.topology, ACCURACY, kernel.MOST_PARTS
-        )
+        X, status, last, _ = kernel.simulate_each(x0, first, W, time, step, *self._machine)
         return X, status, last
+
+    @property
+    def _machine(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        return self.P, self.E, self.topology, self.accuracy, kernel.most_parts(self.accuracy)
 
     def whole(self, x0: np.ndarray, W: np.ndarray, time: np.ndarray, step: float) -> tuple[np.ndarray, int]:
         """Return the states and the status of a run that stands still from where it leaves what the crane can do."""
@@ -95,7 +97,7 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None 
     spool = None if near is None else _extrapolated(near, crane, P, E, data, late)
     if spool is None:
         spool = _paths(crane, P, E, data, late)
-    return Model(crane, P, E, _inputs(crane, data, spool), late)
+    return Model(crane, P, E, _inputs(crane, data, spool), late, data.accuracy)
 
 
 def _inputs(crane: Crane, data: FitData, spool: np.ndarray) -> np.ndarray:

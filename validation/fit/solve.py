@@ -22,8 +22,8 @@ from .linear import Linear, linearised, near
 from .variables import Variable, acts, alone, lateness, with_variables
 from .windows import Window, alike, follows
 
-#: lowest pressure of a state, Pa: a void of a few per cent of its chamber is remembered as that
-EMPTIEST = -1e8
+#: lowest pressure of a state, Pa: a void of more than half of its chamber is remembered as that
+EMPTIEST = -1e9
 #: how often a step is shortened at most; the same derivatives serve on while a step promises at most this share of
 #: what the one before it brought
 _TRIES, _SERVES = 6, 0.3

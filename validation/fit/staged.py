@@ -14,7 +14,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 
-from .data import Data, FitData
+from .data import ACCURACY, ACCURATE, FINE, Data, FitData
 from .knots import begun_anew, reknot
 from .linear import with_states
 from .model import Model, model_of
@@ -38,7 +38,7 @@ OFF, STARTS = 2.0, (0.15, 0.5, 0.85)
 @dataclass(frozen=True)
 class Stage:
     """Window length in s, expected smallness of jumps between windows, iterations, longest simulation step in s; how
-    many seconds are looked at from where each long run begins.
+    many seconds are looked at from where each long run begins; local error of a step, in units of the engine's.
     """
 
     seconds: float
@@ -46,6 +46,7 @@ class Stage:
     iterations: int
     step: float = 2.5e-3
     reach: float = math.inf
+    accuracy: float = ACCURACY
 
     def windows(self, data: Data) -> list[Window]:
         """Return its windows of a recording, or of several."""
@@ -59,12 +60,9 @@ class Stage:
         return begin - self.seconds < window.data.time[0] < begin + self.reach
 
 
-#: a ring of 7 Hz loses a thousandth of its frequency to a step of 2.5 ms: nothing in a quarter of a second, but not in
-#: 25 s
-FINE = 1e-3
 LOOSE, TIGHT, STIFF = Stage(SHORT, 1.0, 5), Stage(SHORT, 10.0, 5), Stage(SHORT, 100.0, 6, FINE)
 STAGES = (LOOSE, TIGHT, STIFF)
-WHOLE = Stage(LONG, 1.0, 6, FINE)
+WHOLE = Stage(LONG, 1.0, 6, FINE, accuracy=ACCURATE)
 #: a crane as it is, its start alone looked for: what comes later than these seconds says nothing more of where it began
 _BEGINNING = 4.0
 START = (
@@ -97,7 +95,7 @@ def each_stage(
     """Return the fit after each stage."""
     found = list[Fit]()
     for stage in stages:
-        data = data.stepped(stage.step)
+        data = data.stepped(stage.step, stage.accuracy)
         windows, last = stage.windows(data), found[-1] if found else before
         knots = reknot(last, windows) if isinstance(last, Fit) else last
         u = found[-1].u if found else u

@@ -18,7 +18,7 @@ from crane_exudyn.measurement import Measurement
 
 from ..semi_recursive import sensitivity
 from .columns import Columns, acting
-from .data import ACCURACY, Samples
+from .data import Samples
 from .model import Model
 from .windows import Group, Window, jump_of, pieces_of
 
@@ -230,7 +230,7 @@ def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[
     sloped, run = np.flatnonzero(~here.by_run), np.flatnonzero(here.by_run)
     swept = sensitivity.sweep(
         begun.x, grid.first, grid.W, grid.steps, grid.time[grid.first], base.P, own_E, here.P[sloped],
-        here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology, allowed=ACCURACY,
+        here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology, allowed=base.accuracy,
         thinned=bool(grid.steps[0] < 1.01 * DERIVED),
     )  # fmt: skip
     if begun.by_all is None and len(sloped) == m:

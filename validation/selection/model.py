@@ -25,7 +25,6 @@ from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit, fit
 from ..fit.staged import (
-    FINE,
     STIFF,
     WHOLE,
     Stage,
@@ -387,7 +386,7 @@ def open_loop_error(
         fit = run_fitted(crane, data, variables)
     else:
         fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, (WHOLE,))
-    every = FitData.of(recording, crane, rate=math.inf, step=FINE)
+    every = FitData.whole(recording, crane)
     return rms(residuals(fit.crane, every, fit.starts, fit.late)), fit
 
 

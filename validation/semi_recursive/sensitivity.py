@@ -35,7 +35,6 @@ from .kernel import (
     HALVED,
     LEVEL,
     LIMIT,
-    MOST_PARTS,
     NOT_CONVERGED,
     OK,
     PARTS,
@@ -48,6 +47,7 @@ from .kernel import (
     exhausted,
     factorise,
     forget,
+    most_parts,
     point,
     remember,
     try_step,
@@ -69,7 +69,7 @@ class Sweep(NamedTuple):
         S: sensitivities (N, nx, M); where a window begins identity and zeros.
         Phi: (N, nx, nx), Phi[k + 1] = dx_{k+1}/dx_k within a window; empty unless asked for. Where a window begins the
             identity.
-        status: (K,) of the kernel; where a step failed, or the run had more parts than a fit's may (`MOST_PARTS`), the
+        status: (K,) of the kernel; where a step failed, or the run had more parts than a fit's may (`most_parts`), the
             rest of that window is NaN in X and 0 in S.
         failed: (K,) sample before the first step of a window that failed, or -1.
         halved: how many steps were halved.
@@ -194,6 +194,7 @@ class Base(NamedTuple):
     substeps: int
     thinned: bool  # whether probes are taken at every second sample
     allowed: float  # local error of a step, in units of step_control.*_ERROR
+    most: float  # parts that a step may have on the average
 
 
 class Tangents(NamedTuple):
@@ -449,7 +450,7 @@ def run_window(first, end, v, base, work, X, S, Phi):
             moved, came = advance_two(base, k, v, work, X[k + 1], S[k + 1])
         if moved == 0:
             moved, came = 1, advance_sample(base, k, v, work)
-        if came == OK and exhausted((k + moved - first) * base.substeps, MOST_PARTS, work):
+        if came == OK and exhausted((k + moved - first) * base.substeps, base.most, work):
             came = TOO_COARSE
         if came != OK:
             return came, k
@@ -472,7 +473,7 @@ def _sweep(x0, first, steps, begins, base, topology, want_phi):
         k, end = first[w], first[w + 1] if w + 1 < K else N
         own = Base(
             base.P, base.E, base.P_cols, base.E_cols, base.bodies, base.delta, base.W_all, base.W_index, steps[w],
-            begins[w] - k * steps[w], base.substeps, base.thinned, base.allowed,
+            begins[w] - k * steps[w], base.substeps, base.thinned, base.allowed, base.most,
         )  # fmt: skip
         begin_window(own, k, x0[w], v, work)
         if want_phi:
@@ -537,5 +538,8 @@ def sweep(
     steps, begins = (np.broadcast_to(a, K).astype(float) for a in (h, t0))  # what is read only is compiled anew
     thinned = thinned and substeps == 1 and not want_phi
     bodies = moves_bodies(P, E, P_cols, E_cols, topology[0, CYLINDERS])
-    base = Base(P, E, P_cols, E_cols, bodies, delta, W, index, 0.0, 0.0, int(substeps), thinned, float(allowed))
+    base = Base(
+        P, E, P_cols, E_cols, bodies, delta, W, index, 0.0, 0.0, int(substeps), thinned, float(allowed),
+        most_parts(allowed),
+    )  # fmt: skip
     return Sweep(*_sweep(x0, np.ascontiguousarray(first, np.int64), steps, begins, base, topology, bool(want_phi)))
