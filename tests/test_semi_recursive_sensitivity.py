@@ -242,7 +242,7 @@ def test_a_machine_that_runs_away_ends_a_run_of_a_fit_but_no_other(crane: Crane)
     assert result.status == kernel.TOO_COARSE and 0 <= result.failed[0] < 100
     assert np.isnan(result.X[result.failed[0] + 1 :]).all()
     machine = (crane.parameter_vector(), crane.effect_vector(), crane.machine.topology)
-    fitting = kernel.simulate(away, W, np.arange(101) * H, H, *machine, 10.0, kernel.most_parts(10.0))
+    fitting = kernel.simulate(away, W, np.arange(101) * H, H, *machine, 10.0, kernel.most_parts(10.0, H))
     assert fitting[1] == kernel.TOO_COARSE and fitting[2] < 100
     short = kernel.simulate(away, W[:2], np.arange(2) * H, H, *machine, 10.0, math.inf)
     assert short[1] == kernel.OK

@@ -61,7 +61,7 @@ class Model:
         that failed, as accurate as fits need; a machine that runs away fails.
         """
         x0, W, time = (np.ascontiguousarray(a) for a in (x0, W, time))  # another order in memory is compiled anew
-        X, status, last, _ = kernel.simulate(x0, W, time, step, *self._machine)
+        X, status, last, _ = kernel.simulate(x0, W, time, step, *self._with(step))
         return X, status, last
 
     def each(
@@ -71,12 +71,11 @@ class Model:
         by run (K,) what `run` returns.
         """
         x0, W, time = (np.ascontiguousarray(a) for a in (x0, W, time))
-        X, status, last, _ = kernel.simulate_each(x0, first, W, time, step, *self._machine)
+        X, status, last, _ = kernel.simulate_each(x0, first, W, time, step, *self._with(step))
         return X, status, last
 
-    @property
-    def _machine(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-        return self.P, self.E, self.topology, self.accuracy, kernel.most_parts(self.accuracy)
+    def _with(self, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+        return self.P, self.E, self.topology, self.accuracy, kernel.most_parts(self.accuracy, step)
 
     def whole(self, x0: np.ndarray, W: np.ndarray, time: np.ndarray, step: float) -> tuple[np.ndarray, int]:
         """Return the states and the status of a run that stands still from where it leaves what the crane can do."""

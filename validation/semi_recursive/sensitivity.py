@@ -540,6 +540,6 @@ def sweep(
     bodies = moves_bodies(P, E, P_cols, E_cols, topology[0, CYLINDERS])
     base = Base(
         P, E, P_cols, E_cols, bodies, delta, W, index, 0.0, 0.0, int(substeps), thinned, float(allowed),
-        most_parts(allowed),
+        most_parts(allowed, float(steps.max()) / substeps),
     )  # fmt: skip
     return Sweep(*_sweep(x0, np.ascontiguousarray(first, np.int64), steps, begins, base, topology, bool(want_phi)))
