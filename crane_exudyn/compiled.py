@@ -75,8 +75,10 @@ def _remove(folder: str, owner: int) -> None:
 
 @functools.cache
 def cache_folder(package: str = _FOUNDATION) -> Path:
-    """Return the folder of compiled code of one top-level package, named after the sources it may come from."""
-    digest = hashlib.sha256(f"{numba.__version__} {registry.fingerprint()}".encode())
+    """Return the folder of compiled code of one top-level package, named after the sources it may come from, and after
+    where they are: by that Numba finds it again.
+    """
+    digest = hashlib.sha256(f"{numba.__version__} {registry.fingerprint()} {_ROOT}".encode())
     for name in sorted({_FOUNDATION, package}):
         for source in sorted((_ROOT / name).rglob("*.py")):
             text = source.read_bytes()
