@@ -25,7 +25,7 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.layout import Layout
 
-from .fit.data import ACCURACY, FitData
+from .fit.data import FitData
 from .fit.model import Model, model_of
 from .fit.start import knots_of
 from .fit.windows import cut, jump_of
@@ -285,7 +285,7 @@ def _transitions(
         np.arange(1, 1 + m),
         topology=model.topology,
         want_phi=True,
-        allowed=ACCURACY,
+        allowed=model.accuracy,
     )
     if run.status.any() or not np.isfinite(run.X).all():
         t = data.time[at[run.failed.max()]]

@@ -409,9 +409,9 @@ def _signals(data: FitData, first: int, last: int, layout: Layout) -> Signals:
     """Return what the filter sees of the stretch of grid points first … last."""
     sensors = {}
     for s in data.samples:
-        inside = (s.index >= first) & (s.index <= last)
-        if inside.any():
-            sensors[s.channel] = (data.time[s.index[inside]] + s.fraction[inside] * data.step, s.values[inside])
+        own = s.picked((s.index >= first) & (s.index <= last))
+        if len(own.values):
+            sensors[s.channel] = (data.times(own), own.values)
     supply = {n: (data.time, v) for n, v in zip(layout.supply, data.supply.T, strict=True) if np.isfinite(v).any()}
     return Signals(data.command_time, data.commands, sensors, supply, data.name)
 

@@ -58,6 +58,13 @@ class Samples:
         """
         return np.asarray((self.values - self._averaged(grid)) / self.noise)
 
+    def picked(self, rows: np.ndarray | slice, start: int = 0) -> Samples:
+        """Return some of the samples, on a grid that begins at grid point `start` of this one."""
+        return replace(
+            self, index=self.index[rows] - start, fraction=self.fraction[rows], values=self.values[rows],
+            around=None if self.around is None else self.around[rows],
+        )  # fmt: skip
+
     def _averaged(self, grid: np.ndarray) -> np.ndarray:
         if self.around is None:
             return self.taken(grid)
@@ -184,18 +191,20 @@ class FitData:
             return self
         end = self.time[-1] - 1e-9
         grid = self.time[0] + step * np.arange(int(np.ceil((end - self.time[0]) / step)) + 1)
-        samples = _sharing(_placed(s, self._times(s), self._scattered(s), grid) for s in self.samples)
+        samples = _sharing(_placed(s, *self._taken(s), grid) for s in self.samples)
         supply = np.column_stack([np.interp(grid, self.time, c) for c in self.supply.T])
         moments = self.moments
         if moments is not None:
             moments = np.column_stack([np.interp(grid, self.time, m) for m in moments.T])
         return replace(self, time=grid, step=step, supply=supply, samples=samples, moments=moments)
 
-    def _times(self, samples: Samples) -> np.ndarray:
-        return self.time[samples.index] + samples.fraction * self.step
+    def times(self, samples: Samples) -> np.ndarray:
+        """Return when the samples of one of its channels were taken, s."""
+        return np.asarray(self.time[samples.index] + samples.fraction * self.step)
 
-    def _scattered(self, samples: Samples) -> np.ndarray | None:
-        return None if samples.around is None else samples.around * self.step
+    def _taken(self, samples: Samples) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return the same, and when each of those was whose mean they are, in s from there."""
+        return self.times(samples), None if samples.around is None else samples.around * self.step
 
     def stepped(self, longest: float, accuracy: float = ACCURACY) -> FitData:
         """Return the same data on a grid with a step (s) of at most `longest` that suits its sampling."""
@@ -207,9 +216,10 @@ class FitData:
         kept = []
         for s in self.samples:
             inside = slice(*np.searchsorted(s.index, [start, end]))  # views: windows of ten minutes are thousands
-            index, fraction, values = s.index[inside] - start, s.fraction[inside], s.values[inside]
-            around = None if s.around is None else _within(s.around[inside], index + fraction, end - start)
-            kept.append(replace(s, index=index, fraction=fraction, values=values, around=around))
+            own = s.picked(inside, start)
+            if own.around is not None:
+                own = replace(own, around=_within(own.around, own.index + own.fraction, end - start))
+            kept.append(own)
         cut = slice(start, end + 1)
         moments = None if self.moments is None else self.moments[cut]
         return replace(self, time=self.time[cut], supply=self.supply[cut], samples=tuple(kept), moments=moments)
@@ -303,10 +313,7 @@ def _without(blind: tuple[tuple[float, float], ...], samples: Samples, grid: np.
     seen = ~np.any([(time >= a - 1e-9) & (time <= b + 1e-9) for a, b in blind], axis=0)
     if not seen.any():
         raise CraneError(f"Channel {samples.channel}: no sample where the commands are known. Leave it out.")
-    around = None if samples.around is None else samples.around[seen]
-    return replace(
-        samples, index=samples.index[seen], fraction=samples.fraction[seen], values=samples.values[seen], around=around
-    )
+    return samples.picked(seen)
 
 
 def grid_step(interval: float, longest: float = 2.5e-3) -> float:

@@ -164,7 +164,7 @@ def residuals(
     own = lambda x0, time, W: model.whole(x0, W, time, data.step)[0]  # noqa: E731
     X = _states(crane, data, model, np.atleast_2d(np.asarray(starts, dtype=float)), simulate or own)
     found = {}
-    times = {id(s.index): data.time[s.index] + s.fraction * data.step for s in data.samples}
+    times = {id(s.index): data.times(s) for s in data.samples}
     for s in data.samples:  # one by one: all of ten minutes would be another hundred megabytes
         z = model.measurement((s.channel,)).shown(X, data.time)[:, 0]
         found[s.channel] = (times[id(s.index)], s.residuals(z))

@@ -70,10 +70,10 @@ def left_in(group: Group, X: np.ndarray, base: Model) -> list[np.ndarray]:
     is forgotten.
     """
     measurement, residuals = base.measurement(group.windows[0].data.channels), []
-    Z = _shown(measurement, group, X)
+    Z, lags = _shown(measurement, group, X), dict(measurement.lags)
     for j, sample in enumerate(group.samples):
         r = sample.residuals(Z[:, j])
-        residuals.append(_without_memory(r[:, None], group, j, dict(measurement.lags).get(j), base)[0][:, 0])
+        residuals.append(_without_memory(r[:, None], group, j, lags.get(j), base)[0][:, 0])
     return residuals
 
 
