@@ -125,6 +125,14 @@ def test_the_same_seed_gives_the_same_case_and_effects_are_as_visible_as_asked(s
     assert 5.0 <= shift <= 40.0
 
 
+def test_what_is_hidden_shows_in_the_part_that_is_learned_from(short: None) -> None:
+    case = hidden.make_case(1205, kind="effect", keys=["payload_change"], rate=100, learned=4.0)
+    assert case.learn.end == pytest.approx(4.0)
+    assert case.answer["parameters"]["payload_change"]["T"] < 4.0
+    assert case.answer["visibility"]["payload_change"] >= 3.0
+    assert case.check.end > 5.0
+
+
 def test_a_swapped_machine_runs_on_the_other_engine_and_agrees_far_below_the_noise(short: None) -> None:
     a, b = (hidden.make_case(1203, kind="none", rate=100, sensors=0, swapped=swapped) for swapped in (False, True))
     for name, std in a.answer["noise"].items():

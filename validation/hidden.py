@@ -356,6 +356,7 @@ class _Setting:
     machine: Crane
     nominal: Crane
     visible: tuple[float, float]
+    learned: float
     foreign: bool
     picked: bool  # the effects were drawn, not asked for
     swapped: bool
@@ -371,6 +372,7 @@ def make_case(
     rate: int | None = None,
     sensors: int | None = None,
     errors: bool | None = None,
+    learned: float = DURATION,
     foreign: bool = False,
     swapped: bool = False,
     crane: Crane | None = None,
@@ -386,6 +388,7 @@ def make_case(
         rate: of RATES, Hz.
         sensors: 0 for all pressures, 1 for z1 z4 p1 p4.
         errors: whether the machine's parameters are a little off.
+        learned: seconds of the recording that is learned from; what is hidden is as visible in them as is asked.
         foreign: laws in a dialect of their own, a little different from the library's (hidden_plant.DIALECTS).
         swapped: the machine runs on the engine that the diagnosis uses too; for effects of the library.
         crane: nominal crane; by default patu655.
@@ -404,7 +407,7 @@ def make_case(
     picked = keys is None and kind in HIDES
     keys = _pick(rng, kind, list(stds)) if picked else keys or []
     return _until_it_does(
-        seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, foreign, picked, swapped)
+        seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, learned, foreign, picked, swapped)
     )
 
 
@@ -489,21 +492,27 @@ def _seen(s: _Setting, machine: Crane, manoeuvre: Manoeuvre) -> dict[str, float]
     """Return the visibility of each effect and of the parameter errors; CraneError where an effect is not as visible as
     asked.
     """
-    whole = _draft(machine, manoeuvre)
+    whole = _learned(s, _draft(machine, manoeuvre))
     seen = {}
     for key in s.keys:
         effect, place = registry.split_key(key)
         if effect.beyond_stroke:
             _check_hit(machine, whole, machine.layout.cylinders.index(place))
             continue  # without it there is no run to compare with
-        seen[key] = visibility(whole, _draft(machine.without_effect(key), manoeuvre), s.noise)
+        seen[key] = visibility(whole, _learned(s, _draft(machine.without_effect(key), manoeuvre)), s.noise)
         if not s.visible[0] <= seen[key] <= s.visible[1]:
             raise CraneError(f"{key} moves the channels by {seen[key]:.2g} noise units, asked for {s.visible}.")
     if dict(s.machine.values) != dict(s.nominal.values):
-        seen["parameters"] = visibility(whole, _draft(machine.with_parameters(s.nominal.values), manoeuvre), s.noise)
+        plain = _learned(s, _draft(machine.with_parameters(s.nominal.values), manoeuvre))
+        seen["parameters"] = visibility(whole, plain, s.noise)
         if s.kind == "parameters" and seen["parameters"] < s.visible[0]:
             raise CraneError("the parameter errors cannot be seen.")
     return seen
+
+
+def _learned(s: _Setting, run: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return what a run shows in the part that is learned from."""
+    return {name: shown[: round(s.learned / _STEP) + 1] for name, shown in run.items()}
 
 
 def _check_hit(machine: Crane, shown: Mapping[str, np.ndarray], cylinder: int) -> None:
@@ -524,7 +533,7 @@ def _unknown_case(seed: int, s: _Setting, manoeuvres: Sequence[Manoeuvre]) -> Hi
     lengths = pose(s.machine, plain["z1"], plain["z4"]).lengths
     hidden = draw_law(name, s.machine, s.rng, plain | {"s1": lengths[:, 0], "s2": lengths[:, 1]})
     runs = [_exact(s.machine, s, manoeuvres[0], [hidden.law])]
-    seen = visibility(runs[0], plain, s.noise)
+    seen = visibility(_learned(s, runs[0]), _learned(s, plain), s.noise)
     if not s.visible[0] <= seen <= s.visible[1]:
         raise CraneError(f"{name} moves the channels by {seen:.2g} noise units, asked for {s.visible}.")
     runs.append(_exact(s.machine, s, manoeuvres[1], [hidden.law]))
@@ -566,7 +575,7 @@ def _recorded(
         answer |= {
             f"{part}_start": {"z1": manoeuvre.z1, "z4": manoeuvre.z4, "less_loaded": list(manoeuvre.less_loaded)}
         }
-    return HiddenCase(seed, recordings[0], recordings[1], answer)
+    return HiddenCase(seed, recordings[0].window(0.0, s.learned), recordings[1], answer)
 
 
 # -- many, as files --------------------------------------------------------------------------------------------------

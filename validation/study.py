@@ -17,7 +17,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -164,13 +164,12 @@ def _seed_line(seed: int, more: Mapping[str, Any], criteria: Mapping[str, float]
     for name, value in criteria.items():
         object.__setattr__(CRITERIA, name, value)  # of this process, for all its cases
     plan = dict(more) if more.get("kind") else planned(seed) | dict(more)
-    learned = plan.pop("learned", math.inf)
     try:
         case = make_case(seed, **plan)
     except CraneError as problem:  # no manoeuvre shows this effect so well: told, and left out
         answer = {"kind": plan["kind"], "verdict": "", "effects": plan.get("keys", [])}
         return {"name": f"case_{seed}", "answer": answer, "undrawn": str(problem)}
-    return run_one(replace(case, learn=case.learn.window(0.0, learned)), f"case_{seed}")
+    return run_one(case, f"case_{seed}")
 
 
 def _folder_line(folder: Path, name: str) -> dict[str, Any]:
