@@ -17,7 +17,7 @@ from validation.fitness import check_check
 from validation.selection.moves import Start, around, starts
 from validation.selection.search import Round
 from validation.selection.verdict import verdict_of, within_clocks
-from validation.selection.white import WhitePath
+from validation.selection.white import WHITE, WhitePath
 
 DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
@@ -198,6 +198,15 @@ def test_several_weak_effects_are_justified_together_where_none_of_them_is_alone
         grown = WhitePath(SimpleNamespace(), nothing, tuple(rounds), given=nothing, fewest=nothing)
         assert grown.ahead is w
         assert [len(v.keys) for v in grown.weighed] == {1: [1], 2: [1], 3: [3, 1], 4: [4, 3, 1]}[n]
+
+
+def test_a_round_that_brings_nothing_ends_the_search():
+    nothing = model(evidence=-9000.0, **WRONG, near=False)
+    for brought, goes_on in ((11.0, False), (13.0, True)):
+        w = model(LEAK, nothing.evidence + brought, False, level=8.9, near=False)
+        rounds = (Round((w,), (w,)),)
+        grown = WhitePath(SimpleNamespace(), nothing, rounds, given=nothing, fewest=nothing)
+        assert WHITE.gained(grown) is goes_on
 
 
 def test_what_a_shift_of_the_clock_does_is_no_effect():

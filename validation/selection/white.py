@@ -127,7 +127,7 @@ def _beam(path: WhitePath, most: int) -> Sequence[Fitted]:
     best, ahead = path.best, path.ahead
     if not path.rounds:
         return [path.parameters]
-    if best is None or ahead is None or (path.parameters.good and best.evidence < path.bare + CRITERIA.proof):
+    if best is None or ahead is None:
         return []
     first = path.rounds[0].tried[: CRITERIA.beam]
     if len(path.rounds) == 1 and not (best.good or path.parameters.good):
@@ -236,12 +236,13 @@ def _leading(parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]
 
 
 def _relocated(path: WhitePath, done: list[Fitted], parents: Sequence[Fitted], tried: Sequence[Fitted]) -> list[Fitted]:
-    """Return the fits with the leading effect at its other places added, where moved parameters help it.
+    """Return the fits with the leading effect at its other places added, where it explains something and moved
+    parameters help it.
 
     An effect at the wrong place explains much of a recording if parameters may help, and they can hide the right place
     from the screen.
     """
-    if not done or done[0].move_cost < CRITERIA.helped:
+    if not done or done[0].move_cost < CRITERIA.helped or done[0].evidence < path.bare + CRITERIA.proof:
         return done
     problem, known = path.problem, {key for w in done for key in w.keys}
     effect, _ = registry.split_key(done[0].keys[0])
@@ -342,9 +343,10 @@ def _after(path: WhitePath, found: Round[Fitted]) -> WhitePath:
 
 
 def _gained(path: WhitePath) -> bool:
-    """Whether the last round brought a model that has the proof against the one before it."""
+    """Whether the last round brought a model that has the proof against the one before it, or one without effects."""
     before, after = replace(path, rounds=path.rounds[:-1]).ahead, path.ahead
-    return after is not None and (before is None or after.evidence >= before.evidence + CRITERIA.proof)
+    least = path.bare if before is None else before.evidence
+    return after is not None and after.evidence >= least + CRITERIA.proof
 
 
 def _finished(path: WhitePath, most: int, progress: Progress) -> WhitePath:
