@@ -80,15 +80,14 @@ def proven(
     most.
     """
     progress("fitting everything together", 0.7)
-    now = _whole_run(problem, last)
-    while True:
-        progress("leaving out each effect once", 0.8)
-        now, full, left = _needed(problem, now)
-        progress("looking for what acts beside them", 0.9)
-        further = _further(problem, now, full, left, most)
-        if further is now:
-            break
-        now = further
+    now, settled = _whole_run(problem, last), False
+    while not settled:
+        progress("looking for what acts beside them", 0.8)
+        grown = _grown(problem, now, most)
+        progress("leaving out each effect once", 0.9)
+        kept, full, left = _needed(problem, grown)
+        now = _brought_back(problem, kept, left)
+        settled = now is grown
     final, keys, parts = now.fit, now.keys, problem.data.parts
     before = errors_of(problem, [run_fitted(problem.crane, p) for p in parts])
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
@@ -137,29 +136,37 @@ def _with_fit(now: Standing, fit: Fit, keys: Sequence[str]) -> Standing:
     return replace(now, model=Model((), effects_of(fit.crane, keys)), fit=fit, loose=fit)
 
 
-def _further(problem: Problem, now: Standing, full: Errors, left: Mapping[str, _Without], most: int) -> Standing:
-    """Return a likelier model that one more step leads to where all is fitted together, or the same one.
+def _grown(problem: Problem, now: Standing, most: int) -> Standing:
+    """Return a likelier model with more effects, taken in one by one as long as they lower the errors, or two at once
+    where neither of the likeliest alone does; or the same one.
 
-    An effect is brought back, as large as is met in practice, where all else has settled without it: two can hold each
-    other in a false minimum, such as metering that hardly acts and air that comes too late. Or one more is taken in, or
-    two where neither of the likeliest alone lowers the errors: which of several a round took first, and at which values
-    of all else, hangs on little, and what was not demanded then may be now.
+    Which of several a round took first, and at which values of all else, hangs on little, and what was not demanded
+    then may be now.
+    """
+    grown = now
+    while (room := most - len(grown.keys)) > 0 and left_over(_whole_errors(problem, grown.fit)) > CRITERIA.gained:
+        parent = replace(grown, errors=_judged_apart(problem, grown), unseen=None) if grown is now else grown
+        likelier = _likelier(problem, parent, _one_more(parent))
+        if room > 1 and likelier and not any(one.serves(parent) for one in likelier):
+            likelier = _likelier(problem, parent, [way for one in likelier for way in _one_more(one)])
+        further = next((one for one in likelier if one.serves(parent)), None)
+        if further is None:
+            break
+        grown = further
+    return grown
+
+
+def _brought_back(problem: Problem, now: Standing, left: Mapping[str, _Without]) -> Standing:
+    """Return a likelier model with the same effects, one of them brought back, as large as is met in practice, where
+    all else has settled without it; or the same one.
+
+    Two effects can hold each other in a false minimum, such as metering that hardly acts and air that comes too late.
     """
     ways = [
         _Way(now, now.keys, typical(without.fit.crane, effects_of(now.fit.crane, [key])), without.fit)
         for key, without in left.items()
     ]
-    room = most - len(now.keys) if left_over(full) > CRITERIA.gained else 0
-    parent = replace(now, errors=_judged_apart(problem, now), unseen=None) if room else now
-    likelier = _likelier(problem, parent, [*ways, *(_one_more(parent) if room else [])])
-    if room > 1 and likelier and not any(_steps(one, parent) for one in likelier):
-        likelier = _likelier(problem, parent, [way for one in likelier for way in _one_more(one)])
-    return next((one for one in likelier if _steps(one, parent)), now)
-
-
-def _steps(one: Standing, now: Standing) -> bool:
-    """Whether a likelier model is a step from another: with the same effects, or with more that lower the errors."""
-    return len(one.keys) == len(now.keys) or one.serves(now)
+    return next(iter(_likelier(problem, now, ways)), now)
 
 
 def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Standing]:
