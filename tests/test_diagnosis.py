@@ -200,6 +200,18 @@ def test_several_weak_effects_are_justified_together_where_none_of_them_is_alone
         assert [len(v.keys) for v in grown.weighed] == {1: [1], 2: [1], 3: [3, 1], 4: [4, 3, 1]}[n]
 
 
+def test_the_search_goes_on_from_two_effects_that_leave_little_though_the_second_is_not_justified_yet():
+    """Seed 187109: of a leak, a dead band and a spool's play none takes away half of what the others leave."""
+    nothing = model(evidence=-4929.0, good=False, level=1.16, near=False)
+    one = model(LEAK, -4504.0, False, level=1.11, near=False)
+    for level, keys in ((1.084, 2), (1.31, 1)):
+        two = model(f"{LEAK} {BIAS}", -4293.0, False, level=level, near=False)
+        rounds = Round((one,), (one,)), Round((two,), (two,))
+        grown = WhitePath(SimpleNamespace(), nothing, rounds, given=nothing, fewest=nothing)
+        assert [len(w.keys) for w in grown.weighed] == [1]
+        assert len(grown.ahead.keys) == keys
+
+
 def test_a_round_that_brings_nothing_ends_the_search():
     nothing = model(evidence=-9000.0, **WRONG, near=False)
     for brought, goes_on in ((11.0, False), (13.0, True)):
