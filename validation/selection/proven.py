@@ -80,14 +80,17 @@ def proven(
     most.
     """
     progress("fitting everything together", 0.7)
-    now, settled = _whole_run(problem, last), False
-    while not settled:
+    now, kept = _whole_run(problem, last), None
+    while True:
         progress("looking for what acts beside them", 0.8)
         grown = _grown(problem, now, most)
+        if grown is kept:  # nothing came in for what was left out
+            break
         progress("leaving out each effect once", 0.9)
         kept, full, left = _needed(problem, grown)
         now = _brought_back(problem, kept, left)
-        settled = now is grown
+        if now is grown:
+            break
     final, keys, parts = now.fit, now.keys, problem.data.parts
     before = errors_of(problem, [run_fitted(problem.crane, p) for p in parts])
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}

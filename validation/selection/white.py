@@ -99,7 +99,7 @@ class WhitePath(Path[Fitted]):
         more than noise, or has several effects and leaves little: of several that are still missing perhaps none takes
         away most of what is left.
         """
-        return self.done[0] if self.done and (self.done[0].near or _several_leave_little(self.done[0])) else self.best
+        return self.done[0] if self.done and _leaves_little(self.done[0]) else self.best
 
 
 def _begun(problem: Problem) -> WhitePath:
@@ -133,24 +133,24 @@ def _beam(path: WhitePath, most: int) -> Sequence[Fitted]:
     first = path.rounds[0].tried[: CRITERIA.beam]
     if len(path.rounds) == 1 and not (best.good or path.parameters.good):
         return first
-    most = most if ahead.near or _several_leave_little(ahead) else CRITERIA.most
+    most = most if _leaves_little(ahead) else CRITERIA.most
     again = len(path.rounds) > 1 and not ahead.near and ahead.keys in [w.keys for w in first]
     return [ahead] if len(ahead.keys) < most and ahead.level < CRITERIA.misled and not again else []
 
 
-def _several_leave_little(w: Fitted) -> bool:
-    """Whether a model has as many effects as are looked for where much is left, and leaves little."""
-    return len(w.keys) >= CRITERIA.most and w.level < CRITERIA.left_level
+def _leaves_little(w: Fitted) -> bool:
+    """Whether a model leaves hardly more than noise, or little beside as many effects as are looked for where much is
+    left.
+    """
+    return w.near or (len(w.keys) >= CRITERIA.most and w.level < CRITERIA.left_level)
 
 
 def _is_near(path: WhitePath, parents: Sequence[Fitted]) -> bool:
-    """Whether a round goes on from one model that leaves hardly more than noise, or from several effects that leave
-    little: what is missing beside it shows in stiffly joined windows only. Parameters may leave little in windows and
-    much in one run: then much is missing.
+    """Whether a round goes on from one model that leaves little: what is missing beside it shows in stiffly joined
+    windows only. Parameters may leave little in windows and much in one run: then much is missing.
     """
-    first, *others = parents
-    near = not others and first.near and (bool(first.keys) or path.whole <= CRITERIA.left_level)
-    return near or _several_leave_little(first)
+    near = len(parents) == 1 and _leaves_little(parents[0])
+    return near and (bool(parents[0].keys) or path.whole <= CRITERIA.left_level)
 
 
 def _likely(path: WhitePath, beam: Sequence[Fitted]) -> list[Move]:
