@@ -174,7 +174,7 @@ class ExudynEngine:
         """Return the kept system of a batch size; build it where there is none."""
         system = self._systems.get(size)
         if system is None:
-            system = self._systems[size] = System(self.crane, size)
+            system = self._systems[size] = System(self.crane, size, self.accuracy)
             if len(self._systems) > _MOST_SYSTEMS:
                 self._systems.popitem(last=False)
         else:
@@ -321,7 +321,10 @@ def _effect_column(crane: Crane, name: str) -> int:
 class System:
     """A kept Exudyn system of n cranes and the solver that assembles its residuals."""
 
-    def __init__(self, crane: Crane, size: int) -> None:
+    def __init__(self, crane: Crane, size: int, accuracy: float) -> None:
+        # where steps are not judged they are solved as well as those that are judged best
+        rough = 1.0 < accuracy < math.inf
+        self._tolerance = trapezoidal.ROUGHLY * accuracy if rough else trapezoidal.TOLERANCE
         self._container, self.mbs = mechanism.main_system()
         states = np.tile(mechanism.start_pose(crane), (size, 1))
         self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)
@@ -383,7 +386,8 @@ class System:
         self.mbs.systemData.SetTime(time + h)
         for _ in range(_MOST_ITERATIONS):
             residual = self.residual()
-            if not trapezoidal.correct(machines, h, self._scale, w1, residual, ends, self.status, self._last):
+            state = ends, self.status, self._last
+            if not trapezoidal.correct(machines, h, self._scale, w1, residual, *state, self._tolerance):
                 break
         return out, trapezoidal.finish(machines, step, allowed, enough, ends, self.status, self.errors, out)
 

@@ -19,7 +19,6 @@ Coordinates are absolute: the reference coordinates of the nodes are zero.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -35,6 +34,7 @@ from .crane import Crane
 from .effects import hooks
 from .errors import CraneError, nearest
 from .exudyn_quietly import exu, items
+from .item_values import PENDULUM, SWINGING, ItemValues, axes_of
 from .machine import (
     CARRIER,
     CUT_PIN,
@@ -54,8 +54,6 @@ from .parameters import CYLINDER, GRAVITY, N_CYLINDER, PAYLOAD
 
 #: bulk modulus in Pa that removes the actuators' own compression flow; it cannot be zero
 _NO_STIFFNESS = 1e-200
-#: the name of a payload on a pendulum among the bodies, and of its connector among the joints
-SWINGING, PENDULUM = "payload", "pendulum"
 
 
 @dataclass
@@ -100,6 +98,7 @@ class Plant:
     markers: list[list[tuple[int, int, int]]] = field(default_factory=list)
     loads: list[dict[str, int]] = field(default_factory=list)
     outlines: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    _items: ItemValues | None = field(default=None, repr=False)
 
     @property
     def topology(self) -> np.ndarray:
@@ -155,30 +154,12 @@ class Plant:
         Returns:
             whether a mass has changed, so that a kept mass matrix is to be computed anew.
         """
-        before = self._item_values()
+        if self._items is None:
+            self._items = ItemValues(mbs, self)
         self.P[...], self.E[...] = P, E
         red.all_inertias(self.topology, self.P, self.E, time, self.inertia)
         _payload_masses(self.P, self.E, time, self.payload_mass)
-        now = self._item_values()
-        changed = now != before
-        for k in np.flatnonzero(changed.any(axis=1)):
-            _update_items(mbs, self, int(k), now[k], changed[k])
-        return bool(changed[:, : 2 * len(self.crane.machine.bodies) + 1].any())
-
-    def _item_values(self) -> np.ndarray:
-        """Return all numbers (size, .) that Exudyn's items hold, in the order of `_fill_item_values`."""
-        places = np.array([(body, point) for _, body, point in self.markers[0]])
-        joints = np.array([self.crane.machine.index[n] for n in _directions(self.crane)], dtype=np.int64)
-        machine = self.crane.machine
-        width = 2 * len(machine.bodies) + 4 + 2 * len(machine.cylinders) + joints.size + 2 * len(places)
-        out = np.empty((self.size, width))
-        _fill_item_values(self.P, self.E, self.inertia, len(machine.cylinders), joints, places, out)
-        return out
-
-
-def _directions(crane: Crane) -> list[str]:
-    """Return the parameters that give the directions of the prismatic joints."""
-    return [name for name in crane.machine.names if name.endswith(".direction")]
+        return self._items.update(self)
 
 
 def _number_of(machine: Machine, body: str) -> int:
@@ -189,74 +170,6 @@ def _number_of(machine: Machine, body: str) -> int:
 def _payload_masses(P, E, time, out):
     for k in range(out.size):
         out[k] = hooks.payload_mass(E[k], time, P[k, PAYLOAD])
-
-
-@njit
-def _fill_item_values(P, E, inertia, n_cylinders, directions, places, out):
-    """Fill out (n, .): mass and inertia of the bodies, mass, gravity, length of the pendulum, areas, directions,
-    markers' places.
-
-    places (m, 2): body (-1: ground) and point in P (-1: origin) of every marker.
-    """
-    bodies = inertia.shape[1] - 1
-    for k in range(out.shape[0]):
-        for b in range(bodies):
-            out[k, 2 * b], out[k, 2 * b + 1] = inertia[k, b, red.MASS], inertia[k, b, red.INERTIA]
-        j = 2 * bodies
-        out[k, j] = inertia[k, bodies, red.MASS]
-        out[k, j + 1], out[k, j + 2] = hooks.gravity(E[k], 0.0, -P[k, GRAVITY])
-        out[k, j + 3], _ = hooks.pendulum(E[k])
-        j += 4
-        for c in range(n_cylinders):
-            out[k, j], out[k, j + 1] = hyd.areas(P[k], c)
-            j += 2
-        for place in directions:
-            out[k, j] = P[k, place]
-            j += 1
-        for m in range(places.shape[0]):
-            body, point = places[m]
-            for axis in (0, 1):
-                local = 0.0 if point < 0 else P[k, point + axis]
-                out[k, j] = local if body < 0 else local - inertia[k, body, red.COM_X + axis]
-                j += 1
-
-
-def _update_items(mbs: Any, plant: Plant, k: int, now: np.ndarray, changed: np.ndarray) -> None:
-    """Bring the Exudyn items of machine k up to date: `now` is its row of numbers, `changed` says which differ."""
-    machine = plant.crane.machine
-    for b, name in enumerate(machine.bodies):
-        if changed[2 * b : 2 * b + 2].any():
-            mbs.SetObjectParameter(plant.bodies[k][name], "mass", now[2 * b])
-            mbs.SetObjectParameter(plant.bodies[k][name], "inertia", now[2 * b + 1])
-    j = 2 * len(machine.bodies)
-    if changed[j : j + 3].any():
-        for name, load in plant.loads[k].items():
-            mbs.SetLoadParameter(load, "loadVector", _load_vector(plant, k, name))
-    if PENDULUM in plant.joints[k] and (changed[j] or changed[j + 3]):
-        mbs.SetObjectParameter(plant.bodies[k][SWINGING], "mass", now[j])
-        mbs.SetObjectParameter(plant.joints[k][PENDULUM], "distance", now[j + 3])
-    j += 4
-    for actuator in plant.actuators[k]:
-        if changed[j : j + 2].any():
-            mbs.SetObjectParameter(actuator, "chamberCrossSection0", now[j])
-            mbs.SetObjectParameter(actuator, "chamberCrossSection1", now[j + 1])
-        j += 2
-    for name in _directions(plant.crane):
-        if changed[j]:
-            axis, normal = _axes(now[j])
-            number = plant.joints[k][name.split(".")[1]]
-            mbs.SetObjectParameter(number, "axisMarker0", axis)
-            mbs.SetObjectParameter(number, "normalMarker1", normal)
-        j += 1
-    for m in np.unique(np.flatnonzero(changed[j:]) // 2):
-        place = now[j + 2 * m : j + 2 * m + 2]
-        mbs.SetMarkerParameter(plant.markers[k][m][0], "localPosition", [place[0], place[1], 0.0])
-
-
-def _axes(direction: float) -> tuple[list[float], list[float]]:
-    """Return the axis along which a prismatic joint slides, and its normal."""
-    c, s = math.cos(direction), math.sin(direction)
-    return [c, s, 0.0], [-s, c, 0.0]
 
 
 def _local_place(plant: Plant, k: int, body: int, point: int) -> np.ndarray:
@@ -425,7 +338,7 @@ def _add_joints(mbs: Any, plant: Plant, k: int) -> None:
         slides = not joint.closes and row[KIND] == SLIDES
         markers = [_point(mbs, plant, k, int(body), int(point), rigid=slides) for body, point in ends]
         if slides:
-            axis, normal = _axes(plant.P[k, row[DIRECTION]])
+            axis, normal = axes_of(plant.P[k, row[DIRECTION]])
             item: Any = items.ObjectJointPrismatic2D(markerNumbers=markers, axisMarker0=axis, normalMarker1=normal)
         else:
             item = items.ObjectJointRevolute2D(markerNumbers=markers)

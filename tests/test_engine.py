@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from crane_exudyn import mechanism
+from crane_exudyn import mechanism, trapezoidal
 from crane_exudyn.crane import Crane
-from crane_exudyn.engine import ExudynEngine
+from crane_exudyn.engine import ExudynEngine, System
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import pose
 from crane_exudyn.naive import SolveDynamicEngine
@@ -67,6 +67,24 @@ def test_step_repeats_bit_for_bit_whatever_came_between():
     ENGINE.propagate(moving_states(1, seed=8), INPUTS, 1e-3)
     assert np.array_equal(ENGINE.propagate(states, INPUTS, 1e-3), first)
     assert np.array_equal(ExudynEngine(CRANE, size=4).propagate(states, INPUTS, 1e-3), first)
+
+
+@pytest.mark.parametrize("crane", [CRANE, SWINGING, RUBBING], ids=["nominal", "swinging", "many effects"])
+def test_a_rougher_step_asks_exudyn_less_often_and_is_solved_as_well_as_it_says(crane, monkeypatch):
+    """A filter's steps may err by 2 bar; Newton's method stops at a three thousandth of that."""
+    fine, rough = ExudynEngine(crane, accuracy=np.inf), ExudynEngine(crane, accuracy=600.0)  # neither halves its steps
+    called, residual = [], System.residual
+    monkeypatch.setattr(System, "residual", lambda self: called.append(self) or residual(self))
+    scale = np.array([1.0, 1.0, 1.0, 1.0, 1e7, 1e7, 1e7, 1e7, 1.0, 1.0])[: len(fine.state_names)]
+    run, asked, found = simulate(crane, step=2e-3), [], []
+    for engine in (fine, rough):
+        states, before = [run.states[5000]], len(called)
+        for k in range(5000, 5100):
+            states.append(engine.propagate(states[-1][None], run.inputs[k : k + 2], 1e-3, run.time[k])[0])
+        asked.append(len(called) - before)
+        found.append(states)
+    assert asked[1] < 0.7 * asked[0]
+    assert np.abs(np.subtract(*found) / scale).max() < 100 * 600 * trapezoidal.ROUGHLY
 
 
 def test_restored_state_continues_bit_for_bit():
