@@ -29,7 +29,10 @@ def to_text(crane: Description) -> str:
     if crane.text:
         before = from_document(Description, tomllib.loads(crane.text), crane.name)
         if before.machine == crane.machine and before.voltage == crane.voltage and before.sources == crane.sources:
-            return edited(crane.text, before, crane)
+            text = edited(crane.text, before, crane)
+            # an uncertainty that a pattern gives cannot be taken out by itself
+            if from_document(Description, tomllib.loads(text), crane.name).uncertainty == crane.uncertainty:
+                return text
     return whole_text(crane)
 
 
@@ -57,7 +60,13 @@ def edited(text: str, before: Description, crane: Description) -> str:
         given = [{n: _inline(as_given(e)) for n, e in c.model_error.items()} for c in (before, crane)]
         _set_all(document, "model_error", *given)
     if crane.history != before.history:
-        _append(document, "history", [dict(entry) for entry in crane.history[len(before.history) :]])
+        pairs = zip(before.history, crane.history, strict=False)
+        kept = next((k for k, (a, b) in enumerate(pairs) if a != b), min(len(before.history), len(crane.history)))
+        if kept < len(before.history):
+            del document["history"][kept:]
+            if not kept:
+                document.pop("history")
+        _append(document, "history", [dict(entry) for entry in crane.history[kept:]])
     return tomlkit.dumps(document)
 
 
@@ -72,7 +81,11 @@ def _set_all(document: Any, section: str, before: Mapping[str, Any], now: Mappin
 
 
 def _set_uncertainties(document: Any, before: Mapping[str, Uncertainty], now: Mapping[str, Uncertainty]) -> None:
-    """Give each parameter whose uncertainty differs a line of its own, behind the patterns."""
+    """Give each parameter whose uncertainty differs a line of its own, behind the patterns; take out those that are
+    gone.
+    """
+    for name in (n for n in before if n not in now):
+        document["uncertainty"].pop(name, None)
     for name, given in now.items():
         if before.get(name) != given:
             table = document.setdefault("uncertainty", tomlkit.table())
@@ -112,8 +125,10 @@ def _in_unit_of(old: object, value: float, unit: str) -> Any:
 
 def _set_effects(document: Any, before: tuple[Acting, ...], now: tuple[Acting, ...]) -> None:
     """Keep the tables of effects that stay, with the values that they have now, and add those that are new."""
-    known = {acting.key: acting for acting in before}
+    known = {acting.key for acting in before}
     kept, new = {a.key: a for a in now if a.key in known}, [a for a in now if a.key not in known]
+    if [a.key for a in before if a.key in kept] + [a.key for a in new] != [a.key for a in now]:
+        kept, new = {}, list(now)  # in another order than the file's
     tables = document.get("effect", [])
     for k in reversed(range(len(before))):
         if before[k].key not in kept:

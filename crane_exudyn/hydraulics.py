@@ -30,9 +30,8 @@ OIL, WALL, HOSE, VAPOUR, LAMINAR = range(5)
 AIR, REFERENCE = SUPPLY + 2, SUPPLY + 3
 
 #: rows of a table (N_BALANCES, chambers): dN/dt in m^3/s, the amounts of oil N in m^3, by the cylinder's length dN/ds
-#: in
-#: m^2 and by pressure dN/dy in m^3/Pa; and behind them the flows in (m^3/s), the pressures (Pa) and the pistons' speeds
-#: (m/s)
+#: in m^2 and by pressure dN/dy in m^3/Pa; and behind them the flows into the chambers (m^3/s), the pressures (Pa) and
+#: the pistons' speeds (m/s)
 GAIN, AMOUNT, DRAW, SLOPE, INTO, REAL, SPEED, N_BALANCES = range(8)
 
 #: the loop between supply pressure and flow is solved to this fraction of the pressure

@@ -18,6 +18,7 @@ from .compiled import njit
 from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
+from .hydraulics import LAG
 from .laws.spool import spool_step
 from .parameters import N_VALVE, VALVE
 
@@ -202,7 +203,7 @@ class SpoolPath:
 def valve_of(P: np.ndarray, E: np.ndarray, c: int) -> Valve:
     """Return what valve c does to its command."""
     share, creep = hooks.plain("creep")(E, c)
-    delay, width, tau = hooks.plain("delay")(E, c), hooks.plain("backlash")(E, c), P[VALVE + N_VALVE * c + 1]
+    delay, width, tau = hooks.plain("delay")(E, c), hooks.plain("backlash")(E, c), P[VALVE + N_VALVE * c + LAG]
     return Valve(float(delay), float(width), float(tau), float(share), float(creep))
 
 

@@ -271,7 +271,7 @@ def _cylinders(
         found.append(Cylinder(name, (on[0], on[1]), (ends[0], ends[1]), (chambers[0], chambers[1]), loaded, *channels))
     channels = [n for c in found for n in (*c.chambers, c.length, c.command, c.voltage)]
     coordinates = [n for j in joints if not j.closes for n in (j.coordinate, f"d{j.coordinate}", f"{j.coordinate}_abs")]
-    _refuse_repeated(where, "channel", [*channels, *coordinates, "pp", "pt", "time"])
+    _refuse_repeated(where, "channel", [*channels, *coordinates, "pp", "pt", "theta", "dtheta", "time"])
     return tuple(found), points
 
 

@@ -132,17 +132,14 @@ def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> 
 
     Returns:
         Pin-to-pin lengths and their rates by the layout ("s1", "ds1"); dependent coordinates and their derivatives by
-            independent ones
-        ("z2", "dz2_dz4"), the bodies' angles ("phi_bracket_1"); chamber by chamber port flows "Q1" with the signs of
-            (34), "leak1"
-        into the chamber (disturbances included), "Be1", "V1", lengths "l1", amounts "N1", rates "dp1"; cylinder by
-            cylinder piston speeds
-        "v_h1", forces with friction "F1", "Fmu1"; reduced mass "M_z1_z4", generalised forces "Qg_z1" (weights), "Qv"
-            (inertia
-        by velocity), "Qh" (cylinders), "Qj" (joints, forces on the payload's point, pendulum's damping); "ddz1",
-            "ddtheta"; supply "pp",
-        "pt"; "x_O", "y_O" of all points. A pendulum's own equation is eliminated from M and the Q; without one ddtheta
-            is 0.
+            independent ones ("z2", "dz2_dz4"), the bodies' angles ("phi_bracket_1").
+        Chamber by chamber port flows "Q1" with the signs of (34), "leak1" into the chamber (disturbances included),
+            "Be1", "V1", lengths "l1", amounts "N1", rates "dp1"; cylinder by cylinder piston speeds "v_h1", forces with
+            friction "F1", "Fmu1".
+        Reduced mass "M_z1_z4", generalised forces "Qg_z1" (weights), "Qv" (inertia by velocity), "Qh" (cylinders), "Qj"
+            (joints, forces on the payload's point, pendulum's damping); "ddz1", "ddtheta". A pendulum's own equation is
+            eliminated from M and the Q; without one ddtheta is 0.
+        Supply "pp", "pt"; "x_O", "y_O" of all points.
     """
     x, lay = np.ascontiguousarray(state, dtype=float), crane.layout
     wide = np.zeros(len(lay.all_inputs))

@@ -302,21 +302,22 @@ def _is_constant(channel: Channel) -> bool:
 
 
 def _pressures(recording: Recording, crane: Crane) -> Iterator[Finding]:
-    lay = crane.layout
+    lay, floor = crane.layout, vapour_pressure(crane)
+    absolute = crane["supply.pressure_reference"] == 0.0
+    expected = "absolute pressures, which are never negative" if absolute else f"at least {floor / 1e5:.3g} bar, vacuum"
     for name in (n for n in recording.channels if n in (*lay.chambers, lay.supply[0])):
         low, high = _usual(recording[name])
         if _is_constant(recording[name]) and high == 0.0:  # a sensor that is not connected, told elsewhere
             continue
-        if low < _VACUUM - 3.0 * noise_std(
-            recording[name].values
-        ):  # a noisy sensor of a boiling chamber reads below nothing
-            text = f"{name} falls to {low / 1e5:.3g} bar, expected absolute pressures, which are never negative"
-            severity: Severity = "error" if np.median(recording[name].values) < 0.0 else "warning"
+        # a noisy sensor of a boiling chamber reads below nothing
+        if low < floor + _VACUUM - 3.0 * noise_std(recording[name].values):
+            text = f"{name} falls to {low / 1e5:.3g} bar, expected {expected}"
+            severity: Severity = "error" if np.median(recording[name].values) < floor else "warning"
             yield Finding(
                 "offset", (name,), severity, text, "Mend its zero point or its sign; add 1 bar to a gauge pressure."
             )
-        elif not _LOW < high < _HIGH:
-            limit = "never exceeds" if high <= _LOW else "reaches"
+        elif not floor + _LOW < high < _HIGH:
+            limit = "never exceeds" if high <= floor + _LOW else "reaches"
             text = (
                 f"{name} {limit} {high / 1e5:.3g} bar, expected a pressure of a crane whose pump gives "
                 f"{crane['supply.pump_pressure'] / 1e5:.3g} bar"

@@ -63,7 +63,7 @@ def command(
     )
     from validation.comparison import compare_all
 
-    with progress("Comparing", json) as step:
+    with progress("Comparing") as step:
         results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)
     from validation.reports import report_comparison
 

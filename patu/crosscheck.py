@@ -46,7 +46,7 @@ def command(
     if quick:
         states, seconds = min(states, 50), min(seconds, 6.0)
     compile_for("exudyn", "semi-recursive")
-    with progress("Comparing the engines", json) as step:
+    with progress("Comparing the engines") as step:
         result = crosscheck(chosen, states=states, seconds=seconds, seed=seed, progress=step)
     printer = Printer(json)
     printer.table(

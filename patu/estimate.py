@@ -102,7 +102,7 @@ def command(
     The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise
     of the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
     """
-    cranes = _cranes(models, crane, effects)  # with the user's own effects, before anything is compiled
+    cranes = model_cranes(models, crane, effects)  # with the user's own effects, before anything is compiled
     _refuse(step, model_error, smooth and bool(models))
     chosen = next(iter(cranes.values()))
     needs: tuple[Part, ...] = (engine, "semi-recursive", "filter")
@@ -110,6 +110,8 @@ def command(
     std = sensor_noise(chosen, measured, sensors)
     filters = _filters(cranes, engine, std, method, augment or [], step, bool(models))
     noise = _tuned(cranes.values(), measured, std, augment or [], step, json, tune)
+    from ukf.consistency import noise_slack
+
     slack = noise_slack(chosen, measured, std)
     filters = {name: f.varied(noise=noise) for name, f in filters.items()}
     if models:
@@ -149,14 +151,17 @@ def _draw(result: Estimate, path: Path) -> None:
     save(_best(result).plot(), path)
 
 
-def _cranes(models: list[str] | None, crane: str, effects: list[Path] | None) -> dict[str, Crane]:
+def model_cranes(models: list[str] | None, crane: str, effects: list[Path] | None) -> dict[str, Crane]:
     """Return the crane files to run, by their names."""
     if not models:
         return {crane: load_crane(crane, effects)}
     if crane != DEFAULT_CRANE:
         raise CraneError(f"--crane {crane} and --models exclude each other. Give {crane} as one of the models.")
-    loaded = {(Path(m).stem if m.endswith(".toml") else m): load_crane(m, effects) for m in models}
-    return loaded if len(loaded) == len(models) else dict(zip(models, loaded.values(), strict=False))
+    short = [Path(m).stem if m.endswith(".toml") else m for m in models]
+    names = short if len(set(short)) == len(models) else models
+    if len(set(names)) < len(models):
+        raise CraneError(f"--models names {next(m for m in models if models.count(m) > 1)} twice. Give it once.")
+    return {name: load_crane(m, effects) for name, m in zip(names, models, strict=True)}
 
 
 def _filters(
@@ -211,13 +216,6 @@ def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> 
     chosen = [n for n in recording.sensors if not only or n in only]
     # a simulated recording has no noise; a filter that believes in none cannot be corrected
     return {n: crane.sensors.get(n, max(measured[n], 0.02 * crane.layout.sensors[n].sizes.noise)) for n in chosen}
-
-
-def noise_slack(crane: Crane, recording: Recording, std: Iterable[str]) -> float:
-    """Return what guessed sensor noise adds to the spread of the mean NIS; 0 where the crane file says all."""
-    from ukf.consistency import guessed_noise
-
-    return guessed_noise(len(recording[n]) for n in std if n not in crane.sensors)
 
 
 def _tuned(

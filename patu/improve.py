@@ -43,7 +43,7 @@ def command(
     anyway: AnywayOption = False,
     jobs: JobsOption = 2,
     scheduler: SchedulerOption = None,
-    most: Annotated[int, typer.Option("--most", metavar="N", help="At most so many steps.", min=1)] = 4,
+    most: Annotated[int, typer.Option("--most", metavar="N", help="At most so many effects.", min=1)] = 4,
     learn: Annotated[
         bool, typer.Option("--learn", help="Learn laws where named effects do not explain the recordings.")
     ] = False,
@@ -78,7 +78,7 @@ def command(
     for note in result.notes:
         printer.line(f"{note}.")
     printer.line(f"Left: {result.verdict}.")
-    given = {"check": other.name if other else None, "most steps": most, "crane file written": str(output)}
+    given = {"check": other.name if other else None, "most effects": most, "crane file written": str(output)}
     with saving(printer) as save:
         save(output, result.crane.save, result.crane.to_toml())
         save.json(json, {"recording": listed(recordings)} | result.to_dict(output))

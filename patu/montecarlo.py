@@ -66,8 +66,8 @@ def command(
 
 def _check(runs: int, inputs: int, duration: float, step: float, error: float, method: str) -> None:
     from crane_exudyn.errors import CraneError, nearest
+    from ukf.methods import METHODS
 
-    methods = ["ukf", "sr-ukf", "ckf", "ekf"]
     if runs < 1:
         raise CraneError(f"--runs {runs}: give at least 1.")
     if inputs not in (1, 2, 3):
@@ -78,8 +78,8 @@ def _check(runs: int, inputs: int, duration: float, step: float, error: float, m
         raise CraneError(f"--duration {duration:g} with --step {step:g}: a run may have {MOST_SAMPLES:g} samples.")
     if not 0.0 <= error < 1.0:
         raise CraneError(f"--error {error:g}: give a share between 0 and 1, such as 0.15 for 15 %.")
-    if method not in methods:
-        raise CraneError(f"--method {method!r} is not known.{nearest(method, methods)}")
+    if method not in METHODS:
+        raise CraneError(f"--method {method!r} is not known.{nearest(method, list(METHODS))}")
 
 
 def tell(printer: Printer, series: Series) -> None:

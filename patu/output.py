@@ -138,7 +138,7 @@ def _cell(value: object) -> str:
 
 
 @contextmanager
-def progress(text: str, json: str | None = None) -> Iterator[Callable[..., None]]:
+def progress(text: str) -> Iterator[Callable[..., None]]:
     """Yield a function that takes the fraction done and, if there is one, the name of what is being done.
 
     Standard error shows a bar where it is a terminal, and a line every ten seconds where it is not.

@@ -349,7 +349,7 @@ def _found(case: Case) -> str:
     pump = case.estimate["supply.pump_pressure"][-1] / 1e5
     return (
         f"Found on the way: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: "
-        "100)."
+        f"{case.experiment.crane['supply.pump_pressure'] / 1e5:g})."
     )
 
 

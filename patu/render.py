@@ -153,7 +153,7 @@ def command(
 
 
 def _draw(drawn: Callable[..., None], json: str | None, path: Path) -> None:
-    with progress(f"drawing {path.name}", json) as done:
+    with progress(f"drawing {path.name}") as done:
         drawn(path, progress=done)
 
 

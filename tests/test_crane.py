@@ -159,6 +159,36 @@ def test_adding_and_removing_is_exact(crane):
     assert removed(replace(file, model_error={"torque.A": GaussMarkov(53.0)}), "dead_band@lift") == crane
     with pytest.raises(CraneError, match="no effect"):
         removed(crane, "dead_band@lift")
+    known = replace(crane, model_error={"torque.O": GaussMarkov(100.0, 5.0), "flow.p1": GaussMarkov(1e-6)})
+    more = added(known, replace(known.with_effect("dead_band@lift", {"upper": 0.1}), model_error={}))
+    assert removed(more, "dead_band@lift") == known
+
+
+def test_what_was_undone_is_gone_from_the_file(crane, tmp_path):
+    """It stayed there, and the next time the parameters moved back once more."""
+    from validation.history import added, removed
+
+    first = added(crane, crane.with_effect("pump_droop", {"R": 1e9}))
+    added(first, first.with_parameters({"payload.mass": 61.0}).with_effect("dead_band@lift", {"upper": 0.04})).save(
+        tmp_path / "two.toml"
+    )
+    removed(Crane.load(tmp_path / "two.toml"), "dead_band@lift").save(tmp_path / "one.toml")
+    assert Crane.load(tmp_path / "one.toml") == first
+    removed(Crane.load(tmp_path / "one.toml"), "pump_droop").save(tmp_path / "none.toml")
+    assert Crane.load(tmp_path / "none.toml") == crane and "history" not in (tmp_path / "none.toml").read_text()
+
+
+@pytest.mark.parametrize("name", ["patu655", "patu655-lab"])
+def test_a_crane_that_has_lost_something_reads_back_equal(name, tmp_path):
+    crane = Crane.load(name)
+    two = crane.with_effect("dead_band@lift", {"lower": 0.1}).with_effect("sensor_bias@p1", {"b": 1e5})
+    two.save(tmp_path / "two.toml")
+    two = Crane.load(tmp_path / "two.toml")
+    other_order = two.without_effect("dead_band@lift").with_effect("dead_band@lift", {"lower": 0.2})
+    less_known = replace(crane, uncertainty={n: u for n, u in list(crane.uncertainty.items())[::2]})
+    for changed in (other_order, less_known, replace(crane, uncertainty={})):
+        changed.save(tmp_path / "changed.toml")
+        assert Crane.load(tmp_path / "changed.toml") == changed
 
 
 def test_cranes_and_recordings_can_be_copied_and_sent_to_other_processes(crane):

@@ -94,6 +94,43 @@ def test_a_users_own_effect_is_compiled_in_at_its_place(tmp_path):
     assert [float(x) for x in run.stdout.split()] == pytest.approx([-4000.0, 0.0])
 
 
+CREEP = """
+from crane_exudyn.effects.base import CYLINDERS, Effect, Parameter
+
+class SlowSpool(Effect):
+    \"\"\"A share of the travel creeps.
+
+    Signature: as of spool_creep.
+    \"\"\"
+
+    name = "slow_spool"
+    places = CYLINDERS
+    parameters = (Parameter("share", "", 0.0, 0.0, 0.5, 0.1, "share"), Parameter("T", "s", 3.0, 0.2, 5.0, 1.0, "time"))
+
+    @staticmethod
+    def creep(share, T):
+        return share, T
+"""
+USE_CREEP = """
+import sys
+from crane_exudyn.effects import registry
+registry.load_file(sys.argv[1])
+from crane_exudyn import Crane
+from crane_exudyn.effects import hooks
+crane = Crane.load("patu655").with_effect("spool_creep@lift", {"kappa": 0.3, "tau": 1.0})
+both = crane.with_effect("slow_spool@lift", {"share": 0.1, "T": 3.0})
+print(*hooks.plain("creep")(crane.effect_vector(), 0), *hooks.plain("creep")(both.effect_vector(), 0))
+"""
+
+
+def test_an_effect_at_its_neutral_values_leaves_another_of_the_same_hook_alone(tmp_path):
+    """One more effect with the hook switched the library's creep off, whether or not it acted."""
+    file = tmp_path / "mine.py"
+    file.write_text(CREEP, encoding="utf-8")
+    run = subprocess.run([sys.executable, "-c", USE_CREEP, str(file)], capture_output=True, text=True, check=True)
+    assert [float(x) for x in run.stdout.split()] == pytest.approx([0.3, 1.0, 0.4, 1.5])
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

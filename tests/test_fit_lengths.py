@@ -1,5 +1,7 @@
 """A measured cylinder length depends on the pins, not on the angle alone: the fit's derivatives say so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from validation.fit.data import FitData
 from validation.fit.linear import normal_equations
 from validation.fit.solve import fit
 from validation.fit.staged import first_knots
+from validation.fit.start import knots_of
 from validation.fit.variables import NominalDirection
 from validation.fit.windows import cut
 from validation.semi_recursive.engine import SemiRecursiveEngine
@@ -55,6 +58,22 @@ def test_the_gradient_by_a_pin_is_the_slope_of_the_cost(moved_pins):
         h = 1e-3 * np.eye(2)[j]
         slope = 0.5 * (linear(at + h).cost - linear(at - h).cost) / 2e-3
         assert slope == pytest.approx(linear(at).gu[j], rel=2e-2)
+
+
+def test_windows_begin_where_lengths_alone_say():
+    """They began in the pose of the crane file, with the machine half a radian from there."""
+    crane = Crane.load("patu655")
+    whole = lifted(crane)
+    told = {n: whole[n].values for n in ("u1", "u2", "s1", "s2", "p1", "p4")}
+    data = FitData.of(Recording.from_arrays("lengths", whole["s1"].time, told), crane)
+    elsewhere = replace(crane, initial=replace(crane.initial, pose=(0.6, -0.3)))
+    windows = cut(data, 0.25)
+    knots = knots_of(elsewhere, data, windows)
+    at = [int(np.searchsorted(whole["z1"].time, data.time[w.start])) for w in windows]
+    for i, name in enumerate(("z1", "z4")):
+        assert np.abs(knots[:, i] - whole[name].values[at]).max() < 5e-3
+    moving = whole["z1"].values[at[8]] - whole["z1"].values[at[7]]
+    assert knots[7, 2] == pytest.approx(moving / 0.25, rel=0.3)
 
 
 def test_pins_are_found_from_measured_lengths(moved_pins):

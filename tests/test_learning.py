@@ -14,6 +14,7 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import registry
+from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import chamber_lengths
 from crane_exudyn.measurement import Measurement
 from validation import improvement
@@ -221,6 +222,13 @@ def test_a_progressive_spool_is_learned_and_read_and_predicts(tmp_path):
     code = f"from crane_exudyn.effects import registry as r; print(r.load_file(r'{file}')[0].opening(1.0, {law.x[0]}))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert float(said) == pytest.approx(law.y[0], rel=1e-4)
+
+
+def test_only_what_one_hook_can_do_is_written_as_an_effect():
+    """A learned opening over the pressure drop acts on both edges, and half of it would be another law."""
+    law = SimpleNamespace(effect="learned_opening@lift", over="pressure_drop", against_motion=True)
+    with pytest.raises(CraneError, match="cannot be written as an effect of one hook"):
+        own_effect(law, CRANE, "learn", "mine")
 
 
 def test_a_range_ends_where_it_was_met_within_more_than_a_block_of_time():

@@ -27,7 +27,7 @@ def assert_agree(crane, count, seed=0):
     assert [(q.name, q.max_abs, q.relative) for q in quantities if not q.ok] == []
     time, w = (a[:201] for a in cases.exciting(crane))
     w[:, crane.layout.spools] += 0.2
-    x0 = second.at_rest(*crane.initial.pose)
+    x0 = second.static_start(*crane.initial.pose)
     apart = np.abs(first.simulate(x0, time, w) - second.simulate(x0, time, w)).max(axis=0)
     assert apart[crane.layout.positions].max() < 1e-6 and apart[crane.layout.pressures].max() < 1e4
 

@@ -118,7 +118,7 @@ def test_what_the_file_calls_constant_has_no_memory_to_be_searched():
     moment = next(u for u in start.unknowns if u.names == ("torque.A",))
     assert (moment.size, moment.memory, moment.stays) == (50.0, np.inf, 0.0)
     result = model_error.find(still, recorded("leak")[0], STD)
-    assert all(u.memory == np.inf for u in result.unknowns if u.names == ("torque.A",))
+    assert [u.memory for u in result.unknowns if u.names == ("torque.A",)] == [np.inf]
     assert np.isfinite(result.sizes).all()
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
 from crane_exudyn.statics import visible
 from validation.semi_recursive import SemiRecursiveEngine
@@ -523,7 +524,33 @@ def test_an_unreachable_pose_is_named(crane: Crane) -> None:
 def test_poses_are_told_in_the_units_of_their_coordinates() -> None:
     engine = SemiRecursiveEngine(load("slider"))
     with pytest.raises(CraneError, match=r"State: lift = 20\.000 deg, reach = 3\.000 m, tilt = .*dreach = 0 m/s"):
-        engine.static_start(20 * DEGREE, 3.0, -0.5)
+        engine.simulate(engine.static_start(20 * DEGREE, 3.0, -0.5), np.arange(0.0, 0.02, 0.01), np.zeros((2, 5)))
+
+
+def test_a_start_below_vapour_pressure_is_refused_by_both(engine: SemiRecursiveEngine, crane: Crane) -> None:
+    for one in (engine, ExudynEngine(crane)):
+        with pytest.raises(CraneError, match="below vapour pressure"):
+            one.static_start(0.2, -0.7, less_loaded=-1e5)
+
+
+def test_both_start_beyond_a_stroke_and_neither_runs_from_there(engine: SemiRecursiveEngine, crane: Crane) -> None:
+    """A measured pose may lie a little beyond the stroke that a crane file says."""
+    time, w = np.array([0.0, 0.01]), np.array([[0.0, 0.0, np.nan, np.nan]] * 2)
+    short = crane.with_parameters({"cylinders.lift.chamber_range": 0.05})
+    for kind in (SemiRecursiveEngine, ExudynEngine):
+        one = kind(short)
+        start = one.static_start(0.6, -0.7)
+        assert np.isfinite(start).all()
+        with pytest.raises(CraneError, match="stroke"):
+            one.simulate(start, time, w)
+
+
+def test_a_step_must_be_positive(engine: SemiRecursiveEngine, crane: Crane) -> None:
+    start, w = engine.static_start(0.2, -0.7)[None], np.array([[0.0, 0.0, np.nan, np.nan]] * 2)
+    for one in (engine, ExudynEngine(crane)):
+        for dt in (0.0, -1e-3, math.nan):
+            with pytest.raises(CraneError, match="is not positive"):
+                one.propagate(start, w, dt)
 
 
 def test_cylinders_without_leverage_are_refused() -> None:

@@ -9,6 +9,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath
 from crane_exudyn.measurement import Measurement
+from patu.estimate import model_cranes
 from patu.main import one_each
 from ukf.estimator import Estimator
 from ukf.filter import Belief
@@ -100,6 +101,21 @@ def test_models_of_other_machines_or_none_beside_are_refused():
     filters = {"patu": Estimator(SOUND, FAST, NOISE), "loader": Estimator(loader, FAST)}
     with pytest.raises(CraneError, match="loader is not a model of the same machine"):
         SideBySide(filters)
+
+
+def test_files_of_one_name_in_two_folders_keep_their_cranes(tmp_path):
+    """The second took the first one's place, and the third was run by its name."""
+    for folder, mass in (("a", 100.0), ("b", 200.0)):
+        (tmp_path / folder).mkdir()
+        SOUND.with_parameters({"payload.mass": mass}).save(tmp_path / folder / "crane.toml")
+    files = [str(tmp_path / folder / "crane.toml") for folder in "ab"]
+    loaded = model_cranes([*files, "patu655"], "patu655", None)
+    assert [(n, c["payload.mass"]) for n, c in loaded.items()] == [
+        (files[0], 100.0), (files[1], 200.0), ("patu655", SOUND["payload.mass"]),
+    ]  # fmt: skip
+    assert list(model_cranes([files[0], "patu655"], "patu655", None)) == ["crane", "patu655"]
+    with pytest.raises(CraneError, match="twice"):
+        model_cranes([files[0], files[0]], "patu655", None)
 
 
 def test_models_are_listed_behind_one_option():

@@ -74,6 +74,13 @@ def test_a_clock_in_another_unit_is_found(step: float, mend: str) -> None:
         vetted(recorded(step=step), Crane.load("patu655"))
 
 
+def test_gauge_pressures_of_a_crane_that_has_them_may_be_below_zero() -> None:
+    gauge = Crane.load("patu655").with_parameters({"supply.pressure_reference": 1.0, "supply.air_pressure": 101325.0})
+    assert contents(recorded(p3=of(0.1 * BAR, -0.7 * BAR), pt=of(0.01 * BAR, 0.0)), gauge) == []
+    (found,) = contents(recorded(p3=of(0.5 * BAR, -3.0 * BAR)), gauge)
+    assert found.severity == "error" and "at least -1.01 bar" in found.text
+
+
 def test_spikes_are_no_units() -> None:
     z1 = of(5 * DEG, 20 * DEG)
     z1[::300] = 1e4

@@ -11,6 +11,9 @@ from collections.abc import Iterable
 import numpy as np
 from scipy import stats
 
+from crane_exudyn.crane import Crane
+from crane_exudyn.recording import Recording
+
 #: lags over which whiteness is judged; a series needs twice as many values
 LAGS = 20
 
@@ -38,13 +41,14 @@ def mean_bounds(degrees: float, count: float, probability: float = 0.95) -> tupl
     return float(low / count), float(high / count)
 
 
-def guessed_noise(counts: Iterable[int]) -> float:
-    """Return the standard deviation of the mean NIS that comes from sensor noise estimated from n samples a sensor.
+def noise_slack(crane: Crane, recording: Recording, names: Iterable[str]) -> float:
+    """Return the standard deviation of the mean NIS that comes from sensor noise estimated from the recording; 0 where
+    the crane file says all.
 
-    An estimated standard deviation is known to 1.3/√n (`crane_exudyn.signals.noise_std`), and each sensor adds its
-    innovation squared over its variance, which is off by twice as much.
+    From n samples it is known to 1.3/√n (`crane_exudyn.signals.noise_std`), and each sensor adds its innovation squared
+    over its variance, which is off by twice as much.
     """
-    return float(2.0 * 1.3 * np.sqrt(sum(1.0 / n for n in counts)))
+    return float(2.0 * 1.3 * np.sqrt(sum(1.0 / len(recording[n]) for n in names if n not in crane.sensors)))
 
 
 def coverage(errors: np.ndarray, std: np.ndarray, probability: float = 0.95) -> np.ndarray:

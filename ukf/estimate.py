@@ -83,7 +83,7 @@ class Estimate:
         covariance: (N, n, n) of the filter's own state, which remembers voids, if it was kept.
         floor: Pa, the lowest pressure that a gauge shows; pressures: which of the n quantities are those of chambers.
         noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed
-            (`consistency.guessed_noise`).
+            (`consistency.noise_slack`).
         model_error: what became of the model error, if that was asked.
         smoothed: the smoothed estimate if it was asked for.
         models: how probable (N,) each model was, by its name, where several ran side by side.
@@ -309,7 +309,7 @@ class Estimate:
     def save(self, path: str | Path) -> None:
         """Write .csv, .csv.gz, .parquet or .mat in SI, whole or not at all.
 
-        One row an instant: time, inputs, each state with its 95 % limits, innovations with their standard deviations,
+        One row an instant: time, spools, each state with its 95 % limits, innovations with their standard deviations,
         NIS.
         """
         from crane_exudyn.formats import write_table

@@ -31,7 +31,7 @@ class Recorder:
         self.mean, self.std = np.empty((count, n)), np.empty((count, n))
         self.innovation, self.spread = np.full((count, k), np.nan), np.full((count, k), np.nan)
         self.flags = np.full((count, k), ABSENT, np.uint8)
-        self.nis, self.dof = np.full(count, np.nan), np.zeros(count)
+        self.nis = np.full(count, np.nan)
         self.log_likelihood = 0.0
         self._at = 0
         size = count if smooth else 0

@@ -51,7 +51,7 @@ def merwe(n: int, alpha: float = ALPHA, beta: float = 0.0, kappa: float = 0.0) -
     """Return the weights of (27) for `n` states: 2n + 1 points; `alpha` is the paper's A, `beta` its B.
 
     Raises:
-        CraneError: the spread is not positive, or the weights can give an indefinite covariance (`root_column`).
+        CraneError: the spread is not positive, or the weights can give an indefinite covariance (`centre_gain`).
     """
     total = alpha**2 * (n + kappa)
     if not total > 0:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.layout import Layout
+from crane_exudyn.pose import shown_pose, sources
 from crane_exudyn.statics import vapour_pressure
 
 from .filter import Belief
@@ -92,31 +92,20 @@ def _as_filed(crane: Crane, mean: np.ndarray, deviation: np.ndarray) -> bool:
 
 
 def _pose(crane: Crane, known: Mapping[str, float], std: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    z = np.array(crane.initial.pose)
-    lay, deviation = crane.layout, np.array(crane.layout.sized(crane.layout.coordinates, UNSHOWN))
-    for i, name in enumerate(lay.coordinates):
-        carriers = [lay.index(n) for n in lay.carriers(name)]
-        absolute, cylinder = f"{name}_abs", lay.driven.index(name)
-        length = lay.lengths[cylinder]
-        if name in known:
-            z[i], deviation[i] = known[name], std[name]
-        elif absolute in known:
-            z[i] = known[absolute] - z[carriers].sum()
-            deviation[i] = np.hypot(std[absolute], np.linalg.norm(deviation[carriers]))
-        elif length in known:
-            z[i] = _coordinate_of_length(crane, z, i, cylinder, known[length])
-            deviation[i] = 5 * std[length] / _LEVER[lay.unit_of(name)]
+    z, lay, deviation = (
+        shown_pose(crane, known),
+        crane.layout,
+        np.array(crane.layout.sized(crane.layout.coordinates, UNSHOWN)),
+    )
+    for i, (name, source) in enumerate(zip(lay.coordinates, sources(lay, known), strict=True)):
+        if source == name:
+            deviation[i] = std[name]
+        elif source == f"{name}_abs":
+            carriers = [lay.index(n) for n in lay.carriers(name)]
+            deviation[i] = np.hypot(std[source], np.linalg.norm(deviation[carriers]))
+        elif source:
+            deviation[i] = 5 * std[source] / _LEVER[lay.unit_of(name)]
     return z, np.minimum(2.0 * deviation, 0.2)  # a first sample may be off by more than one standard deviation
-
-
-def _coordinate_of_length(crane: Crane, z: np.ndarray, i: int, cylinder: int, length: float) -> float:
-    """Return the coordinate i nearest to z at which a cylinder has this length."""
-    grid = np.tile(z, (4001, 1))
-    grid[:, i] = z[i] + np.linspace(-1.5, 1.5, 4001)
-    off = np.abs(cylinder_lengths(crane, grid)[:, cylinder] - length)
-    off = np.where(np.isfinite(off), off, np.inf)
-    good = np.flatnonzero(off < off.min() + 1e-3)
-    return float(grid[good[np.argmin(np.abs(grid[good, i] - z[i]))], i])
 
 
 def _set_pressures(

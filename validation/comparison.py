@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.engines import engine_class
 from crane_exudyn.errors import CraneError
 from crane_exudyn.layout import Layout
 from crane_exudyn.recording import Recording
-from ukf.consistency import guessed_noise
+from ukf.consistency import noise_slack
 from ukf.estimate import Estimate
 from ukf.estimator import Estimator
 from ukf.noise import ProcessNoise
@@ -82,8 +83,6 @@ class Comparison:
         where: where the model fails, worst first.
         measured, simulated: channel -> (time (n,), values (n,)), the open-loop run at the measured instants.
         commands: time (n,) and spool commands (n, valves).
-        nis_bounds: what holds the filter's mean NIS with 99 % if the model is right; wider than χ² alone where the
-            noise of the sensors had to be estimated from the recording.
         notes: what a reader should know about the recording.
     """
 
@@ -98,7 +97,6 @@ class Comparison:
     measured: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
     simulated: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
     commands: tuple[np.ndarray, np.ndarray] = field(repr=False)
-    nis_bounds: tuple[float, float] = (0.0, np.inf)
     notes: tuple[str, ...] = ()
 
     @property
@@ -112,9 +110,7 @@ class Comparison:
     @property
     def consistent(self) -> bool:
         """Whether innovations are as large as the filter expects and white, at the 1 % level each."""
-        low, high = self.nis_bounds
-        p = [v for v in self.estimate.whiteness.values() if np.isfinite(v)]
-        return bool(low <= self.estimate.nis_mean <= high and min(p, default=1.0) >= 0.01 / max(len(p), 1))
+        return self.estimate.consistent
 
     @property
     def layout(self) -> Layout:
@@ -171,7 +167,7 @@ class Comparison:
             "channels": {name: dict(vars(c)) for name, c in self.channels.items()},
             "filter": {
                 "nis_mean": self.estimate.nis_mean,
-                "nis_bounds": list(self.nis_bounds),
+                "nis_bounds": list(self.estimate.nis_bounds),
                 "whiteness": self.estimate.whiteness,
                 "consistent": self.consistent,
             },
@@ -257,8 +253,7 @@ def compare(
     Raises:
         CraneError: the recording cannot be compared (see `fitness.check_recording`), or an unknown engine.
     """
-    if engine not in ("semi-recursive", "exudyn"):
-        raise CraneError(f'There is no engine {engine!r}. Use "exudyn" or "semi-recursive".')
+    engine_class(engine)  # refused at once where there is none
     crane = Crane.load(crane) if isinstance(crane, str) else crane
     if crane.objects and engine != "exudyn":
         raise CraneError(
@@ -278,6 +273,7 @@ def compare(
     balances = balances_of(bare, data)
     done(0.6)
     estimate = filtered(crane, data, engine, lambda f: done(0.6 + 0.3 * f))
+    estimate = replace(estimate, noise_slack=noise_slack(crane, kept, estimate.channel_names))
     measured, simulated, channels = _open_loop_errors(crane, kept, starts, late, engine)
     scores = scores_of(estimate, balances, _phases(crane, data, balances))
     done(1.0)
@@ -292,7 +288,7 @@ def compare(
     return Comparison(
         recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured,
         simulated,
-        (data.command_time, data.commands), nis_bounds(estimate, kept, crane), tuple(notes),
+        (data.command_time, data.commands), tuple(notes),
     )  # fmt: skip
 
 
@@ -428,12 +424,6 @@ def joined(runs: Sequence[Estimate]) -> Estimate:
         log_likelihood=sum(r.log_likelihood for r in runs),
         events=tuple(event for r in runs for event in r.events),
     )
-
-
-def nis_bounds(estimate: Estimate, recording: Recording, crane: Crane) -> tuple[float, float]:
-    """Return the 99 % interval of the mean NIS of a right model; noise that was estimated from the data widens it."""
-    slack = guessed_noise(len(recording[c]) for c in estimate.channel_names if c not in crane.sensors)
-    return replace(estimate, noise_slack=slack).nis_bounds
 
 
 def _phases(crane: Crane, data: FitData, balances: Balances) -> list[Phase]:

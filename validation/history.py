@@ -7,6 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.crane_toml import as_given
+from crane_exudyn.description import GaussMarkov
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
 
@@ -21,7 +23,9 @@ def added(before: Crane, after: Crane, **evidence: Any) -> Crane:
         if (now := after.effect(e.key)) is None or dict(now.parameters) != dict(e.parameters)
     }
     entry: dict[str, Any] = {"added": keys or ["parameters"], **evidence, "parameters": moved}
-    return after.with_history(entry | ({"effects_before": adjusted} if adjusted else {}))
+    entry |= {"effects_before": adjusted} if adjusted else {}
+    kept = {n: as_given(e) for n, e in before.model_error.items()}
+    return after.with_history(entry | ({"model_error_before": kept} if kept else {}))
 
 
 def removed(crane: Crane, key: str) -> Crane:
@@ -49,7 +53,8 @@ def _undone(crane: Crane, entry: Mapping[str, Any]) -> Crane:
             result = result.without_effect(key)
     for key, values in entry.get("effects_before", {}).items():
         result = result.with_effect(key, values)
-    return replace(result, model_error={}, history=crane.history[:-1])
+    before = {n: GaussMarkov(**e) for n, e in entry.get("model_error_before", {}).items()}
+    return replace(result, model_error=before, history=crane.history[:-1])
 
 
 def learned(crane: Crane) -> tuple[str, ...]:

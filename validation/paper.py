@@ -149,6 +149,12 @@ def unknowns(crane: Crane, width: float = 1.0) -> tuple[Augment, ...]:
     """
     masses = [f"bodies.{b}.{q}" for b in ("lift_boom", "outer_boom") for q in ("mass", "inertia")]
     joints = [f"joints.{j}.{axis}" for j in "ABCD" for axis in "xy"]
+    unstated = [n for n in ("supply.pump_pressure", "payload.mass", *masses, *joints) if n not in crane.uncertainty]
+    if unstated:
+        raise CraneError(
+            f"{crane.name} states no uncertainty of {', '.join(unstated)}, with which the estimator's own means begin. "
+            "Add it to [uncertainty]."
+        )
     std = {n: width * crane.uncertainty[n].std for n in ("supply.pump_pressure", *masses, *joints)}
     load = crane.uncertainty["payload.mass"]
     std["payload.mass"] = load.std if np.isfinite(load.std) else (load.upper - load.lower) / np.sqrt(12.0)
@@ -493,7 +499,7 @@ def reproduce(
     """Return the paper's table: every model error with every input set, by every tuning.
 
     Args:
-        jobs: processes; one input set is one piece of work, since its cases share the real system.
+        jobs: processes; one error with one input set is one piece of work.
     """
     begin = clock.perf_counter()
     crane = crane if crane is not None else Crane.load("patu655")

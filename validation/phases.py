@@ -11,6 +11,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.layout import Layout
+from crane_exudyn.statics import vapour_pressure
 
 REST = "rest"
 #: what a cylinder does by the way its valve is open
@@ -141,7 +142,8 @@ def labels(crane: Crane, time: np.ndarray, spool: np.ndarray, states: np.ndarray
     """
     side, names = _sides(spool), kinds(crane.layout)
     kind = np.full(len(time), names.index(REST))
-    empty = states[:, crane.layout.pressures] < LOW * crane["supply.tank_pressure"]
+    vacuum = vapour_pressure(crane)
+    empty = states[:, crane.layout.pressures] < vacuum + LOW * (crane["supply.tank_pressure"] - vacuum)
     for chosen, name in (
         *((side[:, c] == way, name) for (c, way), name in moving(crane.layout).items()),
         ((side != 0).sum(axis=1) > 1, together(crane.layout)),

@@ -126,7 +126,7 @@ def error_rows(c: Comparison) -> list[tuple[object, ...]]:
 
 def filter_words(c: Comparison) -> str:
     """Return what the innovations say of a filter that trusts the model."""
-    low, high = c.nis_bounds
+    low, high = c.estimate.nis_bounds
     word = "consistent with the model" if c.consistent else "NOT consistent with the model"
     return f"Filter that trusts the model: mean NIS {c.estimate.nis_mean:.3g}, expected {low:.3g} … {high:.3g}; {word}."
 

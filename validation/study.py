@@ -30,7 +30,7 @@ from crane_exudyn.machine_toml import usual_layout
 from .hidden import HIDES, KINDS, SENSOR_SETS, SEVERITIES, HiddenCase, hideable, make_case
 from .json_lines import add_line, read_lines
 from .seeds import seed_range
-from .selection.criteria import CRITERIA, Criteria
+from .selection.criteria import CRITERIA, Criteria, other_criteria
 from .workers import results_of, scheduled
 
 #: kinds of ten consecutive cases of a plan
@@ -161,15 +161,14 @@ def _improved(case: HiddenCase, jobs: int) -> dict[str, Any]:
 
 
 def _seed_line(seed: int, more: Mapping[str, Any], criteria: Mapping[str, float]) -> dict[str, Any]:
-    for name, value in criteria.items():
-        object.__setattr__(CRITERIA, name, value)  # of this process, for all its cases
     plan = dict(more) if more.get("kind") else planned(seed) | dict(more)
     try:
         case = make_case(seed, **plan)
     except CraneError as problem:  # no manoeuvre shows this effect so well: told, and left out
         answer = {"kind": plan["kind"], "verdict": "", "effects": plan.get("keys", [])}
         return {"name": f"case_{seed}", "answer": answer, "undrawn": str(problem)}
-    return run_one(case, f"case_{seed}")
+    with other_criteria(**criteria):
+        return run_one(case, f"case_{seed}")
 
 
 def _folder_line(folder: Path, name: str) -> dict[str, Any]:

@@ -10,8 +10,8 @@ class CounterbalanceValve(Effect):
     """The loaded chamber drains only as far as the valve is opened by p_load + ratio * p_pilot over its setting.
 
     Opening = (p_load + ratio * p_pilot - setting) / 20 bar, within 0 and 1, on the flow of that chamber's edge to tank;
-    flow into the chamber is free. The loaded chamber is p1 of the lift and p4 of the tilt cylinder; the pilot is the
-    opposite chamber.
+    flow into the chamber is free. The crane file says which chamber is the loaded one (of the log crane p1 and p4); the
+    pilot is the opposite chamber.
 
     Signature: lowering a load needs pressure on the opposite side, which builds up before anything moves; both
     pressures are high while lowering, and lifting is as before.

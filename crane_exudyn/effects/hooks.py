@@ -23,7 +23,12 @@ _FORM = {
     "command": ("c, u", "", "u = {call}", "u"),
     "delay": ("c", "T = 0.0", "T += {call}", "T"),
     "backlash": ("c", "b = 0.0", "b += {call}", "b"),
-    "creep": ("c", "k, tau = 0.0, 0.0", "k, tau = {call}", "k, tau"),
+    "creep": (
+        "c",
+        "k, tau = 0.0, 0.0",
+        "x, y = {call}; k, tau = (k + x, (k * tau + x * y) / (k + x) if k > 0.0 else y) if x > 0.0 else (k, tau)",
+        "k, tau",
+    ),
     "opening": ("c, U", "", "U = {call}", "U"),
     "supply_drop": ("c, dp", "", "dp = {call}", "dp"),
     "return_gain": ("c, p_own, p_other, load_side, drop", "g = 1.0", "g *= {call}", "g"),

@@ -4,10 +4,10 @@ from .base import Effect, Parameter
 
 
 class PumpDroop(Effect):
-    """Supply pressure pp - R * (flow drawn from the pump by both valves).
+    """Supply pressure pp - R * (flow drawn from the pump by all valves).
 
-    Signature: motions against a load slow down with speed, more so when both cylinders move at once: each feels the
-    other's flow.
+    Signature: motions against a load slow down with speed, more so when several cylinders move at once: each feels the
+    others' flow.
     """
 
     name = "pump_droop"

@@ -4,7 +4,7 @@ from .base import Effect, Parameter
 
 
 class ReturnBackPressure(Effect):
-    """Tank pressure pt + R * (flow returned to tank by both valves).
+    """Tank pressure pt + R * (flow returned to tank by all valves).
 
     Signature: the chamber that drains stands higher while oil flows, for either cylinder's motion, by an amount
     proportional to the flow.

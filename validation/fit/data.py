@@ -168,7 +168,7 @@ class FitData:
             )
             for c in sensors
         )
-        return cls(recording.name, grid, step, times, commands, _supply(recording, grid), samples, blind)
+        return cls(recording.name, grid, step, times, commands, recording.supply(grid), samples, blind)
 
     @classmethod
     def whole(cls, recording: Recording, crane: Crane) -> FitData:
@@ -381,14 +381,3 @@ def _within(around: np.ndarray, place: np.ndarray, last: int) -> np.ndarray:
     """
     room = np.minimum(place + 1e-9, last - place + 1e-9) / np.maximum(np.abs(around).max(axis=1), 1e-12)
     return around if (room >= 1.0).all() else around * np.clip(room, 0.0, 1.0)[:, None]
-
-
-def _supply(recording: Recording, grid: np.ndarray) -> np.ndarray:
-    columns = []
-    for name in recording.layout.supply:
-        if recording.has(name):
-            channel = recording.channels[name]
-            columns.append(np.interp(grid, channel.time, channel.values))
-        else:
-            columns.append(np.full(len(grid), np.nan))
-    return np.column_stack(columns)

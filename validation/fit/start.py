@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.pose import shown_pose, sources
+from crane_exudyn.statics import vapour_pressure
 
 from ..semi_recursive.engine import SemiRecursiveEngine
 from .data import FitData, Samples
@@ -14,13 +16,15 @@ from .windows import Window
 
 #: seconds to either side over which an angle and its rate, or a pressure, are averaged
 _ANGLE_SPAN, _PRESSURE_SPAN = 0.12, 0.03
+#: s over which a pose that moves on is compared with itself for its rates
+_SOON = 0.01
 
 
 def knots_of(crane: Crane, data: FitData, windows: Sequence[Window]) -> np.ndarray:
     """Return guessed states (K, nx) at the start of each window.
 
-    Coordinates and rates come from a straight line through the samples around, pressures from their mean; a pressure
-    that is not measured is the one that balances the load at rest.
+    Coordinates and rates come from straight lines through the samples around, of angles or of cylinders' lengths,
+    pressures from their mean; a pressure that is not measured is the one that balances the load at rest.
     """
     samples = {s.channel: s for s in data.samples}
     engine = SemiRecursiveEngine(crane.nominal())
@@ -31,19 +35,15 @@ def _state(
     crane: Crane, engine: SemiRecursiveEngine, data: FitData, samples: dict[str, Samples], t: float
 ) -> np.ndarray:
     lay = crane.layout
-    z, dz = np.array(crane.initial.pose), np.zeros(len(lay.rates))
-    for i, name in enumerate(lay.coordinates):
-        carriers = [lay.index(n) for n in lay.carriers(name)]
-        if name in samples:
-            z[i], dz[i] = _line(data, samples[name], t)
-        elif f"{name}_abs" in samples:
-            absolute, rate = _line(data, samples[f"{name}_abs"], t)
-            z[i], dz[i] = absolute - z[carriers].sum(), rate - dz[carriers].sum()
-    rest = engine.at_rest(*z)[lay.pressures]
+    lines = {name: _line(data, samples[name], t) for name in sources(lay, samples) if name}
+    z = shown_pose(crane, {name: value for name, (value, _) in lines.items()})
+    soon = shown_pose(crane, {name: value + _SOON * slope for name, (value, slope) in lines.items()})
+    dz = (soon - z) / _SOON
+    vacuum, rest = vapour_pressure(crane), engine.static_start(*z)[lay.pressures]
     pressures = [_mean(data, samples.get(name), t) for name in lay.chambers]
     for c, name in enumerate(lay.cylinders):
         _complete(crane, name, pressures, rest, c)
-    return np.array([*z, *dz, *(max(p or 0.0, 0.0) for p in pressures)])
+    return np.array([*z, *dz, *(max(p or 0.0, vacuum) for p in pressures)])
 
 
 def _complete(crane: Crane, name: str, pressures: list[float | None], rest: np.ndarray, c: int) -> None:

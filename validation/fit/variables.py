@@ -287,7 +287,8 @@ def with_variables(crane: Crane, variables: Sequence[Variable], u: np.ndarray, r
 
 
 def physical(crane: Crane, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values that differ from the crane's, kept within hard limits and four standard uncertainties."""
+    """Return the values that differ from the crane's, kept within hard limits and what is
+    possible."""
     kept = {}
     for name, value in values.items():
         nominal = crane.values[name]

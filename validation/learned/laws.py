@@ -14,6 +14,7 @@ from scipy.optimize import isotonic_regression
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.curve import KNOTS, NUMBER, Argument, Table, X, Y, value
 from crane_exudyn.layout import Layout
+from crane_exudyn.statics import vapour_pressure
 
 from ..fit.model import model_of
 from ..fit.solve import Fit
@@ -222,6 +223,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], tuple[np.ndarray, tuple[f
     t = SemiRecursiveEngine(fit.crane).terms_along(X, W, time)
     clock = _EVERY * np.arange(len(X))
     found: dict[tuple[str, str, str], tuple[np.ndarray, tuple[float, float]]] = {}
+    vacuum = vapour_pressure(fit.crane)
 
     def met(effect: str, place: str, over: str, values: np.ndarray, where: np.ndarray | None = None) -> None:
         where = np.ones(len(values), dtype=bool) if where is None else where
@@ -231,7 +233,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], tuple[np.ndarray, tuple[f
     drawn, returned = np.zeros(len(X)), np.zeros(len(X))
     for c, place in enumerate(lay.cylinders):
         a, b, U = 2 * c, 2 * c + 1, W[:, c]
-        p, v = np.maximum(X[:, lay.pressures_of(c)], 0.0), t[f"v_h{c + 1}"]
+        p, v = np.maximum(X[:, lay.pressures_of(c)], vacuum), t[f"v_h{c + 1}"]
         Qa, Qb = t[f"Q{a + 1}"], t[f"Q{b + 1}"]
         out, into = np.where(U > 0.0, Qa, -Qb), np.where(U > 0.0, Qb, -Qa)
         drawn, returned = drawn + out, returned + into

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 #: by effect and argument: the hook, where the curve is looked up, and what the hook returns of its value y
 _HOOKS = {
     ("learned_opening", "spool"): ("opening", "U", "U + share * (y - U)"),
-    ("learned_opening", "pressure_drop"): ("supply_drop", "dp", "dp * (1.0 + share * (y * abs(y) - 1.0))"),
     ("learned_force", "speed"): ("cylinder_force", "abs(v)", "-share * max(y, 0.0) * math.tanh(v / 2e-3)"),
     ("learned_force", "stroke"): ("cylinder_force", "la", "-share * max(y, 0.0) * math.tanh(v / 2e-3)"),
     ("learned_force", "pressure_drop"): ("cylinder_force", "abs(pa - pb)", "-share * max(y, 0.0) * math.tanh"
@@ -28,8 +27,8 @@ _HOOKS = {
                                                                       "math.copysign(y, pa - pb)"),
     ("learned_flow", "pressure"): ("leakage", "p", "-share * y"),
     ("learned_torque", "rate"): ("joint_torque", "abs(omega)", "-share * max(y, 0.0) * math.tanh(omega / 2e-3)"),
-    ("learned_supply", "flow"): ("supply_pressure", "q", "pp - share * y"),
-    ("learned_return", "flow"): ("tank_pressure", "q", "pt + share * y"),
+    ("learned_supply", "flow"): ("supply_pressure", "q", "pp - share * y if q > 0.0 else pp"),
+    ("learned_return", "flow"): ("tank_pressure", "q", "pt + share * y if q > 0.0 else pt"),
 }  # fmt: skip
 _GIVEN = {"learned_flow": "p"}
 
@@ -110,8 +109,8 @@ def _of(law: LearnedLaw) -> tuple[str, str, str]:
     key = (law.effect.partition("@")[0], law.over)
     if key not in _HOOKS:
         raise CraneError(
-            f"{law.effect} over {law.over}: no hook of a user's own effect is given that. Keep it in the crane file, "
-            "with -o."
+            f"{law.effect} over {law.over} cannot be written as an effect of one hook. Keep it in the crane file, with "
+            "-o."
         )
     hook, at, result = _HOOKS[key]
     if law.over == "stroke" and not law.against_motion:

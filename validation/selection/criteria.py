@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,24 @@ class Criteria:
 
 
 CRITERIA = Criteria()
+
+
+@contextmanager
+def other_criteria(**values: Any) -> Iterator[None]:
+    """Search with other thresholds inside, in this process."""
+    usual = {name: getattr(CRITERIA, name) for name in values}
+    try:
+        _put(values)
+        yield
+    finally:
+        _put(usual)
+
+
+def _put(values: dict[str, Any]) -> None:
+    for name, value in values.items():
+        object.__setattr__(CRITERIA, name, value)
+
+
 #: m from where a cylinder stands at first at which a place of its stroke is tried: within what a seal deforms, and far
 #: beyond
 PLACES = (-0.05, -1e-3, -3e-4, 0.0, 3e-4, 1e-3, 0.05)

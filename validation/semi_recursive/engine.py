@@ -122,17 +122,11 @@ class SemiRecursiveEngine:
             pose: the independent coordinates, rad or m; `less_loaded` may stand behind them.
             less_loaded: Pa, one for all cylinders or one each.
 
-        Raises:
-            CraneError: a loop cannot be closed there, no pressures balance the load, or a cylinder would be beyond its
-                stroke.
-        """
-        x = self.at_rest(*pose, less_loaded=less_loaded)
-        self._refuse_stroke_end(x[None], np.zeros(1))
-        return x
+        A measured pose may lie a little beyond the file's stroke: only a run from there is refused.
 
-    def at_rest(self, *pose: float, less_loaded: float | Sequence[float] | None = None) -> np.ndarray:
-        """Return the same state wherever loops can be closed: a measured pose may lie a little beyond the file's
-        stroke.
+        Raises:
+            CraneError: a loop cannot be closed there, a pressure is below vapour pressure, or no pressures balance the
+                load.
         """
         n, x = len(self._layout.coordinates), np.zeros(len(self.state_names))
         given = [v for v in (*pose[n:], less_loaded) if v is not None]
@@ -142,6 +136,12 @@ class SemiRecursiveEngine:
                 f"pressure; found {len(pose)}."
             )
         low = np.broadcast_to(np.asarray(given[0] if given else 20e5, dtype=float), n).copy()
+        floor = float(self._P[equations.VAPOUR] - self._P[equations.REFERENCE] * self._P[equations.AIR])
+        if not np.all(low >= floor):
+            raise CraneError(
+                f"Semi-recursive engine: the less loaded chamber of {self.crane.name} cannot be at {low.min():g} Pa, "
+                f"below vapour pressure ({floor:g} Pa)."
+            )
         x[self._layout.positions] = pose[:n]
         load, units, lengths = _rest(x, self._P, self._E, self._topology)
         if np.isfinite(units).all() and np.linalg.svd(units, compute_uv=False)[-1] < _LEAST_LEVERAGE:
@@ -177,10 +177,13 @@ class SemiRecursiveEngine:
                 parameters of effects such as "internal_leakage@lift.k", and the disturbances of the layout.
 
         Raises:
-            CraneError: wrong shapes, an unknown parameter, or a state whose step does not converge.
+            CraneError: wrong shapes, a step that is not positive, an unknown parameter, or a state whose step does not
+                converge.
         """
         x = np.ascontiguousarray(states, dtype=float)
         self._check_shape("states", x, (None, len(self.state_names)))
+        if not dt > 0.0:
+            raise CraneError(f"propagate: dt = {dt:g} s is not positive.")
         w = np.ascontiguousarray(inputs, dtype=float)
         m = len(self._layout.inputs)
         if w.shape not in ((2, m), (2, len(x), m)):
