@@ -13,6 +13,7 @@ from .lazily import lazily
 
 if TYPE_CHECKING:
     from .crane import Crane as Crane
+    from .effects.registry import load_effects as load_effects
     from .engine import ExudynEngine as ExudynEngine
     from .errors import CraneError as CraneError
     from .recording import Recording as Recording
@@ -24,8 +25,9 @@ _WHERE = {
     "Crane": ".crane",
     "CraneError": ".errors",
     "ExudynEngine": ".engine",
+    "load_effects": ".effects.registry",
     "Recording": ".recording",
     "simulate": ".simulation",
 }
-__all__ = ["Crane", "CraneError", "ExudynEngine", "Recording", "simulate"]
+__all__ = ["Crane", "CraneError", "ExudynEngine", "Recording", "load_effects", "simulate"]
 __getattr__ = lazily(__name__, _WHERE)

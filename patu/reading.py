@@ -27,7 +27,7 @@ def load_crane(crane: str, effects: Sequence[Path] | None = None) -> Crane:
     from crane_exudyn.effects import registry
 
     for file in effects or ():
-        registry.load_file(file)
+        registry.load_effects(file)
     from crane_exudyn.crane import Crane
 
     with doing(f"reading {crane}"):

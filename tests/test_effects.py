@@ -78,7 +78,7 @@ class QuadraticFriction(Effect):
 USE = """
 import sys, numpy as np
 from crane_exudyn.effects import registry
-registry.load_file(sys.argv[1])
+registry.load_effects(sys.argv[1])
 from crane_exudyn import Crane
 from crane_exudyn.effects import hooks
 crane = Crane.load("patu655").with_effect("quadratic_friction@tilt", {"c": 1e5})
@@ -114,7 +114,7 @@ class SlowSpool(Effect):
 USE_CREEP = """
 import sys
 from crane_exudyn.effects import registry
-registry.load_file(sys.argv[1])
+registry.load_effects(sys.argv[1])
 from crane_exudyn import Crane
 from crane_exudyn.effects import hooks
 crane = Crane.load("patu655").with_effect("spool_creep@lift", {"kappa": 0.3, "tau": 1.0})
@@ -145,7 +145,7 @@ def test_a_bad_effect_file_is_refused(tmp_path, text, words):
     file = tmp_path / "bad_effect.py"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(CraneError) as refusal:
-        registry.load_file(file)
+        registry.load_effects(file)
     assert all(word in str(refusal.value) for word in [*words, "bad_effect"])
 
 
@@ -191,7 +191,7 @@ def test_a_law_that_does_not_fit_is_refused_in_one_line(tmp_path, text, words):
     file = tmp_path / "bad_effect.py"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(CraneError) as refusal:
-        registry.load_file(file)
+        registry.load_effects(file)
     said = str(refusal.value)
     assert all(word in said for word in [*words, str(file)]) and "\n" not in said
     assert not registry.user_files()
@@ -203,7 +203,7 @@ def test_a_law_that_does_not_return_is_refused_in_time(tmp_path, monkeypatch):
     file.write_text(_spoilt("return -c * v * abs(v)", law), encoding="utf-8")
     monkeypatch.setattr(checks, "_LONGEST", 0.1)
     with pytest.raises(CraneError, match=r"slow\.py.*cylinder_force has not returned after 0.1 s, at c = .*loop"):
-        registry.load_file(file)
+        registry.load_effects(file)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +231,7 @@ def test_the_same_law_from_another_file_does_not_find_code_that_refers_to_the_fi
     for name in ("one.py", "two.py"):
         (tmp_path / name).write_text(USER_EFFECT, encoding="utf-8")
     code = (
-        "import sys\nfrom crane_exudyn.effects import registry\nregistry.load_file(sys.argv[1])\n"
+        "import sys\nfrom crane_exudyn.effects import registry\nregistry.load_effects(sys.argv[1])\n"
         "from crane_exudyn.compiled import cache_folder\nprint(cache_folder())"
     )
     folders = {

@@ -157,7 +157,7 @@ OWN = """
 import sys
 import numpy as np
 from crane_exudyn.effects import registry
-registry.load_file(sys.argv[1])
+registry.load_effects(sys.argv[1])
 sys.path.insert(0, sys.argv[2])
 from test_measurement import *
 from crane_exudyn.render_shapes import pendulum_length

@@ -52,6 +52,43 @@ def test_one_after_the_other_or_in_processes() -> None:
     assert list(results_of([(handles_interrupts,)] * 2, 2)) == [False, False]
 
 
+OWN = """
+from crane_exudyn.effects.base import JOINTS, Effect, Parameter
+
+class WornPin(Effect):
+    \"\"\"Torque c omega |omega|.
+
+    Signature: fast moves need more pressure.
+    \"\"\"
+
+    name = "worn_pin"
+    places = JOINTS
+    parameters = (Parameter("c", "N*m*s^2", 0.0, 0.0, 1e5, 2000.0, "drag"),)
+
+    @staticmethod
+    def joint_torque(c, omega):
+        return -c * omega * abs(omega)
+"""
+USE = """
+import sys
+from crane_exudyn.effects import registry
+registry.load_effects(sys.argv[1])
+from crane_exudyn import Crane
+from crane_exudyn.statics import size_of_state  # of a module that is compiled with all effects
+from validation.workers import in_parallel
+crane = Crane.load("patu655").with_effect("worn_pin@O", {"c": 10.0})
+print(*in_parallel(2, [(size_of_state, crane)] * 2))
+"""
+
+
+def test_workers_know_the_users_own_effects_before_they_import_what_is_compiled_with_them(tmp_path: Path) -> None:
+    """A task was unpacked first, which imported the engines: every diagnosis with an effect of one's own failed."""
+    file = tmp_path / "worn.py"
+    file.write_text(OWN)
+    run = subprocess.run([sys.executable, "-c", USE, str(file)], capture_output=True, text=True, check=False)
+    assert (run.stdout.split(), run.returncode) == (["8", "8"], 0), run.stderr
+
+
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     code = (
         "import sys; sys.path.insert(0, sys.argv[2])\n"

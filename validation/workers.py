@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import time
@@ -53,7 +54,9 @@ def results_of(
     from joblib import Parallel, delayed
 
     parent = None if _schedulers else os.getpid()
-    calls = [delayed(_in_worker)(parent, registry.user_files(), *task) for task in tasks]
+    files = registry.user_files()
+    # packed here: unpacking imports what is compiled with all effects, and must wait until these are known
+    calls = [delayed(_in_worker)(parent, files, pickle.dumps(task)) for task in tasks]
     try:
         with _deaf_to_interrupts():
             results = Parallel(n_jobs=-1 if _schedulers else jobs, return_as=order, max_nbytes=None)(calls)
@@ -75,7 +78,7 @@ def own_processes(tasks: Sequence[Task]) -> Iterator[Callable[[], bool]]:
     """
     context = multiprocessing.get_context("spawn")
     given = os.getpid(), registry.user_files()
-    running = [context.Process(target=_in_worker, args=(*given, *task), daemon=True) for task in tasks]
+    running = [context.Process(target=_in_worker, args=(*given, pickle.dumps(task)), daemon=True) for task in tasks]
     with _deaf_to_interrupts():
         for process in running:
             process.start()
@@ -138,11 +141,12 @@ def scheduled(address: str | None) -> Iterator[None]:
             _schedulers.pop()
 
 
-def _in_worker(parent: int | None, files: Sequence[Path], function: Callable[..., Any], *arguments: Any) -> Any:
+def _in_worker(parent: int | None, files: Sequence[Path], packed: bytes) -> Any:
     if parent not in (None, os.getpid()):
         _end_with(parent)
     for file in files:
-        registry.load_file(file)
+        registry.load_effects(file)
+    function, *arguments = pickle.loads(packed)
     return function(*arguments)
 
 

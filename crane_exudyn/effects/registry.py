@@ -57,7 +57,8 @@ def find(name: str) -> type[Effect]:
         if effect.name == name:
             return effect
     raise CraneError(
-        f"There is no effect {name!r}.{nearest(name, [e.name for e in known()])} `patu effects` lists all."
+        f"There is no effect {name!r}.{nearest(name, [e.name for e in known()])} `patu effects` lists all; one of your "
+        "own is read from its file, by --effects or crane_exudyn.load_effects."
     )
 
 
@@ -162,7 +163,9 @@ def register(effect: type[Effect]) -> type[Effect]:
         raise CraneError(f"There is an effect {effect.name!r} already. Give yours another name.")
     if _frozen:
         raise CraneError(
-            f"Effect {effect.name!r} comes too late: engines are compiled. Register it before importing one."
+            f"Effect {effect.name!r} comes too late: modules that are compiled with all effects have been imported. "
+            "Call crane_exudyn.load_effects(FILE) before other imports of crane_exudyn, ukf and validation; in a "
+            "notebook, restart it."
         )
     _user_effects.append(effect)
     for table in (starts, slots_of, _neutral, events, slots_of_events):
@@ -170,8 +173,15 @@ def register(effect: type[Effect]) -> type[Effect]:
     return effect
 
 
-def load_file(path: str | Path) -> list[type[Effect]]:
-    """Register every effect that a Python file defines, and return them."""
+def load_effects(path: str | Path) -> list[type[Effect]]:
+    """Register every effect that a Python file defines, and return them; nothing if the file has been read before.
+
+    Compiled code contains every effect, so this comes before the imports of anything that is compiled: all of
+    crane_exudyn but Crane and Recording, ukf and validation.
+
+    Raises:
+        CraneError: the file cannot be read or defines no effect, an effect is not as it must be, or it comes too late.
+    """
     file = Path(path).resolve()
     if file in _user_files:
         return []
@@ -203,7 +213,7 @@ def load_file(path: str | Path) -> list[type[Effect]]:
 
 
 def user_files() -> tuple[Path, ...]:
-    """Return the files that `load_file` has registered effects from, for worker processes to do the same."""
+    """Return the files that `load_effects` has registered effects from, for worker processes to do the same."""
     return tuple(_user_files)
 
 
