@@ -328,6 +328,7 @@ class System:
         self._container, self.mbs = mechanism.main_system()
         states = np.tile(mechanism.start_pose(crane), (size, 1))
         self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)
+        self.plant.guarded = False  # an iterate may be beyond a stroke where the step is not
         self.mbs.Assemble()
         self._push, self._has_objects = np.zeros((size, self.plant.coordinates)), bool(crane.objects)
         found, own = len(self.mbs.systemData.GetODE2Coordinates()), self._push.size

@@ -56,7 +56,7 @@ from .parameters import CYLINDER, GRAVITY, N_CYLINDER, PAYLOAD
 _NO_STIFFNESS = 1e-200
 
 
-@dataclass
+@dataclass(repr=False)
 class Plant:
     """Machines in an Exudyn system, with the item numbers to reach them.
 
@@ -78,6 +78,7 @@ class Plant:
         markers: (marker number, body or -1 for the ground, point in P or -1 for the body's origin).
         loads: load numbers by name of the body.
         outlines: shapes by name of the body, and of the ground; empty without graphics.
+        guarded: whether a cylinder beyond its stroke ends a run; not where each step is judged as a whole.
     """
 
     crane: Crane
@@ -98,7 +99,11 @@ class Plant:
     markers: list[list[tuple[int, int, int]]] = field(default_factory=list)
     loads: list[dict[str, int]] = field(default_factory=list)
     outlines: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    guarded: bool = True
     _items: ItemValues | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        return f"<Plant of {self.size} x {self.crane!r}, bodies {' '.join(self.crane.machine.bodies)}>"
 
     @property
     def topology(self) -> np.ndarray:
@@ -212,9 +217,14 @@ def build(
         graphics: whether bodies, ground and cylinders get the machine's shapes, which Exudyn's viewer shows.
 
     Raises:
-        CraneError: a pose that cannot be reached, or a payload on a pendulum that has no mass.
+        CraneError: states of another length, a pose that cannot be reached, or a payload on a pendulum without mass.
     """
-    rows = np.atleast_2d(start_pose(crane) if states is None else np.asarray(states, dtype=float))
+    first = start_pose(crane)
+    rows = np.atleast_2d(first if states is None else np.asarray(states, dtype=float))
+    if rows.ndim != 2 or rows.shape[1] != first.size:
+        raise CraneError(
+            f"build: states have shape {rows.shape}, expected (n, {first.size}) or ({first.size},) for {crane.name}."
+        )
     plant = _plant(crane, len(rows), inputs, time)
     plant.outlines = _outlines(plant) if graphics else {}
     look = items.VObjectGround(graphicsData=plant.outlines.get(GROUND, []))
@@ -438,7 +448,12 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
         start, data = (starts or first_coordinates(mbs))[0], mbs.systemData
         q = np.asarray(data.GetODE2Coordinates())[start : start + width * n]
         v = np.asarray(data.GetODE2Coordinates_t())[start : start + width * n]
-        _all_rates(machines, plant.inputs_at(t), (q, v, np.asarray(p)), rate)
+        beyond = _all_rates(machines, plant.inputs_at(t), (q, v, np.asarray(p)), plant.guarded, rate)
+        if beyond >= 0:
+            raise CraneError(
+                f"{plant.crane.name}: a cylinder is at the end of its stroke at t = {t:.6g} s (machine {beyond}). Add "
+                "the effect end_stop to it, shorten the command, or mend the cylinder's lengths."
+            )
         return rate.ravel()
 
     return force_function, rate_function
@@ -464,8 +479,13 @@ def _all_forces(machines, mass, t, w, motion, out):
 
 
 @njit
-def _all_rates(machines, w, motion, out):
-    """Fill out (n, chambers) with the pressure rates of all machines; arguments as of `_all_forces`."""
+def _all_rates(machines, w, motion, guarded, out):
+    """Fill out (n, chambers) with the pressure rates of all machines; arguments as of `_all_forces`.
+
+    Returns:
+        the first machine that is beyond its stroke, or -1; always -1 where that is not to be looked at.
+    """
+    beyond = -1
     (topology, P, E, inertia), (q, v, p) = machines, motion
     n, chambers = out.shape
     width = q.size // n
@@ -476,6 +496,9 @@ def _all_rates(machines, w, motion, out):
         red.arms_of(topology, P[k], inertia[k], qk, arms)
         geo.fill_lines(topology, arms, qk, vk, lines)
         hyd.all_pressure_rates(topology, P[k], E[k], w[k], lines, p[j : j + chambers], out[k])
+        if guarded and beyond < 0 and trapezoidal.stroke_end(P[k], E[k], lines, p[j : j + chambers]) > 0:
+            beyond = k
+    return beyond
 
 
 def redundant(plant: Plant, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -536,7 +559,7 @@ def set_initial_rates(mbs: Any, plant: Plant, time: float = 0.0) -> None:
     p = np.array(data.GetODE1Coordinates(initial))[start : start + chambers * n]
     rates, all_rates = np.zeros((n, chambers)), np.array(data.GetODE1Coordinates_t(initial))
     machines = (plant.topology, plant.P, plant.E, plant.inertia)
-    _all_rates(machines, plant.inputs_at(time), (q, v, p), rates)
+    _all_rates(machines, plant.inputs_at(time), (q, v, p), False, rates)
     all_rates[start : start + chambers * n] = rates.ravel()
     data.SetODE1Coordinates_t(all_rates, initial)
 

@@ -348,6 +348,26 @@ def test_own_exudyn_script_with_inputs_of_time():
     assert apart[0] / apart[1] > 3.0
 
 
+def test_a_cylinder_does_not_leave_its_barrel_in_an_own_exudyn_script():
+    """It went on beyond 1.355 m, with -4940 bar on its rod side, and nothing was said."""
+    mbs = mechanism.main_system()[1]
+    start = ExudynEngine(CRANE).static_start(0.9, -0.7)
+    plant = mechanism.build(mbs, CRANE, states=start, inputs=np.array([1.0, 0.0, np.nan, np.nan]))
+    mbs.Assemble()
+    mechanism.set_initial_rates(mbs, plant)
+    with pytest.raises(CraneError, match="end of its stroke at t = "):
+        mbs.SolveDynamic(mechanism.settings(2e-3, 3.0))
+    assert repr(plant).startswith("<Plant of 1 x <Crane patu655")
+
+
+def test_states_of_another_length_are_refused():
+    """Numbers behind the end of the array were taken for the payload's."""
+    start = ExudynEngine(CRANE).static_start(0.2, -0.7)
+    for crane, states in ((SWINGING, start), (CRANE, start[:3]), (CRANE, np.ones((2, 9)))):
+        with pytest.raises(CraneError, match="states have shape"):
+            mechanism.build(mechanism.main_system()[1], crane, states=states)
+
+
 def test_changing_payload_is_refused_where_masses_are_fixed():
     _container, mbs = mechanism.main_system()
     mechanism.build(mbs, CRANE.with_effect("payload_change", {"dm": 10.0, "T": 0.005}))
