@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -193,16 +192,10 @@ def _alone(plain: Estimator, recording: Recording, model_error: str, smooth: boo
 
 
 def _side_by_side(filters: dict[str, Estimator], recording: Recording, model_error: str, slack: float) -> Estimate:
-    """Return the mixed estimate of several models, each with its own model error if that was asked for."""
-    from ukf.model_error import find
-    from ukf.side_by_side import SideBySide
+    """Return the mixed estimate of several models."""
+    from ukf.model_error import estimate_side_by_side
 
-    if model_error == "on":
-        with progress("Model error"):
-            found = {n: find(e.crane, recording, e.std_of, augment=e.augment) for n, e in filters.items()}
-        filters = {n: found[n].behind(e) for n, e in filters.items()}
-    with progress("Estimate") as done:
-        return replace(SideBySide(filters).run(recording, progress=done), noise_slack=slack)
+    return estimate_side_by_side(filters, recording, mode=model_error, noise_slack=slack, stage=progress)
 
 
 def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
@@ -321,7 +314,7 @@ def consistency(result: Estimate) -> str:
     """Return NIS and whiteness in one line."""
     low, high = result.nis_bounds
     white = ", ".join(f"{n} {p:.2g}" for n, p in result.whiteness.items())
-    return f"NIS {result.nis_mean:.4g} (consistent: {low:.3g} to {high:.3g}); whiteness p: {white}"
+    return f"NIS {result.nis_mean:.4g} (expected {low:.3g} to {high:.3g}); whiteness p: {white}"
 
 
 def allowance(result: Estimate) -> list[str]:
@@ -333,6 +326,8 @@ def allowance(result: Estimate) -> list[str]:
     account = result.model_error
     if account is None or not account.used:
         return []
+    if not account.found:
+        return ["The intervals allow for errors of the models."]
     listed = sorted(
         account.found.items(), key=lambda item: -abs(item[1]["value"] - item[1]["nominal"]) / item[1]["std"]
     )
@@ -372,6 +367,11 @@ def verdict(result: Estimate) -> str:
             "never does: the model "
             "lacks something. The intervals of what no sensor measures are too narrow, and those of the angles may be. "
             + mend
+        )
+    if result.overstated:
+        return (
+            f"Not consistent: the filter takes {', '.join(result.overstated)} to be more than twice as noisy as the "
+            "recording shows, so the intervals are wider than need be. Mend [sensors] in the crane file."
         )
     return (
         "Not consistent: the filter expects more noise than there is, so the intervals are wider than need be; try "

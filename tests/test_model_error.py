@@ -5,6 +5,7 @@ bookkeeping.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -58,9 +59,9 @@ def recorded(name: str, seed: int = 7) -> tuple[Signals, np.ndarray]:
     return Signals(time, commands, sensors, name=name), truth
 
 
-def plain(crane: Crane = NOMINAL) -> Estimator:
+def plain(crane: Crane = NOMINAL, std: Mapping[str, float] = STD) -> Estimator:
     """Return the filter with the nominal model and little noise."""
-    return Estimator(crane, "semi-recursive", STD, ProcessNoise((1e-7,) * 2, (1e6,) * 4), max_step=STEP)
+    return Estimator(crane, "semi-recursive", std, ProcessNoise((1e-7,) * 2, (1e6,) * 4), max_step=STEP)
 
 
 @cache
@@ -95,6 +96,40 @@ def test_what_all_sensors_once_told_of_a_wrong_model_narrows_intervals_that_hold
     error = (result.mean[:, p3] - recorded("leak")[1][:, p3])[moving]
     assert (np.abs(error) <= 1.96 * result.std[moving, p3]).mean() >= 0.85
     assert result.std[moving, p3].mean() < 0.8 * before.std[moving, p3].mean()
+
+
+def test_a_live_filter_of_a_right_model_stays_at_the_truth():
+    """A crane at rest, without noise: payloads below nothing were cut off at nothing, and p2 went to 37 bar with an
+    interval that did not hold the 20 of the truth.
+    """
+    still, w = NOMINAL.initial.pose, np.zeros(2)
+    state = visible(NOMINAL, SemiRecursiveEngine(NOMINAL).static_start(*still)[None])[0]
+    live = model_error.live(Estimator(NOMINAL, "semi-recursive", STD, max_step=5e-3))
+    for k in range(401):
+        now = live.step(w, {n: state[LAYOUT.index(n)] for n in STD}, time=5e-3 * k)
+    for name in ("p2", "p3"):
+        assert now[name] == pytest.approx(state[LAYOUT.index(name)], abs=2e5)
+    assert now["payload.mass"] == pytest.approx(NOMINAL["payload.mass"], abs=5.0)
+
+
+def test_several_wrong_models_allow_for_it_together():
+    """Of two models neither of which is the machine's; what was asked for by default was left out in silence."""
+    models = {"nominal": plain(), "leak": plain(MACHINES["leak"])}
+    signals, truth = recorded("payload")
+    off, auto = (model_error.estimate_side_by_side(models, signals, mode=m) for m in ("off", "auto"))
+    assert (off.model_error.used, auto.model_error.used) == (False, True)
+    p2 = LAYOUT.index("p2")
+    inside = [(np.abs(e.mean[:, p2] - truth[:, p2]) <= 1.96 * e.std[:, p2])[e.time > 0.6].mean() for e in (off, auto)]
+    assert inside[0] < 0.7 and inside[1] >= 0.85
+
+
+def test_noise_that_is_overstated_is_told_and_hides_no_model_that_is_wrong():
+    """A recording with noise was called one without, and a model without its payload was said to have too much."""
+    filter_ = plain(std={n: 5.0 * s for n, s in STD.items()})
+    right, wrong = (filter_.run(recorded(n)[0]) for n in ("nominal", "payload"))
+    assert not right.noiseless and not right.consistent and right.overstated == tuple(STD) and not right.persistent
+    assert right.verdict == "not consistent: intervals too wide"
+    assert wrong.persistent and not wrong.noiseless
 
 
 def test_a_payload_is_estimated_along_only_where_the_innovations_ask_for_another_one():

@@ -103,6 +103,23 @@ def test_models_of_other_machines_or_none_beside_are_refused():
         SideBySide(filters)
 
 
+def test_one_spike_says_nothing_of_the_models(opened):
+    """One sample 20 bar off, which both filters reject, took the probability of the leak from 0.001 to 0.9999987."""
+    signals, _ = opened
+    time, values = signals.sensors["p1"]
+    spoilt = values.copy()
+    spoilt[400] += 20e5  # at 2 s, before it leaks
+    probabilities, logs = [], []
+    for y in (values, spoilt):
+        both = side_by_side(sound=SOUND, leaky=LEAKY)
+        found = both.run(Signals(signals.command_time, signals.commands, signals.sensors | {"p1": (time, y)}))
+        probabilities.append(found.models["leaky"])
+        logs.append(found.log_likelihood)
+    assert np.abs(probabilities[1] - probabilities[0])[:480].max() < 0.05
+    assert logs[1] > logs[0] - 5.0, "a noise that fits is not looked for by it either"
+    assert any("rejected" in e.text for e in found.events)
+
+
 def test_files_of_one_name_in_two_folders_keep_their_cranes(tmp_path):
     """The second took the first one's place, and the third was run by its name."""
     for folder, mass in (("a", 100.0), ("b", 200.0)):

@@ -12,6 +12,7 @@ import numpy as np
 
 from crane_exudyn.layout import Layout
 from crane_exudyn.machine_toml import usual_layout
+from crane_exudyn.signals import is_noise_free, noise_std
 
 from . import consistency
 from .monitor import FROZEN, OUTLIER, USED
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
     from .plots import Judgement, Line
 
-#: shares of a sensor's noise below which its innovations are small, and below which they cannot hold that noise
+#: shares of a sensor's noise below which its innovations are small, below which they cannot hold that noise, and below
+#: which a recording that does not hold it is taken to be without
 _SMALL, _NO_NOISE = 0.5, 0.25
 #: quantities that a representation names
 _NAMED = 8
@@ -186,24 +188,40 @@ class Estimate:
         An error that is small beside the noise of the sensor is none that a sensor could show.
         """
         used = dict(zip(self.channel_names, self._normalised.T, strict=True))
-        large = dict(zip(self.channel_names, self._over_noise > _SMALL, strict=True))
+        large = dict(zip(self.channel_names, self._size > _SMALL * self._noise, strict=True))
         return tuple(n for n in self.coloured if large[n] and consistency.persistence(used[n]) > 0.0)
 
     @cached_property
-    def _over_noise(self) -> np.ndarray:
-        """RMS innovation (k,) of the samples used in units of the sensor's noise; infinite where that is not known."""
-        if self.sensor_std is None:
-            return np.full(len(self.channel_names), np.inf)
-        used = np.where(self.flags == USED, self.innovation / self.sensor_std, 0.0)
+    def _size(self) -> np.ndarray:
+        """RMS innovation (k,) of the samples used."""
+        used = np.where(self.flags == USED, self.innovation, 0.0)
         return np.asarray(np.sqrt((used**2).sum(axis=0) / np.maximum((self.flags == USED).sum(axis=0), 1)))
 
-    @property
-    def noiseless(self) -> bool:
-        """Whether all that is left of the recording is far below the noise that the filter takes its sensors to have.
-
-        Then it has next to no noise, as a simulation, and the model explains it. Statistics of noise say nothing of it.
+    @cached_property
+    def _noise(self) -> np.ndarray:
+        """Noise (k,) of the sensors: what the filter takes it to be, or what the recording shows where that is less,
+        but a quarter of it at least; 0 where it is not known.
         """
-        return bool((self._over_noise < _NO_NOISE).all())
+        if self.sensor_std is None:
+            return np.zeros(len(self.channel_names))
+        shown = np.array([noise_std(y[np.isfinite(y)]) for y in self.measured.T])
+        return np.asarray(np.clip(shown, _NO_NOISE * self.sensor_std, self.sensor_std))
+
+    @cached_property
+    def noiseless(self) -> bool:
+        """Whether the recording has no noise, as a simulation, and the model explains it to far less than what the
+        filter takes its sensors to have. Statistics of noise say nothing of it.
+        """
+        if self.sensor_std is None or not (self._size < _NO_NOISE * self.sensor_std).all():
+            return False
+        known = [y[np.isfinite(y)] for y in self.measured.T]
+        return all(is_noise_free(y) or np.ptp(y) == 0.0 for y in known if y.size)
+
+    @property
+    def overstated(self) -> tuple[str, ...]:
+        """The sensors that the filter takes to be noisier than the recording shows them, by two or more."""
+        std = np.zeros(len(self.channel_names)) if self.sensor_std is None else self.sensor_std
+        return tuple(np.array(self.channel_names)[self._noise < _SMALL * std].tolist())
 
     @property
     def failures(self) -> int:

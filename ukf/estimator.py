@@ -142,7 +142,7 @@ class Estimator:
         constants = [k for k, e in enumerate(self.extras, self.size - len(self.extras)) if e.memory == np.inf]
         self._held = constants if revisit is not None else []
         self._method = method_of(method, np.ones(self.size))
-        self._gate = np.inf if gate is None else float(gate)
+        self.gate = np.inf if gate is None else float(gate)
         self._start, self._pressure_std = start, float(pressure_std)
         self._adapt = float(adapt)
         self._revisit = revisit
@@ -197,8 +197,8 @@ class Estimator:
         self.time: float | None = None
         self.count = 0
         self.events: list[tuple[float, str, str]] = []
-        self._monitor = Monitor(self._channels.names, self._units, self._std, self._gate, self._floor)
-        self._belief_in_doubt = Doubt(self._gate)
+        self._monitor = Monitor(self._channels.names, self._units, self._std, self.gate, self._floor)
+        self._belief_in_doubt = Doubt(self.gate)
         self._opinion: SecondOpinion | None = None
         self._spool = None
         self._last_input: np.ndarray | None = None
@@ -363,7 +363,7 @@ class Estimator:
     def _forget_doubts(self, time: float, read: Collection[str]) -> None:
         """Note that the belief was set at `time` from the channels `read`."""
         self._monitor.begin(time, read)
-        self._belief_in_doubt = Doubt(self._gate)
+        self._belief_in_doubt = Doubt(self.gate)
         self._opinion = None
 
     def _shown(self, first: Mapping[str, float], spread: Mapping[str, float], begins: bool = False) -> Belief:
@@ -738,7 +738,7 @@ class Estimator:
         groups: dict[float, list[str]] = {}
         for name, (time, values) in plan.series.items():
             early, std = time <= end, self.std_of[name]
-            at = leaps(time[early], values[early], std, FASTEST[self.crane.layout.sensors[name].unit], self._gate)
+            at = leaps(time[early], values[early], std, FASTEST[self.crane.layout.sensors[name].unit], self.gate)
             if at.size:
                 longest = at[np.argmax(np.diff([*at, early.sum()]))]
                 for k in sorted({int(at[0]), int(longest)}):
@@ -757,7 +757,7 @@ class Estimator:
         start, tried = float(plan.time[0]), plan.without(self.channel_names, since)
         self.start_at(start, *tried.opening())
         total: float = 0.0
-        most = self._gate**2
+        most = self.gate**2
         for k in range(1, plan.until(2.0 * end - start)):
             innovation, variance, flags, _, _ = self.on_plan(tried, k)
             used = flags == USED

@@ -49,6 +49,7 @@ from .estimate import Account, Estimate
 from .estimator import Estimator, sensor_std
 from .noise import ProcessNoise
 from .replay import Replay
+from .side_by_side import SideBySide
 from .signals import Signals
 from .tuning import busiest, descend, limits_of, logs_of, noise_of
 
@@ -474,23 +475,65 @@ def estimate(
     Raises:
         CraneError: no such mode, or as `Estimator.run`.
     """
-    if mode_of(mode) != "on":
+    found = list[ModelError]()
+
+    def wider() -> Estimate:
+        with stage("Model error") as done:
+            found.append(find(plain.crane, recording, plain.std_of, augment=plain.augment, progress=done))
         with stage("Estimate") as done:
-            first = _run(plain, recording, smooth, noise_slack, done)
-        why = "not asked for" if mode == "off" else unasked(first)
+            return _run(found[0].behind(plain), recording, smooth, noise_slack, done)
+
+    def first() -> Estimate:
+        with stage("Estimate") as done:
+            return _run(plain, recording, smooth, noise_slack, done)
+
+    result, account = _chosen(mode, first, wider)
+    return _told(plain.crane, result, found[0], account) if account.used else replace(result, model_error=account)
+
+
+def estimate_side_by_side(
+    estimators: Mapping[str, Estimator],
+    recording: Any,
+    *,
+    mode: str = "auto",
+    noise_slack: float = 0.0,
+    stage: Stage = _silent,
+) -> Estimate:
+    """Return the mixed estimate of several models, each with a model error of its own where the innovations ask for it;
+    arguments as of `estimate`.
+    """
+
+    def mixed(filters: Mapping[str, Estimator]) -> Estimate:
+        with stage("Estimate") as done:
+            return replace(SideBySide(filters).run(recording, progress=done), noise_slack=noise_slack)
+
+    def wider() -> Estimate:
+        found = dict[str, Estimator]()
+        for name, plain in estimators.items():
+            with stage(f"Model error of {name}") as done:
+                error = find(plain.crane, recording, plain.std_of, augment=plain.augment, progress=done)
+            found[name] = error.behind(plain)
+        return mixed(found)
+
+    result, account = _chosen(mode, partial(mixed, estimators), wider)
+    return replace(result, model_error=account)
+
+
+def _chosen(mode: str, first: Callable[[], Estimate], wider: Callable[[], Estimate]) -> tuple[Estimate, Account]:
+    """Return the estimate without or with model error, and why it is that one."""
+    plain = None if mode_of(mode) == "on" else first()
+    if plain is not None:
+        why = "not asked for" if mode == "off" else unasked(plain)
         if why:
-            return replace(first, model_error=Account(mode, False, why, {}))
-    with stage("Model error") as done:
-        found = find(plain.crane, recording, plain.std_of, augment=plain.augment, progress=done)
-    with stage("Estimate") as done:
-        second = _run(found.behind(plain), recording, smooth, noise_slack, done)
-    if mode == "auto":
-        price = _PRICE * float(first.dof.sum())
-        if second.log_likelihood < first.log_likelihood + (-price if lacking(first) else price):
-            why = f"the innovations are {'less' if lacking(first) else 'not more'} likely with it"
-            return replace(first, model_error=Account(mode, False, why, {}))
-    why = "asked for" if mode == "on" else f"without it, {first.verdict}"
-    return _told(plain.crane, second, found, Account(mode, True, why, {}))
+            return plain, Account(mode, False, why, {})
+    second = wider()
+    if plain is None:
+        return second, Account(mode, True, "asked for", {})
+    price = _PRICE * float(plain.dof.sum())
+    if second.log_likelihood < plain.log_likelihood + (-price if lacking(plain) else price):
+        why = f"the innovations are {'less' if lacking(plain) else 'not more'} likely with it"
+        return plain, Account(mode, False, why, {})
+    return second, Account(mode, True, f"without it, {plain.verdict}", {})
 
 
 def _run(

@@ -17,6 +17,9 @@ from .bounds import Bounds
 from .channels import Channels
 from .linear_algebra import all_finite
 
+#: share of a point's way from the mean that must be possible for the rest to be told from it
+_LEAST_SHARE = 0.05
+
 
 class Process:
     """The transition of [engine states, lagged readings, extra states] over one sampling interval."""
@@ -43,7 +46,38 @@ class Process:
         return lambda points: self.run(points, inputs, times)
 
     def run(self, points: np.ndarray, inputs: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Return the points (m, n) carried along the inner steps `times` (s,) with inputs (s, 4)."""
+        """Return the points (m, n), symmetric about their mean, carried along the inner steps `times` (s,) with inputs
+        (s, 4).
+
+        A point whose parameters no machine has, such as a payload of less than nothing, is carried as the line through
+        the mean and the farthest possible point between, or on the other side of it, goes on: with its parameter cut
+        off the mean of all would be shifted, although the machine does nothing.
+        """
+        if not self._columns or not self._bounds.outside(points):
+            return self._carried(points, inputs, times)
+        middle = points.mean(axis=0)
+        share = self._possible(points, middle)
+        cut = share != 1.0
+        if not cut.any():
+            return self._carried(points, inputs, times)
+        out = self._carried(np.vstack([middle + share[:, None] * (points - middle), middle]), inputs, times)
+        out[:-1][cut] = out[-1] + (out[:-1][cut] - out[-1]) / share[cut, None]
+        return out[:-1]
+
+    def _possible(self, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
+        """Return the share of each point's way from the middle at which its parameters are possible (m,); negative on
+        the other side, 1 where hardly any is.
+        """
+        columns = list(self._columns.values())
+        away, room = points[:, columns] - middle[columns], np.maximum(middle - self._bounds.lower, 0.0)[columns]
+        ways = room / np.maximum(np.abs(away), 1e-300)
+        ahead = np.where(away < 0.0, ways, 1.0).min(axis=1).clip(0.0, 1.0)
+        behind = np.where(away > 0.0, ways, 1.0).min(axis=1).clip(0.0, 1.0)
+        share = np.where(ahead >= behind, ahead, -behind)
+        return np.where(np.abs(share) < _LEAST_SHARE, 1.0, share)
+
+    def _carried(self, points: np.ndarray, inputs: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return points (m, n) carried along; what is beyond limits is carried through as it is."""
         inside, excess = self._bounds.split(points)
         states = np.ascontiguousarray(inside[:, : self.nx])
         keyword = {"parameters": {n: inside[:, c] for n, c in self._columns.items()}} if self._columns else {}

@@ -77,7 +77,7 @@ class SideBySide:
         for k in range(1, lead.time.size):
             before = self._interact(probability[k - 1], float(lead.time[k] - lead.time[k - 1]), common)
             results = [e.on_plan(plan, k) for e, plan in zip(self.estimators, plans, strict=True)]
-            probability[k], likelihood = _weighed(before, _logs(results))
+            probability[k], likelihood = _weighed(before, *_logs(results, [e.gate for e in self.estimators]))
             best = results[int(probability[k].argmax())]
             recorder.note(k, mixture(probability[k], self._beliefs(common)), *best[:4], likelihood)
             if progress is not None and k % 500 == 0:
@@ -143,26 +143,25 @@ def followed(own: Any, mixed: Belief) -> Belief:
 Result = tuple[np.ndarray, np.ndarray, np.ndarray, float, float]
 
 
-def _logs(results: Sequence[Result]) -> np.ndarray:
-    """Return the log-likelihood of a sample by model (m,), of the same sensors for all.
+def _logs(results: Sequence[Result], gates: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return log-likelihoods of a sample by model (m,): of the same sensors for all, by which they are compared, and of
+    those that each believes.
 
-    A sensor that a filter does not believe counts as it would have at its limit; a filter that failed is worth the
-    least of the others.
+    A sensor that a filter does not believe counts against it as a reading at its gate does; a filter that failed is
+    worth the least of the others.
     """
-    logs = []
-    for innovation, variance, flags, _, log in results:
+    alike, own = np.empty(len(results)), np.array([r[4] for r in results])
+    for k, (innovation, variance, flags, _, log) in enumerate(results):
         left = ~np.isnan(innovation) & (flags != USED) & (flags != ABSENT)
-        logs.append(log + log_likelihood(innovation[left], variance[left]))
+        reach = gates[k] * np.sqrt(variance[left])
+        alike[k] = log + log_likelihood(np.clip(innovation[left], -reach, reach), variance[left])
     lost = np.array([bool((r[2] == ABSENT).all()) for r in results])
-    found = np.array(logs)
     if lost.any():
-        found[lost] = 0.0 if lost.all() else found[~lost].min()
-    return found
+        alike[lost] = 0.0 if lost.all() else alike[~lost].min()
+    return alike, own
 
 
-def _weighed(before: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the probabilities (m,) after a sample with log-likelihoods (m,), and that of the sample under all
-    models.
-    """
-    after = np.maximum(before * np.exp(logs - logs.max()), _LEAST)
-    return np.asarray(after / after.sum()), float(logs.max() + np.log(after.sum()))
+def _weighed(before: np.ndarray, alike: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the probabilities (m,) after a sample, and its log-likelihood under all models; see `_logs`."""
+    after = np.maximum(before * np.exp(alike - alike.max()), _LEAST)
+    return np.asarray(after / after.sum()), float(own.max() + np.log(before @ np.exp(own - own.max())))
