@@ -18,15 +18,20 @@ def smooth(
     predicted_means: np.ndarray,
     predicted_covariances: np.ndarray,
     crosses: np.ndarray,
+    *,
+    gains: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return smoothed means (N, n) and covariances (N, n, n) from a filter's run.
 
     `predicted_means[k]` (N, n), `predicted_covariances[k]` and `crosses[k]` (N, n, n) belong to the step from k - 1
-    to k; their first entries are not used.
+    to k; their first entries are not used. `gains` (N, n, n), where given, is filled with G of the steps from k to
+    k + 1.
     """
     mean, covariance = means.copy(), covariances.copy()
     for k in range(len(means) - 2, -1, -1):
         gain = _gain(crosses[k + 1], predicted_covariances[k + 1])
+        if gains is not None:
+            gains[k] = gain
         mean[k] += gain @ (mean[k + 1] - predicted_means[k + 1])
         change = gain @ (covariance[k + 1] - predicted_covariances[k + 1]) @ gain.T
         covariance[k] += 0.5 * (change + change.T)

@@ -24,6 +24,8 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.layout import Layout
+from ukf.filter import Belief, update_linear
+from ukf.smoother import smooth as smoothed
 
 from .fit.data import FitData
 from .fit.model import Model, model_of
@@ -345,26 +347,22 @@ def smooth(steps: Steps) -> _Smoothed:
     K, nx = steps.states.shape
     n = nx + steps.inputs.shape[1]
     F, constant, Q = augmented(steps)
-    mean, covariance = np.zeros(n), np.diag(np.r_[np.full(nx, START_STD**2), np.ones(n - nx)])
-    mean[nx:] = -steps.inputs[0]
-    means, covariances = np.empty((K, n)), np.empty((K, n, n))
-    before, spread_before = np.empty((K, n)), np.empty((K, n, n))
+    start = np.zeros(n)
+    start[nx:] = -steps.inputs[0]
+    belief = Belief(start, np.diag(np.r_[np.full(nx, START_STD**2), np.ones(n - nx)]))
+    means, predicted = np.empty((K, n)), np.empty((K, n))
+    covariances, spread, crosses, gains = (np.zeros((K, n, n)) for _ in range(4))
     likelihood = 0.0
     for k in range(K):
         if k:
-            mean = F[k - 1] @ mean + constant[k - 1]
-            covariance = F[k - 1] @ covariance @ F[k - 1].T + Q
-        before[k], spread_before[k] = mean, covariance
-        mean, covariance, gained = _corrected(mean, covariance, steps.C[k], steps.residual[k], steps.spread[k])
+            crosses[k] = belief.covariance @ F[k - 1].T
+            belief = Belief(F[k - 1] @ belief.mean + constant[k - 1], F[k - 1] @ crosses[k] + Q)
+        predicted[k], spread[k] = belief.mean, belief.covariance
+        belief, gained = _corrected(belief, steps.C[k], steps.residual[k], steps.spread[k])
         likelihood += gained
-        means[k], covariances[k] = mean, covariance
-    gains = np.zeros((K, n, n))
-    gains[:-1] = np.linalg.solve(spread_before[1:], F @ covariances[:-1]).transpose(0, 2, 1)
-    for k in range(K - 2, -1, -1):
-        G = gains[k]
-        means[k] += G @ (means[k + 1] - before[k + 1])
-        covariances[k] += G @ (covariances[k + 1] - spread_before[k + 1]) @ G.T
-    return _Smoothed(means, covariances, gains, likelihood)
+        means[k], covariances[k] = belief.mean, belief.covariance
+    mean, covariance = smoothed(means, covariances, predicted, spread, crosses, gains=gains)
+    return _Smoothed(mean, covariance, gains, likelihood)
 
 
 def augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -381,19 +379,12 @@ def augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return F, constant, Q
 
 
-def _corrected(
-    mean: np.ndarray, P: np.ndarray, C: np.ndarray, residual: np.ndarray, spread: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return mean, covariance and log-likelihood after the samples of one instant."""
+def _corrected(belief: Belief, C: np.ndarray, residual: np.ndarray, spread: np.ndarray) -> tuple[Belief, float]:
+    """Return the belief and the log-likelihood after the samples of one instant."""
     seen = np.isfinite(residual)
     if not seen.any():
-        return mean, P, 0.0
-    H = np.zeros((int(seen.sum()), len(mean)))
+        return belief, 0.0
+    H = np.zeros((int(seen.sum()), len(belief.mean)))
     H[:, : C.shape[1]] = C[seen]
-    innovation = residual[seen] - H @ mean
-    PH = P @ H.T
-    S = H @ PH + np.diag(spread[seen] ** 2)
-    gain = np.linalg.solve(S, PH.T).T
-    after = P - gain @ PH.T
-    likelihood = -0.5 * (innovation @ np.linalg.solve(S, innovation) + np.linalg.slogdet(S)[1])
-    return mean + gain @ innovation, 0.5 * (after + after.T), float(likelihood)
+    found = update_linear(belief, H, residual[seen] - H @ belief.mean, np.diag(spread[seen] ** 2))
+    return found, found.log_likelihood
