@@ -121,7 +121,8 @@ def command(
     tell(printer, result, measured)
     with saving(printer) as save:
         save(output, _best(result).save)
-        save.json(json, result.document() | {"recording": str(recording), "engine": engine})
+        used = {"recording": str(recording), "engine": engine, "process_noise": vars(noise)}
+        save.json(json, result.document() | used)
         save(plot, partial(_draw, result))
         save(report, lambda path: save_report(result, measured.name, path, engine, std))
     if result.failed:

@@ -229,9 +229,9 @@ def test_factorisations():
     assert cholesky(np.diag([1.0, 1.0, -1.0]), np.empty((3, 3))) == 2
 
 
-def test_paper_noise_is_singular_and_has_a_root():
+def test_paper_noise_is_van_loans_integral_and_has_a_root():
     noise = paper_process_noise(1e-3)
-    assert noise[0, 0] == pytest.approx(0.0175e-9) and noise[0, 2] == pytest.approx(0.0175e-6)
+    assert noise[0, 0] == pytest.approx(0.0175e-9 / 3) and noise[0, 2] == pytest.approx(0.0175e-6 / 2)
     assert noise[2, 2] == pytest.approx(0.0175e-3) and noise[4, 4] == 259.8e8
     root = semidefinite_root(noise)
     np.testing.assert_allclose(root @ root.T, noise, rtol=1e-12, atol=1e-16)

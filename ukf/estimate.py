@@ -307,6 +307,9 @@ class Estimate:
             },
             **({} if self.model_error is None else {"model_error": self.model_error.document()}),
             **({"models": {n: self._led(n) for n in self.models}} if self.models else {}),
+            "sensor_noise": {}
+            if self.sensor_std is None
+            else dict(zip(self.channel_names, self.sensor_std.tolist(), strict=True)),
             "used": {n: int((self.flags[:, i] == USED).sum()) for i, n in enumerate(self.channel_names)},
             "final": last,
             "events": [

@@ -110,8 +110,8 @@ def lower_factor(wide: np.ndarray) -> np.ndarray:
 def semidefinite_root(matrix: np.ndarray) -> np.ndarray:
     """Return a root G (n, n) with G Gᵀ = `matrix` (n, n), symmetric and positive semidefinite.
 
-    The process noise (33) is singular (each angle's noise is its rate's), so it has no Cholesky factor. Scaled to unit
-    diagonal first, because rad² and Pa² differ by many powers of ten.
+    A process noise may leave states alone, and then has no Cholesky factor. Scaled to unit diagonal first, because rad²
+    and Pa² differ by many powers of ten.
 
     Raises:
         ValueError: an eigenvalue of the scaled matrix is below -1e-9.

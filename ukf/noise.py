@@ -28,20 +28,19 @@ def measurement_noise(standard_deviations: np.ndarray) -> np.ndarray:
 def paper_process_noise(
     dt: float, acceleration: float = PAPER_ACCELERATION, pressure: float = PAPER_PRESSURE
 ) -> np.ndarray:
-    """Return Rw (8, 8) as (33) prints it, for [z1 z4 ż1 ż4 p1 p2 p3 p4].
+    """Return Rw (8, 8) of (33), for [z1 z4 ż1 ż4 p1 p2 p3 p4].
 
-    The block of an angle and its rate is σ² [[dt³, dt²], [dt², dt]]; the pressure variance stands on the diagonal as
-    it is, whatever the step. `acceleration` in rad²/s⁴ and `pressure` in Pa² are variances.
+    The pressure variance stands on the diagonal as it is, whatever the step. `acceleration` in rad²/s⁴ and `pressure`
+    in Pa² are variances.
     """
-    block = np.array([[dt**3, dt**2], [dt**2, dt]])
-    return _in_blocks([acceleration] * _COUNTS[0], block, [pressure] * _COUNTS[2])
+    return _in_blocks(dt, [acceleration] * _COUNTS[0], [pressure] * _COUNTS[2])
 
 
-def _in_blocks(accelerations: Sequence[float], block: np.ndarray, pressures: Sequence[float]) -> np.ndarray:
-    """Return the covariance (n, n) of states: a block (2, 2) times a density for each coordinate and its rate,
-    variances of pressures.
+def _in_blocks(dt: float, accelerations: Sequence[float], pressures: Sequence[float]) -> np.ndarray:
+    """Return the covariance (n, n) of states over `dt` seconds: of each coordinate and its rate Van Loan's integral of a
+    white acceleration, by its density; variances of pressures.
     """
-    m = len(accelerations)
+    m, block = len(accelerations), np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     out = np.diag([*[0.0] * 2 * m, *pressures])
     for i, density in enumerate(accelerations):
         out[np.ix_((i, i + m), (i, i + m))] = density * block
@@ -76,8 +75,7 @@ class ProcessNoise:
 
     def covariance(self, dt: float) -> np.ndarray:
         """Return Q (n, n) over `dt` seconds: Van Loan's integral of white acceleration, and white pressure rates."""
-        block = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-        out = _in_blocks(self.acceleration, block, [density * dt for density in self.pressure])
+        out = _in_blocks(dt, self.acceleration, [density * dt for density in self.pressure])
         for i, density in enumerate(self.creep):
             out[i, i] += density * dt
         return out

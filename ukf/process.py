@@ -46,7 +46,7 @@ class Process:
         return lambda points: self.run(points, inputs, times)
 
     def run(self, points: np.ndarray, inputs: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Return the points (m, n), symmetric about their mean, carried along the inner steps `times` (s,) with inputs
+        """Return the points (m, n), which lie about their mean, carried along the inner steps `times` (s,) with inputs
         (s, 4).
 
         A point whose parameters no machine has, such as a payload of less than nothing, is carried as the line through
