@@ -13,6 +13,7 @@ from . import faulty_laws, geometry, mechanism, reduction, statics, trapezoidal
 from .crane import Crane
 from .effects import hooks, registry
 from .errors import CraneError, nearest
+from .item_values import ItemValues
 from .static_start import static_start
 from .step_control import MOST_HALVINGS, enough_to_grow, limit, next_level
 
@@ -330,6 +331,7 @@ class System:
         self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)
         self.plant.guarded = False  # an iterate may be beyond a stroke where the step is not
         self.mbs.Assemble()
+        self._items = ItemValues(self.mbs, self.plant)
         self._push, self._has_objects = np.zeros((size, self.plant.coordinates)), bool(crane.objects)
         found, own = len(self.mbs.systemData.GetODE2Coordinates()), self._push.size
         if found != own:
@@ -419,7 +421,7 @@ class System:
         self._varied = P is not None or E is not None
         P, E = (self._P if P is None else P), (self._E if E is None else E)
         reduction.all_inertias(plant.topology, P, E, start, self._before)
-        if plant.set_parameters(self.mbs, P, E, end):
+        if self._items.set(P, E, end):
             self.solver.ComputeMassMatrix(self.mbs)
         return self._before
 

@@ -6,9 +6,8 @@ a machine's row of numbers means to which item is settled once.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +15,9 @@ from . import hydraulics as hyd
 from . import reduction as red
 from .compiled import njit
 from .effects import hooks
-from .parameters import GRAVITY
+from .mechanism import PENDULUM, SWINGING, Plant, axes_of
+from .parameters import GRAVITY, PAYLOAD
 
-if TYPE_CHECKING:
-    from .mechanism import Plant
-
-#: the name of a payload on a pendulum among the bodies, and of its connector among the joints
-SWINGING, PENDULUM = "payload", "pendulum"
 #: sets what a machine's row of numbers says on one item
 Setter = Callable[[list[float]], Any]
 
@@ -36,6 +31,7 @@ class ItemValues:
 
     def __init__(self, mbs: Any, plant: Plant) -> None:
         machine = plant.crane.machine
+        self.plant = plant
         self._slides = [name.split(".")[1] for name in machine.names if name.endswith(".direction")]
         self._directions = np.array([machine.index[f"slides.{n}.direction"] for n in self._slides], dtype=np.int64)
         self._places = np.array([(body, point) for _, body, point in plant.markers[0]])
@@ -45,19 +41,26 @@ class ItemValues:
         self._begin = np.cumsum([0, *widths[:-1]])
         self._masses = 2 * len(machine.bodies) + 1
         self._now, self._before = np.empty((plant.size, sum(widths))), np.empty((plant.size, sum(widths)))
-        self._fill(plant)
+        self._fill()
 
-    def update(self, plant: Plant) -> bool:
-        """Set what has changed; return whether that is a mass or an inertia."""
+    def set(self, P: np.ndarray, E: np.ndarray, time: float) -> bool:
+        """Give every machine parameters of its own, P (size, .) and E (size, .), and the payload that it has at a time
+        (s); return whether a mass or an inertia is another one, so that a kept mass matrix is to be computed anew.
+        """
+        plant = self.plant
+        plant.P[...], plant.E[...] = P, E
+        red.all_inertias(plant.topology, plant.P, plant.E, time, plant.inertia)
+        _payload_masses(plant.P, plant.E, time, plant.payload_mass)
         self._now, self._before = self._before, self._now
-        self._fill(plant)
+        self._fill()
         changed = np.logical_or.reduceat(self._now != self._before, self._begin, axis=1)
         rows = self._now.tolist()
         for k, i in zip(*(found.tolist() for found in changed.nonzero()), strict=True):
             self._setters[k][i](rows[k])
         return bool(changed[:, : self._masses].any())
 
-    def _fill(self, plant: Plant) -> None:
+    def _fill(self) -> None:
+        plant = self.plant
         n_cylinders = len(plant.crane.machine.cylinders)
         _fill_values(plant.P, plant.E, plant.inertia, n_cylinders, self._directions, self._places, self._now)
 
@@ -87,12 +90,6 @@ class ItemValues:
         slots += [(1, _direction(mbs, plant.joints[k][name], begin() + i)) for i, name in enumerate(self._slides)]
         first = begin()
         return slots + [(2, _place(mbs, m, first + 2 * i)) for i, (m, _, _) in enumerate(plant.markers[k])]
-
-
-def axes_of(direction: float) -> tuple[list[float], list[float]]:
-    """Return the axis along which a prismatic joint slides, and its normal."""
-    c, s = math.cos(direction), math.sin(direction)
-    return [c, s, 0.0], [-s, c, 0.0]
 
 
 def _all_of(*setters: Setter) -> Setter:
@@ -126,6 +123,12 @@ def _direction(mbs: Any, joint: int, column: int) -> Setter:
         mbs.SetObjectParameter(joint, "normalMarker1", normal)
 
     return set_axes
+
+
+@njit
+def _payload_masses(P, E, time, out):
+    for k in range(out.size):
+        out[k] = hooks.payload_mass(E[k], time, P[k, PAYLOAD])
 
 
 @njit

@@ -19,6 +19,7 @@ Coordinates are absolute: the reference coordinates of the nodes are zero.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -34,7 +35,6 @@ from .crane import Crane
 from .effects import hooks
 from .errors import CraneError, nearest
 from .exudyn_quietly import exu, items
-from .item_values import PENDULUM, SWINGING, ItemValues, axes_of
 from .machine import (
     CARRIER,
     CUT_PIN,
@@ -54,6 +54,8 @@ from .parameters import CYLINDER, GRAVITY, N_CYLINDER, PAYLOAD
 
 #: bulk modulus in Pa that removes the actuators' own compression flow; it cannot be zero
 _NO_STIFFNESS = 1e-200
+#: the name of a payload on a pendulum among the bodies, and of its connector among the joints
+SWINGING, PENDULUM = "payload", "pendulum"
 
 
 @dataclass(repr=False)
@@ -63,7 +65,7 @@ class Plant:
     Attributes:
         crane: the description that all of them share.
         size: how many machines there are; per machine the lists below have one entry.
-        P, E: (size, .) nominal and effect parameters, one row a machine; see `set_parameters`.
+        P, E: (size, .) nominal and effect parameters, one row a machine; see `item_values`.
         inertia: (size, bodies + 1, 4) masses, centres and inertias that the bodies have now.
         payload_mass: (size,) in kg, the part of `inertia` that may change with time.
         inputs: (size, .) rows of `Layout.all_inputs`, which the user functions read; NaN in pp or pt means the
@@ -100,7 +102,6 @@ class Plant:
     loads: list[dict[str, int]] = field(default_factory=list)
     outlines: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     guarded: bool = True
-    _items: ItemValues | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         return f"<Plant of {self.size} x {self.crane!r}, bodies {' '.join(self.crane.machine.bodies)}>"
@@ -150,31 +151,15 @@ class Plant:
         body = _number_of(machine, machine.points[name])
         return _point(self.mbs, self, number, body, machine.index[f"{name}.x"], rigid=True)
 
-    def set_parameters(self, mbs: Any, P: np.ndarray, E: np.ndarray, time: float) -> bool:
-        """Give every machine parameters of its own, P (size, .) and E (size, .), and the payload that it has at a time
-        (s).
-
-        Only Exudyn items whose numbers change are touched.
-
-        Returns:
-            whether a mass has changed, so that a kept mass matrix is to be computed anew.
-        """
-        if self._items is None:
-            self._items = ItemValues(mbs, self)
-        self.P[...], self.E[...] = P, E
-        red.all_inertias(self.topology, self.P, self.E, time, self.inertia)
-        _payload_masses(self.P, self.E, time, self.payload_mass)
-        return self._items.update(self)
-
 
 def _number_of(machine: Machine, body: str) -> int:
     return -1 if body == GROUND else machine.bodies.index(body)
 
 
-@njit
-def _payload_masses(P, E, time, out):
-    for k in range(out.size):
-        out[k] = hooks.payload_mass(E[k], time, P[k, PAYLOAD])
+def axes_of(direction: float) -> tuple[list[float], list[float]]:
+    """Return the axis along which a prismatic joint slides, and its normal."""
+    c, s = math.cos(direction), math.sin(direction)
+    return [c, s, 0.0], [-s, c, 0.0]
 
 
 def _local_place(plant: Plant, k: int, body: int, point: int) -> np.ndarray:
@@ -424,7 +409,7 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
     """Return (forceUserFunction, rhsUserFunction) for the generic objects that hold all machines of a plant."""
     n, width, chambers, topology = plant.size, plant.coordinates, len(plant.crane.layout.chambers), plant.topology
     force, rate = np.zeros((n, width)), np.zeros((n, chambers))
-    machines = (topology, plant.P, plant.E, plant.inertia)  # changed in place by set_parameters, as the payload's mass
+    machines = (topology, plant.P, plant.E, plant.inertia)  # changed in place by `item_values`, as the payload's mass
 
     starts: list[int] = []
 
