@@ -88,7 +88,7 @@ def _naming(problem: CraneError, read: list[str]) -> CraneError:
     files = [name for name in read if os.path.isfile(name)]
     if not files or any(name in str(problem) for name in files):
         return problem
-    return CraneError(f"{problem} Read: {', '.join(files)}.")
+    return CraneError(f"{problem} Files read: {', '.join(files)}.")
 
 
 def _targets(known: Mapping[str, Option], values: Mapping[str, Any]) -> list[Target]:

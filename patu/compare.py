@@ -20,6 +20,7 @@ from .options import (
     PerRecordingOption,
     RecordingsArgument,
     ReportOption,
+    looked_at,
 )
 from .output import Printer, progress
 from .outputs import Writes, saving
@@ -65,15 +66,17 @@ def command(
 
     with progress("Comparing") as step:
         results = compare_all(chosen, measured, engine, per_recording=per_recording or (), progress=step)
-    from validation.reports import report_comparison
+    from validation.reports import Examined, report_comparison
 
+    options = looked_at(crane, effects, mapping, map_file, per_recording=per_recording, anyway=anyway)
+    examined = Examined(measured, options=options)
     printer = Printer(json)
     for result in results:
         tell(printer, result)
     with saving(printer) as save:
         save.json(json, results[0].to_dict() if len(results) == 1 else {"recordings": [r.to_dict() for r in results]})
         save(output, partial(save_figures, results))
-        save(report, partial(report_comparison, results, chosen, measured))
+        save(report, partial(report_comparison, results, chosen, examined))
 
 
 def tell(printer: Printer, result: Comparison) -> None:
@@ -81,6 +84,8 @@ def tell(printer: Printer, result: Comparison) -> None:
     from validation.reports import ERROR_COLUMNS, balance_table, error_rows, filter_words
 
     printer.line(f"{result.recording} against {result.crane} on {result.engine}")
+    if result.fitted:
+        printer.line(f"  {result.fitted}")
     for note in result.notes:
         printer.line(f"note: {note}")
     printer.table("Open loop, start fitted", ERROR_COLUMNS, error_rows(result))

@@ -21,6 +21,7 @@ from .options import (
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
+    looked_at,
     picture,
 )
 from .output import Printer, progress
@@ -73,24 +74,23 @@ def command(
     from validation.plots import save as save_figure
     from validation.reports import Examined, report_diagnosis
 
+    options = looked_at(crane, effects, mapping, map_file, check=check, per_recording=per_recording, anyway=anyway)
+    examined = Examined(measured, other, options)
     printer = Printer(json)
     tell(printer, result)
     if result.verdict == "unknown" and not result.misses_check:
-        more = [*(["--check", str(check)] if check else []), *(["--crane", crane] if crane != DEFAULT_CRANE else [])]
-        printer.line(
-            f"Go on: {' '.join(['patu', 'learn', *map(str, recordings), *more])}   looks for a law that is not in the "
-            "library"
-        )
+        printer.line(f"Go on: {examined.command('learn')}   looks for a law that is not in the library")
     given = {"check": other.name if other else None, "own effects": listed(effects) or None}
     with saving(printer) as save:
         save.json(json, {"recording": listed(recordings), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
-        save(report, lambda path: report_diagnosis(result, path, given, Examined(measured, other)))
+        save(report, lambda path: report_diagnosis(result, path, given, examined))
 
 
 def tell(printer: Printer, d: Diagnosis) -> None:
     """Print verdict, candidates, parameters that moved, and what to do next."""
     from validation.diagnosis import own_values, sentence
+    from validation.report import three_digits
     from validation.reports import told
 
     printer.line(f"Verdict: {d.verdict} — {sentence(d)}.")
@@ -110,7 +110,10 @@ def tell(printer: Printer, d: Diagnosis) -> None:
             [(n, p["value"], p["std"], p["nominal"], p["unit"]) for n, p in moved],
         )
     if d.recordings:
-        rows = [(r["recording"], r["error_before"], r["error_after"], own_values(r)) for r in d.recordings]
+        rows = [
+            (r["recording"], three_digits(r["error_before"]), three_digits(r["error_after"]), own_values(r))
+            for r in d.recordings
+        ]
         printer.table("By recording", ("recording", "error before", "after", "its own"), rows)
     for entry in d.where[:5]:
         printer.line(f"  left over: {entry['text']}")
@@ -122,17 +125,10 @@ def tell(printer: Printer, d: Diagnosis) -> None:
 
 
 def _rows(d: Diagnosis) -> list[tuple[object, ...]]:
+    from validation.report import evidence_difference
+
+    best = d.candidates[0].evidence if d.candidates else 0.0
     return [
-        (
-            c.name,
-            round(c.evidence - d.candidates[0].evidence, 1),
-            f"{c.probability:.3f}",
-            _plain(c.error_after),
-            _plain(c.check_error_after),
-        )
+        (c.name, evidence_difference(c.evidence, best), f"{c.probability:.3f}", *c.errors_after)
         for c in d.candidates[:8]
     ]
-
-
-def _plain(value: float) -> str:
-    return f"{value:.3g}" if value == value else "-"

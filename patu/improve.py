@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,6 +21,7 @@ from .options import (
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
+    looked_at,
     picture,
 )
 from .output import Printer, progress
@@ -28,6 +29,8 @@ from .outputs import Writes, saving
 from .reading import listed, load_crane, load_with_check
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from validation.improvement import Step
 
 
@@ -64,6 +67,7 @@ def command(
         recordings, check, chosen, mapping, map_file, anyway=anyway, needs=("exudyn", "semi-recursive", "filter", "fit")
     )
     from validation.improvement import improve
+    from validation.reports import Examined, improved_own, report_improvement
     from validation.workers import scheduled
 
     printer = Printer(json)
@@ -72,18 +76,22 @@ def command(
             chosen, measured, other, per_recording=per_recording or (), jobs=jobs, most=most, learn=learn,
             told=lambda step: tell(printer, step), progress=lambda part, share: done(share, part),
         )  # fmt: skip
+        own = improved_own(result, measured)
     from validation.plots import save as save_figure
-    from validation.reports import Examined, report_improvement
 
+    tell_own(printer, own)
     for note in result.notes:
         printer.line(f"{note}.")
     printer.line(f"Left: {result.verdict}.")
     given = {"check": other.name if other else None, "most effects": most, "crane file written": str(output)}
+    options = looked_at(crane, effects, mapping, map_file, check=check, per_recording=per_recording, anyway=anyway)
+    examined = Examined(measured, other, options)
     with saving(printer) as save:
         save(output, result.crane.save, result.crane.to_toml())
-        save.json(json, {"recording": listed(recordings)} | result.to_dict(output))
+        by_recording = {"recordings": own} if own else {}
+        save.json(json, {"recording": listed(recordings)} | result.to_dict(output) | by_recording)
         save(plot, lambda path: save_figure(result.plot(), path))
-        save(report, lambda path: report_improvement(result, path, given, Examined(measured, other)))
+        save(report, lambda path: report_improvement(result, path, given, examined, own))
 
 
 def tell(printer: Printer, step: Step) -> None:
@@ -92,3 +100,12 @@ def tell(printer: Printer, step: Step) -> None:
     check = f", on the check recording {step.check_error:.3g}" if step.check_error == step.check_error else ""
     nis = f"mean NIS of a filter that trusts it {step.nis_mean:.3g}"
     printer.line(f"{name}: error {step.error:.3g}{check}, {nis} — {step.text}.")
+
+
+def tell_own(printer: Printer, own: Sequence[Mapping[str, Any]]) -> None:
+    """Print what differs from recording to recording, as the last crane has it."""
+    from validation.diagnosis import own_values
+
+    if own:
+        rows = [(entry["recording"], own_values(entry)) for entry in own]
+        printer.table("By recording", ("recording", "its own"), rows)

@@ -20,6 +20,7 @@ from .options import (
     JsonOption,
     MapFileOption,
     MapOption,
+    PerRecordingOption,
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
@@ -45,6 +46,7 @@ def python_file(path: Path) -> None:
 def command(
     recordings: RecordingsArgument,
     check: CheckOption = None,
+    per_recording: PerRecordingOption = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file with the laws."), Writes()
     ] = None,
@@ -80,7 +82,14 @@ def command(
     from validation.workers import scheduled
 
     with progress("Learn") as done, scheduled(scheduler):
-        result = learn(chosen, measured, other, jobs=jobs, progress=lambda part, share: done(share, part))
+        result = learn(
+            chosen,
+            measured,
+            other,
+            per_recording=per_recording or (),
+            jobs=jobs,
+            progress=lambda part, share: done(share, part),
+        )
     from crane_exudyn.files import write_text
     from validation.learned.own_effect import own_effect
     from validation.learned.report import report_learned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -99,3 +100,22 @@ CheckOption = Annotated[
     typer.Option("--check", metavar="REC2", help="A recording that is only predicted, never fitted."),
     Reads(),
 ]
+
+
+def looked_at(
+    crane: str,
+    effects: Sequence[Path] | None = None,
+    mapping: Sequence[str] | None = None,
+    map_file: Path | None = None,
+    *,
+    check: Path | None = None,
+    per_recording: Sequence[str] | None = None,
+    anyway: bool = False,
+) -> dict[str, str | Path | Sequence[str | Path] | bool | None]:
+    """Return by flag what a run was given to look at, for `validation.report.next_command`; the usual crane is left
+    out.
+    """
+    return {
+        "--check": check, "--per-recording": per_recording, "--map-file": map_file, "--map": mapping,
+        "--crane": None if crane == DEFAULT_CRANE else crane, "--effects": effects, "--anyway": anyway,
+    }  # fmt: skip

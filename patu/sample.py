@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .compiling import compile_for
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, looked_at
 from .output import Printer
 from .outputs import Writes, saving
 from .reading import load_crane
@@ -34,12 +34,12 @@ def command(
 
     compile_for("exudyn")
     made = samples(chosen)
-    printer = Printer(json)
+    printer, given = Printer(json), looked_at(crane, effects)
     with saving(printer) as save:
         for sample in made:
             if save(folder / sample.file, partial(_write, sample)):
-                printer.line(f"  {sample.text[0].upper()}{sample.text[1:]}. Try: {sample.told(folder)}")
-        save.json(json, {"files": {s.file: {"text": s.text, "try": s.told(folder)} for s in made}})
+                printer.line(f"  {sample.text[0].upper()}{sample.text[1:]}. Try: {sample.told(folder, given)}")
+        save.json(json, {"files": {s.file: {"text": s.text, "try": s.told(folder, given)} for s in made}})
 
 
 def _write(sample: Sample, path: Path) -> None:

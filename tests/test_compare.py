@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -448,6 +449,35 @@ def test_command_prints_writes_and_reports(
     ]  # fmt: skip
     assert "Where the model fails" in (tmp_path / "report" / "report.html").read_text()
     assert json.loads((tmp_path / "c.json").read_text())["where"]
+
+
+def test_what_was_fitted_to_each_recording_is_told(patu: Callable[..., SimpleNamespace], tmp_path: Path) -> None:
+    files = []
+    for name, mass in (("light", 10.0), ("heavy", 140.0)):
+        run = driven(CRANE.with_parameters({"payload.mass": mass}), TIME[:500])
+        files.append(str(tmp_path / f"{name}.csv"))
+        measured(run, seed=5).save(files[-1])
+    more = ("--per-recording", "payload.mass", "--report", str(tmp_path / "r"), "--json", str(tmp_path / "c.json"))
+    done = patu("compare", *files, *more)
+    assert done.status == 0, done.err
+    found = json.loads((tmp_path / "c.json").read_text())["recordings"]
+    page = (tmp_path / "r" / "report.html").read_text()
+    for entry, mass in zip(found, (10.0, 140.0), strict=True):
+        own = entry["parameters"]["payload.mass"]
+        assert own["value"] == pytest.approx(mass, abs=3.0) and (own["nominal"], own["unit"]) == (25.0, "kg")
+        told = f"payload.mass = {own['value']:.4g} kg, fitted (file: 25 kg)"
+        assert told in done.out and told in page
+    assert "<h2>By recording</h2>" in page
+
+
+def test_a_model_that_fails_is_not_taken_for_clocks_that_differ(leaking: tuple[Simulation, Comparison]) -> None:
+    assert not [note for note in leaking[1].notes if "stamps" in note]
+    recording = measured(driven(CRANE, TIME[:600]), seed=11)
+    late = {n: replace(recording[n], time=recording[n].time - 2.5e-3) for n in ("u1", "u2")}
+    found = compare(CRANE, replace(recording, channels={**recording.channels, **late}))
+    assert found.error < 1.05
+    (note,) = (note for note in found.notes if "stamps" in note)
+    assert re.search(r"taken to act 2\.\d ms after their stamps: .* or the valves are slower", note)
 
 
 def test_command_refuses_with_one_message(patu: Callable[..., SimpleNamespace], tmp_path: Path) -> None:

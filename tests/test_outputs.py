@@ -18,6 +18,7 @@ from crane_exudyn import Crane, Recording, files, plots
 from crane_exudyn.errors import CraneError
 from patu import calls, main, outputs
 from patu.output import Printer
+from validation import diagnosis, sample
 from validation.selection import fitted as fitting
 
 GOOD = "time[s],u1,u2,z1[deg],z4[deg]\n" + "".join(f"{0.01 * k:.2f},0,0,10,-40\n" for k in range(21))
@@ -300,3 +301,50 @@ def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
         assert patu(*words[:4]).out.count("[[effect]]") == 0
         assert patu(*words, "--anyway").status == 1
         assert Crane.load("new.toml").effect("dead_band@tilt") is not None
+
+
+# -- what to go on with ----------------------------------------------------------------------------------------------
+
+
+def test_a_hint_carries_the_options_of_the_run(
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Crane.load("patu655").save("own.toml")
+    Path("map.toml").write_text('[z1]\ncolumn = "z1"\nunit = "deg"\n')
+
+    def nothing_known(crane: Crane, recordings: list[Recording], *_: object, **__: object) -> diagnosis.Diagnosis:
+        return diagnosis.Diagnosis("l", "unknown", crane, crane, {}, (), error_before=3.0)
+
+    monkeypatch.setattr(diagnosis, "diagnose", nothing_known)
+    options = "--per-recording payload.mass --map-file map.toml --crane own.toml"
+    done = patu("diagnose", "l.csv", *options.split(), "--report", "r")
+    assert f"Go on: patu learn l.csv {options}   looks for a law" in done.out, done.err
+    page = Path("r/report.html").read_text()
+    assert f"<code>patu improve l.csv {options} -o new.toml</code> takes effects in" in page
+
+
+def test_samples_of_a_crane_are_tried_with_that_crane(
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Crane.load("loader").save("my.toml")
+
+    def write(path: Path) -> None:
+        path.write_text(GOOD)
+
+    logger = sample.Sample("logger.csv", "a logger's", write, "check", "logger.csv", {"--map-file": "logger.toml"})
+    monkeypatch.setattr(sample, "samples", lambda crane: [logger])
+    done = patu("sample", "play", "--crane", "my.toml", "--json", "s.json")
+    told = "patu check play/logger.csv --map-file play/logger.toml --crane my.toml"
+    assert f"A logger's. Try: {told}\n" in done.out, done.err
+    assert json.loads(Path("s.json").read_text())["files"]["logger.csv"]["try"] == told
+
+
+def test_an_error_that_names_no_file_says_which_were_read(
+    patu: Callable[..., SimpleNamespace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise CraneError("patu655: no start is found.")
+
+    monkeypatch.setattr(diagnosis, "diagnose", fail)
+    done = patu("diagnose", "l.csv")
+    assert (done.status, done.err) == (2, "patu655: no start is found. Files read: l.csv.\n")

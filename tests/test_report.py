@@ -18,13 +18,17 @@ from crane_exudyn import Crane
 from crane_exudyn.display import engineering
 from crane_exudyn.errors import CraneError
 from crane_exudyn.simulation import Simulation
+from patu import calls, main
+from patu.diagnose import tell
+from patu.options import looked_at
+from patu.output import Printer
 from ukf.estimate import Estimate
-from validation import plots, report
+from validation import improvement, plots, report, reports
 from validation.comparison import ChannelError, Comparison
 from validation.diagnosis import Candidate, Diagnosis
 from validation.findings import Finding
 from validation.improvement import Improvement, Step
-from validation.reports import report_diagnosis, report_improvement
+from validation.reports import Examined, after_diagnosis, report_diagnosis, report_improvement
 
 TIME = np.linspace(0.0, 25.0, 5001)
 
@@ -209,6 +213,43 @@ def test_the_browser_check_notices_a_broken_page(tmp_path):
     assert "CONSOLE" in browse(page, tmp_path / "profile", "--dump-dom")[1]
 
 
+def wide_sections():
+    names = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²", "whiteness p")
+    wide = report.Table(names, [("p1", "bar", 0.5002, 0.8543, 0.00088, 0.4939, 1.01, 0.9988, 0.04874)])
+    names = ("explanation", "log evidence", "probability", "error / noise", "on check")
+    narrow = report.Table(names, [("pressure dependent friction (tilt)", -1499, "< 0.001", 0.99, 1.01)])
+    return [("Tables", [wide, narrow])]
+
+
+#: puts the page into a frame that is as narrow as a phone, which no window of the browser can be, and tells of each of
+#: its first two tables whether it is wider than that, is said to go on, and has a shadow where it does
+_NARROW = """<script>addEventListener('load', () => {
+  const frame = document.createElement('iframe');
+  frame.style.width = 'WIDTHpx';
+  frame.srcdoc = document.documentElement.outerHTML.replace(/<script>[^]*<.script>/, '');
+  frame.onload = () => {
+    const of = frame.contentWindow;
+    const tables = [...of.document.querySelectorAll('.scroll')].slice(0, 2);
+    document.title = tables.map(t => [t.scrollWidth > t.clientWidth,
+      of.getComputedStyle(t, '::after').content.includes('sideways'),
+      of.getComputedStyle(t).backgroundImage.includes('gradient')].join(' ')).join(', ');
+  };
+  document.body.append(frame);
+})</script>"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine; CI installs one")
+def test_on_a_phone_tables_fit_or_show_that_they_go_on(tmp_path):
+    path = report.write_report(tmp_path, "T", "V", wide_sections())
+    page = path.read_text()
+    for width, told in ((390, "true true true, false false true"), (1000, "false false true, false false true")):
+        path.write_text(page.replace("</body>", _NARROW.replace("WIDTH", str(width)) + "</body>"))
+        dom, _ = browse(
+            path, tmp_path / "profile", "--window-size=1280,844", "--virtual-time-budget=3000", "--dump-dom"
+        )
+        assert f"<title>{told}</title>" in dom
+
+
 # -- results show themselves, and leave as tables --------------------------------------------------------------------
 
 
@@ -381,3 +422,71 @@ def test_an_improvement_says_what_it_did(tmp_path):
         "learned from",
         "only predicted",
     ]
+
+
+def test_a_number_reads_the_same_wherever_it_stands(tmp_path, capsys):
+    d = example_diagnosis()
+    found, rival = d.candidates
+    found = replace(found, evidence=1508.53, error_after=0.98992, check_error_after=1.01234)
+    rival = replace(rival, error_after=2.34567)
+    d = replace(
+        d, candidates=(found, rival), error_after=0.98992, check_error_before=3.5912, check_error_after=1.01234,
+        recordings=({"recording": "lift", "error_before": 21.987, "error_after": 0.98992},),
+    )  # fmt: skip
+    page = re.sub(r"data:image/[^\"]*", "", report_diagnosis(d, tmp_path).read_text())
+    tell(Printer(), d)
+    printed = capsys.readouterr().out
+    assert "behind by 1499 in" in page and ">−1499<" in page and "-1499 " in printed
+    assert [t.get_text() for t in d.plot().axes[0].texts] == ["1499", "0"]
+    for text in (page, printed, d._repr_html_()):
+        assert "0.99" in text and "1.01" in text
+        assert not [n for n in ("0.9899", "1.012", "2.346", "21.99", "1498") if n in text]
+
+
+def test_what_to_do_next_carries_what_the_run_was_given(tmp_path):
+    recordings = [replace(example_simulation().recording(), source=Path(f"two runs/{k}.csv")) for k in "ab"]
+    options = looked_at(
+        "my.toml", [Path("own.py")], ["z1=-z1[deg]"], Path("map.toml"), check=Path("c.csv"),
+        per_recording=["payload.mass"], anyway=True,
+    )  # fmt: skip
+    machine = "--map-file map.toml --map 'z1=-z1[deg]' --crane my.toml --effects own.py"
+    examined = Examined(recordings, options=options)
+    expected = f"'two runs/a.csv' 'two runs/b.csv' --check c.csv --per-recording payload.mass {machine} --anyway"
+    d = example_diagnosis()
+    for kind in ("effect", "unknown"):
+        (todo, *_) = after_diagnosis(replace(d, verdict=kind), examined)
+        assert todo.startswith(f"`patu improve {expected} -o new.toml` ")
+    other = replace(examined, options=looked_at("new.toml"))
+    assert other.command("improve").endswith("--crane new.toml -o newer.toml")
+    missed = replace(d, verdict="unknown", misses_check=True)
+    with_check = replace(examined, check=replace(recordings[0], source=Path("c.csv")))
+    (todo, *_) = after_diagnosis(missed, with_check)
+    assert todo.startswith(f"`patu check 'two runs/a.csv' 'two runs/b.csv' c.csv {machine}` ")
+
+
+def test_where_only_what_differs_moved_nothing_is_to_be_written():
+    load = {"payload.mass": {"value": 80.0, "nominal": 25.0, "unit": "kg"}}
+    entry = {"recording": "lift", "error_before": 8.0, "error_after": 1.0, "parameters": load}
+    d = replace(example_diagnosis(), verdict="parameters", effects=(), recordings=(entry, entry))
+    assert after_diagnosis(d, None)[0].startswith("Nothing has to be added to the crane file: what differs")
+    moved = replace(d, parameters={"gravity": {"value": 9.9, "std": 0.1, "nominal": 9.81, "unit": "m/s^2"}})
+    assert "writes the moved parameters" in after_diagnosis(moved, None)[0]
+
+
+@pytest.mark.parametrize("name", list(report.TAKEN))
+def test_a_command_is_told_with_all_options_that_it_takes(name):
+    flags = {option.flag for option in calls.options_of(main.load(name)).values()}
+    assert set(report.TAKEN[name]) == flags & set(looked_at("patu655"))
+
+
+def test_the_report_of_an_improvement_says_how_many_effects_it_might_add(patu, tmp_path, monkeypatch):
+    file = tmp_path / "l.csv"
+    file.write_text("time[s],u1,u2,z1[deg],z4[deg]\n" + "".join(f"{0.01 * k:.2f},0,0,10,-40\n" for k in range(21)))
+    given = {}
+    monkeypatch.setattr(improvement, "improve", lambda *_, **options: given.update(options) or example_improvement())
+    monkeypatch.setattr(reports, "before_and_after", lambda *_: [])  # of a crane that stands still nothing can be drawn
+    words = ("-o", str(tmp_path / "new.toml"), "--most", "3", "--report", str(tmp_path / "r"))
+    done = patu("improve", str(file), *words)
+    assert done.status == 0, done.err
+    assert given["most"] == 3
+    assert "<td>most effects</td><td>3</td>" in (tmp_path / "r" / "report.html").read_text()

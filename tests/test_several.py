@@ -7,12 +7,16 @@ import pytest
 
 from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.inputs import SpoolPath
-from validation.diagnosis import diagnose
+from validation import plots, reports
+from validation.comparison import from_one_start
+from validation.diagnosis import Diagnosis, diagnose
 from validation.fit.data import FitData, Joint, data_of
 from validation.fit.linear import linearised
 from validation.fit.staged import all_parameters, first_knots, timings
 from validation.fit.variables import uncertain_parameters
 from validation.fit.windows import cut
+from validation.improvement import Improvement, Step
+from validation.reports import Examined, cranes_of_improvement, improved_own, report_diagnosis
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
 NOISE = {"z1": 1e-3, "z4": 1e-3, "p1": 3e4, "p2": 2e4, "p3": 2e4, "p4": 2e4}
@@ -77,8 +81,19 @@ def test_the_normal_equations_of_several_recordings_are_those_of_each(crane, rec
     assert not both.Hxo[last].any(), "nothing joins two recordings"
 
 
-def test_a_leak_is_found_in_two_recordings_with_loads_of_their_own(crane, recordings):
-    found = diagnose(crane, recordings, per_recording=["payload.mass"], jobs=1)
+@pytest.fixture(scope="module")
+def found(crane: Crane, recordings: list[Recording]) -> Diagnosis:
+    """What the two recordings say that the crane file lacks."""
+    return diagnose(crane, recordings, per_recording=["payload.mass"], jobs=1)
+
+
+def left(lines: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]], label: str) -> float:
+    """Return the RMS error of a model that was drawn, in units of the noise."""
+    errors = [(lines[label][c][1] - y) / NOISE[c] for c, (_, y) in lines["measured"].items()]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+def test_a_leak_is_found_in_two_recordings_with_loads_of_their_own(crane, found):
     assert found.verdict == "effect" and found.effects == ("internal_leakage@lift",)
     assert found.candidates[0].parameters["k"]["value"] == pytest.approx(LEAK["k"], rel=0.1)
     document = found.to_dict()["recordings"]
@@ -87,6 +102,29 @@ def test_a_leak_is_found_in_two_recordings_with_loads_of_their_own(crane, record
     for r in document:
         assert r["error_before"] > 2.0 and r["error_after"] == pytest.approx(1.0, abs=0.06)
     assert found.crane["payload.mass"] == crane["payload.mass"], "what differs stays as the crane file says"
+
+
+def test_each_recording_is_drawn_and_told_with_its_own_load(found, recordings, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(reports, "traces_figure", lambda lines, layout: drawn.append(lines) or plots.figure())
+    text = report_diagnosis(found, tmp_path, examined=Examined(recordings)).read_text()
+    for lines, entry in zip(drawn, found.recordings, strict=True):
+        assert left(lines, "improved") == pytest.approx(entry["error_after"], rel=0.02)
+        assert left(lines, "as given") > 2.0
+        own = f"payload.mass = {entry['parameters']['payload.mass']['value']:.4g} kg"
+        assert f">{own}</td>" in text and f"{entry['recording']} ({own}): What was measured" in text
+    assert "<h2>By recording</h2>" in text
+
+
+def test_an_improvement_is_drawn_and_told_with_the_loads_that_fit(found, recordings):
+    steps = (Step(None, 9.0, np.nan, 60.0, "effect"), Step("internal_leakage@lift", 1.0, np.nan, 6.0, "effect"))
+    result = Improvement(found.recording, steps, found.crane, "adequate", (found,))
+    own = improved_own(result, recordings)
+    assert [e["parameters"]["payload.mass"]["value"] for e in own] == pytest.approx([0.0, 180.0], abs=8.0)
+    before, after = cranes_of_improvement(result, recordings, own)
+    lines = from_one_start(recordings[1], {"as given": before[1], "improved": after[1]})
+    assert left(lines, "improved") < 1.1 < 1.5 < left(lines, "as given")
+    assert before[1]["payload.mass"] != found.given["payload.mass"], "the errors of the steps are with fitted loads"
 
 
 def test_one_recording_stays_as_it_is(crane, recordings):

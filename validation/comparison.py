@@ -24,6 +24,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.engines import engine_class
 from crane_exudyn.errors import CraneError
 from crane_exudyn.layout import Layout
+from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 from ukf.consistency import noise_slack
 from ukf.estimate import Estimate
@@ -41,6 +42,8 @@ from .fit.staged import residuals, run_fitted, timing_of
 from .fitness import check_recording, usable
 from .metrics import pn_rmse, r2, rmse
 from .phases import Phase, phases_of
+from .report import amount, three_digits
+from .selection.levels import noise_level
 from .selection.model import open_loop_error
 
 if TYPE_CHECKING:
@@ -54,7 +57,7 @@ Series = dict[str, tuple[np.ndarray, np.ndarray]]
 _TRUSTING: tuple[Mapping[str, float], float] = ({"rad": 1e-6, "m": 1e-6}, 1e6)
 #: s at the start over which measured and simulated are compared, and by how many times the noise they may differ there
 _FIRST, _OFF = 0.1, 3.0
-#: a lateness of the commands beyond this is told, s
+#: a lateness of the commands beyond this is told where the model explains the recording, s
 _LATE = 1e-3
 
 
@@ -84,6 +87,7 @@ class Comparison:
         measured, simulated: channel -> (time (n,), values (n,)), the open-loop run at the measured instants.
         commands: time (n,) and spool commands (n, valves).
         notes: what a reader should know about the recording.
+        parameters: what was fitted to this recording alone, by name: value, nominal, unit (SI).
     """
 
     recording: str
@@ -98,6 +102,7 @@ class Comparison:
     simulated: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(repr=False)
     commands: tuple[np.ndarray, np.ndarray] = field(repr=False)
     notes: tuple[str, ...] = ()
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def error(self) -> float:
@@ -159,11 +164,22 @@ class Comparison:
         where = f"away from what was measured: {', '.join(off)}" if off else "as was measured"
         return f"The run starts {where}; the start was fitted. From there it sees only the commands."
 
+    @property
+    def fitted(self) -> str:
+        """What was fitted to this recording alone, such as "payload.mass = 219.7 kg, fitted (file: 25 kg)"; else
+        nothing.
+        """
+        return "; ".join(
+            f"{n} = {amount(p['value'], p['unit'])}, fitted (file: {amount(p['nominal'], p['unit'])})"
+            for n, p in self.parameters.items()
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the comparison as `patu compare --json` writes it."""
         return {
             "recording": self.recording,
             "crane": self.crane,
+            **({"parameters": self.parameters} if self.parameters else {}),
             "channels": {name: dict(vars(c)) for name, c in self.channels.items()},
             "filter": {
                 "nis_mean": self.estimate.nis_mean,
@@ -216,12 +232,13 @@ class Comparison:
 
         columns = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²")
         errors = [
-            (n, c.unit, c.rmse, c.pn_rmse, c.bias, c.noise_std, c.error_over_noise, c.r2)
+            (n, c.unit, c.rmse, c.pn_rmse, c.bias, c.noise_std, three_digits(c.error_over_noise), c.r2)
             for n, c in self.channels.items()
         ]
         worst = [(f.score, f.text) for f in self.where[:8]]
         title = f"{self.recording} against {self.crane}: open loop"
-        return table_html(columns, errors, title=title, note=self.verdict) + (
+        note = " ".join(filter(None, (self.verdict, f"{self.fitted}." if self.fitted else "")))
+        return table_html(columns, errors, title=title, note=note) + (
             table_html(("score", "where"), worst, title="Where the model fails") if worst else ""
         )
 
@@ -277,19 +294,34 @@ def compare(
     measured, simulated, channels = _open_loop_errors(crane, kept, starts, late, engine)
     scores = scores_of(estimate, balances, _phases(crane, data, balances))
     done(1.0)
-    if _LATE < abs(late) < 0.9 * timing_of(data).upper * timing_of(data).scale:
-        way = "after" if late > 0.0 else "before"
-        notes.append(f"the commands act {1e3 * abs(late):.1f} ms {way} their stamps; this is allowed for")
     for begin, end in balances.unsettled:
         notes.append(
             f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: their "
             "± is too small"
         )
-    return Comparison(
+    found = Comparison(
         recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured,
         simulated,
         (data.command_time, data.commands), tuple(notes),
     )  # fmt: skip
+    clocks = timing_of(data)
+    sure = found.error < noise_level(data) and abs(late) < 0.9 * clocks.upper * clocks.scale
+    return replace(found, notes=(*lateness_words(late), *notes)) if sure else found
+
+
+def lateness_words(late: float) -> list[str]:
+    """Return the note on commands that were taken to come `late` seconds after their stamps, where that is not little.
+
+    Only to be told where nothing but noise is left: commands that are shifted also do a little of whatever a model
+    lacks.
+    """
+    if abs(late) < _LATE:
+        return []
+    way, pace = ("after", "slower") if late > 0.0 else ("before", "quicker")
+    return [
+        f"the commands are taken to act {1e3 * abs(late):.1f} ms {way} their stamps: clocks differ by as much, or the "
+        f"valves are {pace} than the crane file says"
+    ]
 
 
 def compare_all(
@@ -309,10 +341,23 @@ def compare_all(
     own = known_parameters(crane, per_recording)
     found = []
     for i, recording in enumerate(recordings):
-        its = open_loop_error(crane, recording, own=own)[1].crane if own else crane
+        its = with_its_own(crane, recording, own)
         share = partial(_share, progress, i / len(recordings), 1.0 / len(recordings))
-        found.append(compare(its, recording, engine, progress=share))
+        its_own = own_parameters(its, crane, own)
+        found.append(replace(compare(its, recording, engine, progress=share), parameters=its_own))
     return found
+
+
+def with_its_own(crane: Crane, recording: Recording, own: Sequence[str]) -> Crane:
+    """Return the crane as it was in a recording: the nominal parameters `own` fitted to that recording, with the
+    start.
+    """
+    return open_loop_error(crane, recording, own=own)[1].crane if own else crane
+
+
+def own_parameters(crane: Crane, nominal: Crane, own: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the parameters `own` of a crane as it was in a recording, each beside what the crane file says (SI)."""
+    return {n: {"value": crane[n], "nominal": nominal[n], "unit": unit_of(n)} for n in own}
 
 
 def started(crane: Crane, data: FitData) -> Fit:

@@ -20,6 +20,7 @@ from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
 from .fit.solve import Fit
+from .report import amount, evidence_difference, three_digits
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.model import Fitted, best_of_each, misled, together
@@ -53,6 +54,11 @@ class Candidate:
     def name(self) -> str:
         """Effects joined by " + ", or "parameters"."""
         return " + ".join(self.effects) or "parameters"
+
+    @property
+    def errors_after(self) -> tuple[float, float]:
+        """What is left with it of the recordings and of the check recording, as tables show it."""
+        return three_digits(self.error_after), three_digits(self.check_error_after)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON of diagnose."""
@@ -135,7 +141,9 @@ class Diagnosis:
         from crane_exudyn.display import table_html
 
         best = max((c.evidence for c in self.candidates), default=0.0)
-        rows = [(c.name, c.evidence - best, c.probability, c.error_after, c.check_error_after) for c in self.candidates]
+        rows = [
+            (c.name, evidence_difference(c.evidence, best), c.probability, *c.errors_after) for c in self.candidates
+        ]
         columns = ("explanation", "log evidence", "probability", "error / noise", "on check")
         return table_html(columns, rows, title=repr(self).strip("<>"), note=" ".join(self.notes))
 
@@ -159,7 +167,7 @@ def sentence(d: Diagnosis) -> str:
 
 def own_values(entry: Mapping[str, Any]) -> str:
     """Return in words what one of several recordings has of its own, as an entry of `Diagnosis.recordings` tells it."""
-    return ", ".join(f"{n} = {p['value']:.4g} {p['unit']}" for n, p in entry.get("parameters", {}).items()) or "–"
+    return ", ".join(f"{n} = {amount(p['value'], p['unit'])}" for n, p in entry.get("parameters", {}).items()) or "–"
 
 
 def diagnose(

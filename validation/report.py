@@ -11,6 +11,7 @@ or `Links` to files beside it.
 from __future__ import annotations
 
 import base64
+import math
 import platform
 import re
 import shlex
@@ -22,7 +23,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from crane_exudyn.display import cell, table_html
+from crane_exudyn.display import cell, engineering, table_html
 from crane_exudyn.errors import CraneError
 from crane_exudyn.files import write_text
 
@@ -38,9 +39,13 @@ __all__ = [
     "Picture",
     "Section",
     "Table",
+    "amount",
     "cell",
+    "evidence_difference",
+    "next_command",
     "render",
     "table_html",
+    "three_digits",
     "write_report",
 ]
 
@@ -48,6 +53,19 @@ FILE_NAME = "report.html"
 #: packages whose version can change a number in a report
 PACKAGES = ("crane-exudyn", "exudyn", "numpy", "scipy", "numba", "filterpy", "matplotlib")
 
+#: options that say what a run looked at, and at what machine, by the commands that a result tells to go on with
+_MACHINE = ("--map-file", "--map", "--crane", "--effects")
+_SEARCH = ("--check", "--per-recording", *_MACHINE, "--anyway")
+TAKEN: Mapping[str, Sequence[str]] = {
+    "check": _MACHINE,
+    "compare": ("--per-recording", *_MACHINE, "--anyway"),
+    "diagnose": _SEARCH,
+    "improve": _SEARCH,
+    "learn": _SEARCH,
+}
+
+#: what a run was given, by the flag: one value or several; True stands for a flag alone, None for what was not given
+Options = Mapping[str, "str | Path | Sequence[str | Path] | bool | None"]
 Mood = Literal["good", "bad", "neutral"]
 _MOODS: Mapping[str, str] = {"good": "✓", "bad": "✗", "neutral": "•"}
 
@@ -159,6 +177,23 @@ def command_line() -> str:
     return shlex.join([name, *sys.argv[1:]])
 
 
+def next_command(name: str, recordings: Iterable[str | Path], options: Options, more: Sequence[str] = ()) -> str:
+    """Return a command as one types it to go on from a run: on recordings, with those of the run's options that it
+    takes.
+
+    Without them it would look for other columns, or answer for another machine.
+    """
+    words = ["patu", name, *map(str, recordings)]
+    for flag in TAKEN[name]:
+        value = options.get(flag)
+        if value is True:
+            words.append(flag)
+        elif value:
+            for one in [value] if isinstance(value, str | Path) else value:
+                words += [flag, str(one)]
+    return shlex.join([*words, *more])
+
+
 def versions() -> dict[str, str]:
     """Return the versions of Python, of the system and of every package that can change a number."""
     found = {"Python": platform.python_version(), "System": f"{platform.system()} {platform.machine()}"}
@@ -168,6 +203,28 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:  # a checkout that was never installed still reports
             found[package] = "not installed"
     return found
+
+
+# -- numbers that stand in several places ----------------------------------------------------------------------------
+
+
+def three_digits(error: float) -> float:
+    """Return an error in units of noise, or a NIS, as the cell of a table: with the three digits of sentences and
+    pictures.
+    """
+    return float(f"{error:.3g}")
+
+
+def amount(value: float, unit: str) -> str:
+    """Return a value in SI in the unit in which engineers read it, such as "219.7 kg"."""
+    shown, factor = engineering(unit)
+    return f"{value / factor:.4g} {shown}".strip()
+
+
+def evidence_difference(evidence: float, other: float) -> float:
+    """Return by how much log evidence exceeds another's, to whole units as in pictures: tenths decide nothing."""
+    difference = evidence - other
+    return round(difference) if math.isfinite(difference) else difference
 
 
 def _directory(directory: str | Path) -> Path:

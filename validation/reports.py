@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,24 @@ from crane_exudyn.effects import registry
 from crane_exudyn.effects.registry import in_words
 from crane_exudyn.recording import Recording
 
-from .comparison import Comparison, from_one_start
+from .comparison import Comparison, from_one_start, own_parameters, with_its_own
 from .comparison_figures import traces_figure
-from .diagnosis import Candidate, Diagnosis, sentence
+from .diagnosis import Candidate, Diagnosis, own_values, sentence
 from .findings import VIOLATED, balance_words, people_unit
 from .improvement import Improvement
 from .learned.report import curve_parts
-from .report import Mood, Part, Picture, Section, Table, write_report
+from .report import (
+    Mood,
+    Options,
+    Part,
+    Picture,
+    Section,
+    Table,
+    evidence_difference,
+    next_command,
+    three_digits,
+    write_report,
+)
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
@@ -38,16 +49,20 @@ _WEIGHED, _WORST = 12, 20
 
 @dataclass(frozen=True)
 class Examined:
-    """The recordings of a result: those that were looked at, and the one that was only predicted."""
+    """The recordings of a result: those that were looked at, and the one that was only predicted; and what else the run
+    was given that says what was looked at, by the option.
+    """
 
     recordings: Sequence[Recording]
     check: Recording | None = None
+    options: Options = field(default_factory=dict)
 
-    @property
-    def typed(self) -> str:
-        """The recordings as one types them behind a command."""
-        check = f" --check {_file(self.check)}" if self.check is not None else ""
-        return f"{' '.join(map(_file, self.recordings))}{check}"
+    def command(self, name: str) -> str:
+        """Return a command to go on with, as one types it."""
+        options = {"--check": _file(self.check) if self.check is not None else None, **self.options}
+        # what it writes must not be the file that it reads
+        crane = "newer.toml" if Path(str(options.get("--crane"))) == Path("new.toml") else "new.toml"
+        return next_command(name, map(_file, self.recordings), options, ("-o", crane) if name == "improve" else ())
 
 
 def _file(recording: Recording) -> str:
@@ -57,9 +72,7 @@ def _file(recording: Recording) -> str:
 # -- compare ---------------------------------------------------------------------------------------------------------
 
 
-def report_comparison(
-    comparisons: Sequence[Comparison], crane: Crane, recordings: Sequence[Recording], directory: Path
-) -> Path:
+def report_comparison(comparisons: Sequence[Comparison], crane: Crane, examined: Examined, directory: Path) -> Path:
     """Write the report of comparisons with recordings, one after the other, and return its path."""
     mood: Mood = "good" if all(not c.where and c.error < 1.2 for c in comparisons) else "bad"
     first, names = comparisons[0], ", ".join(c.recording for c in comparisons)
@@ -67,27 +80,35 @@ def report_comparison(
     parameters = {"crane": first.crane, "recording": names, "engine": first.engine, "noise of the sensors": noise}
     of = [f"{c.recording}: " if len(comparisons) > 1 else "" for c in comparisons]
     verdict = " ".join(f"{begin}{c.verdict}" for begin, c in zip(of, comparisons, strict=True))
-    sections = [
+    sections: list[Section] = [("What to do next", _after_comparisons(comparisons, examined))]
+    if len(comparisons) > 1:
+        sections.append(("By recording", [_by_recording([_entry(c) for c in comparisons])]))
+    sections += [
         (f"{begin}{title}", parts)
-        for begin, c, recording in zip(of, comparisons, recordings, strict=True)
-        for title, parts in comparison_sections(c, crane, Examined((recording,)))
+        for begin, c in zip(of, comparisons, strict=True)
+        for title, parts in comparison_sections(c, crane)
     ]
     return write_report(
         directory, f"{names} against {first.crane}", verdict, sections, parameters=parameters, mood=mood
     )
 
 
-def comparison_sections(c: Comparison, crane: Crane, examined: Examined) -> list[Section]:
+def _entry(c: Comparison) -> dict[str, Any]:
+    """Return a comparison as an entry of `Diagnosis.recordings`; its error is what is left with what was fitted."""
+    return {"recording": c.recording, "error": c.error, "parameters": c.parameters}
+
+
+def comparison_sections(c: Comparison, crane: Crane) -> list[Section]:
     """Return the sections of a comparison."""
     lines = {"measured": c.measured, "simulated": c.simulated}
     found = c.figures()
     worst = [(f"{f.score:.1f}", f.text) for f in c.where[:_WORST]]
     headings, by_work = balance_table(c)
+    caption = f"The channels with the largest errors. {c.started}"
+    simulated: list[Part] = [f"With {c.fitted}."] if c.fitted else []
     sections: list[Section] = [
-        ("What to do next", _after_comparison(c, examined)),
-        ("Measured and simulated", [Picture(traces_figure(lines, c.layout), "The channels with the largest errors. "
-                                                                            f"{c.started}")]),
-    ]  # fmt: skip
+        ("Measured and simulated", [*simulated, Picture(traces_figure(lines, c.layout), caption)]),
+    ]
     if c.violated and not c.everywhere:
         sections.append(("Where", where_parts(crane, [c.violated[0].rpartition(".")[2]])))
     if worst:
@@ -119,7 +140,7 @@ def error_rows(c: Comparison) -> list[tuple[object, ...]]:
     """Return the table of channels."""
     white = c.estimate.whiteness
     return [
-        (n, e.unit, e.rmse, e.pn_rmse, e.bias, e.noise_std, e.error_over_noise, e.r2, white.get(n))
+        (n, e.unit, e.rmse, e.pn_rmse, e.bias, e.noise_std, three_digits(e.error_over_noise), e.r2, white.get(n))
         for n, e in c.channels.items()
     ]
 
@@ -158,16 +179,22 @@ _CAPTIONS = {
 }
 
 
-def _after_comparison(c: Comparison, examined: Examined) -> list[Part]:
-    typed = examined.typed
-    if not c.where:
+def _after_comparisons(comparisons: Sequence[Comparison], examined: Examined) -> list[Part]:
+    if not any(c.where for c in comparisons):
+        these = "this recording" if len(comparisons) == 1 else "these recordings"
         return [
-            "Nothing has to be done for this recording. Another one, with other loads and speeds, tells whether the "
-            "model holds there."
+            f"Nothing has to be done for {these}. Another one, with other loads and speeds, tells whether the model "
+            "holds there."
         ]
-    check = f"`patu check {typed}` tells whether the recording is what it says it is: signs, exchanged channels, units."
-    find = f"`patu diagnose {typed}` finds which physical effect is missing; give a second recording with `--check`."
-    return [check, find] if c.everywhere else [find]
+    check = (
+        f"`{examined.command('check')}` tells whether the recording is what it says it is: signs, exchanged channels, "
+        "units."
+    )
+    find = (
+        f"`{examined.command('diagnose')}` finds which physical effect is missing; give a second recording with "
+        "`--check`."
+    )
+    return [check, find] if any(c.everywhere for c in comparisons) else [find]
 
 
 # -- diagnose --------------------------------------------------------------------------------------------------------
@@ -239,36 +266,47 @@ def diagnosis_sections(d: Diagnosis, examined: Examined | None = None) -> list[S
     chosen = next((c for c in d.candidates if c.effects == d.effects), None)
     sections: list[Section] = [("What to do next", after_diagnosis(d, examined))]
     if examined is not None and d.crane is not d.given:
-        sections.append(("Before and after", before_and_after(examined.recordings, d.given, d.crane)))
+        given = [d.given] * len(examined.recordings)
+        sections.append(("Before and after", before_and_after(examined.recordings, given, cranes_of(d), d.recordings)))
+    if d.recordings:
+        sections.append(("By recording", [_by_recording(d.recordings)]))
     if d.effects:
         sections.append(("Where", where_parts(d.given, _places(d.effects))))
         sections.append(("What is missing", law_parts(d.effects, chosen.parameters if chosen else {})))
     return [*sections, ("How sure", sureness(d)), *_details(d)]
 
 
+def cranes_of(d: Diagnosis) -> list[Crane]:
+    """Return the crane with what was found as it was in each recording: with what differs from one to another."""
+    return [with_own(d.crane, entry) for entry in d.recordings] or [d.crane]
+
+
+def with_own(crane: Crane, entry: Mapping[str, Any]) -> Crane:
+    """Return the crane with what one of several recordings has of its own, as `Diagnosis.recordings` tells it."""
+    return crane.with_parameters({n: p["value"] for n, p in entry.get("parameters", {}).items()})
+
+
 def after_diagnosis(d: Diagnosis, examined: Examined | None) -> list[Part]:
     """Return what to do next, in sentences."""
-    typed = examined.typed if examined is not None else d.recording
+    improve = examined.command("improve") if examined is not None else f"patu improve {d.recording} -o new.toml"
     unchecked = "" if not math.isnan(d.check_error_before) else (
         "A second recording, given with `--check`, is only predicted: an effect that predicts it too is to be believed."
     )  # fmt: skip
     todo = {
         "adequate": "Nothing has to be added for this recording. Another one, with other loads and speeds, tells "
                     "whether the model holds there.",
-        "parameters": f"`patu improve {typed} -o new.toml` writes the moved parameters into a crane file. Those that "
-                      "moved most are worth measuring.",
-        "effect": f"`patu improve {typed} -o new.toml` adds what was found to the crane file, and looks whether "
-                  "anything is left.",
+        "parameters": f"`{improve}` writes the moved parameters into a crane file. Those that moved most are worth "
+                      "measuring.",
+        "effect": f"`{improve}` adds what was found to the crane file, and looks whether anything is left.",
         "tied": "The explanations differ in another manoeuvre: "
                 f"{d.next_manoeuvre or 'one with other loads and speeds'}",
-        "unknown": f"`patu improve {typed} -o new.toml` takes effects in one after the other where none alone explains "
-                   "the recording.",
+        "unknown": f"`{improve}` takes effects in one after the other where none alone explains the recording.",
     }[d.verdict]  # fmt: skip
+    if d.verdict == "parameters" and not d.parameters and any(e.get("parameters") for e in d.recordings):
+        todo = "Nothing has to be added to the crane file: what differs from one recording to another explains them."
     if d.misses_check and examined is not None and examined.check is not None:
-        todo = (
-            f"`patu check {' '.join(map(_file, (*examined.recordings, examined.check)))}` tells whether all are what "
-            "they say they are."
-        )
+        everything = replace(examined, recordings=(*examined.recordings, examined.check), check=None)
+        todo = f"`{everything.command('check')}` tells whether all are what they say they are."
     return list(filter(None, (todo, unchecked)))
 
 
@@ -276,7 +314,7 @@ def sureness(d: Diagnosis) -> list[Part]:
     """Return how the explanations were weighed against each other."""
     best = d.candidates[0].evidence if d.candidates else 0.0
     rows = [
-        (in_words(c.name), round(c.evidence - best, 1), _share(c.probability), c.error_after, c.check_error_after)
+        (in_words(c.name), evidence_difference(c.evidence, best), _share(c.probability), *c.errors_after)
         for c in d.candidates[:_WEIGHED]
     ]
     columns = ("explanation", "log evidence", "probability", "error / noise", "on check")
@@ -297,8 +335,8 @@ def _rivals(d: Diagnosis) -> list[str]:
     others = [c for c in d.candidates if c is not chosen]
     if d.verdict == "unknown" or chosen is None or not others:
         return []
-    behind = chosen.evidence - others[0].evidence
-    return [f"The next best explanation, {in_words(others[0].name)}, is behind by {behind:.0f} in log evidence."]
+    behind = evidence_difference(chosen.evidence, others[0].evidence)
+    return [f"The next best explanation, {in_words(others[0].name)}, is behind by {behind:g} in log evidence."]
 
 
 def _share(probability: float) -> str:
@@ -338,19 +376,41 @@ def _parameter_rows(c: Candidate) -> list[tuple[object, ...]]:
 # -- what the reports share ------------------------------------------------------------------------------------------
 
 
-def before_and_after(recordings: Sequence[Recording], given: Crane, improved: Crane) -> list[Part]:
-    """Return pictures of what was measured, and of the given and the improved model from the same start."""
+def before_and_after(
+    recordings: Sequence[Recording],
+    given: Sequence[Crane],
+    improved: Sequence[Crane],
+    entries: Sequence[Mapping[str, Any]] = (),
+) -> list[Part]:
+    """Return pictures of what was measured, and of the given and the improved model of each recording from the same
+    start.
+
+    Args:
+        recordings: what was measured.
+        given, improved: the model as it was in each of them.
+        entries: of each, as `Diagnosis.recordings` has them, where parameters differ from one to another.
+    """
     caption = (
         "What was measured, and what the crane file as given and the improved one do from the same start, seeing only "
         "the commands."
     )
+    own = [f" ({own_values(e)})" if e.get("parameters") else "" for e in entries] or [""] * len(recordings)
     return [
         Picture(
-            traces_figure(from_one_start(r, {"as given": given, "improved": improved}), given.layout),
-            f"{r.name}: {caption}",
+            traces_figure(from_one_start(r, {"as given": before, "improved": after}), before.layout),
+            f"{r.name}{words}: {caption}",
         )
-        for r in recordings
+        for r, before, after, words in zip(recordings, given, improved, own, strict=True)
     ]
+
+
+def _by_recording(entries: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of entries as `Diagnosis.recordings` has them; those of other results know fewer errors."""
+    columns = {"error": "error / noise", "error_before": "error before", "error_after": "after"}
+    known = [key for key in columns if key in entries[0]]
+    own = ["its own"] if any(e.get("parameters") for e in entries) else []
+    rows = [(e["recording"], *(three_digits(e[key]) for key in known), *(own_values(e) for _ in own)) for e in entries]
+    return Table(("recording", *(columns[key] for key in known), *own), rows)
 
 
 def _places(keys: Iterable[str]) -> list[str]:
@@ -392,25 +452,36 @@ def report_improvement(
     directory: str | Path,
     given: Mapping[str, object] | None = None,
     examined: Examined | None = None,
+    own: Sequence[Mapping[str, Any]] = (),
 ) -> Path:
-    """Write the report of an improvement and return its path; arguments as of `report_diagnosis`."""
+    """Write the report of an improvement and return its path; arguments as of `report_diagnosis`; `own` as
+    `improved_own` gives it.
+    """
     first = result.diagnoses[0]
     added = [e.key for e in result.crane.effects if first.given.effect(e.key) is None]
     parameters = {
         n: p for d in result.diagnoses for c in d.candidates if c.effects == d.effects for n, p in _keyed(c).items()
     }
-    rows = [(in_words(s.added or "as given"), s.error, s.check_error, s.nis_mean, s.text) for s in result.steps]
+    rows = [
+        (in_words(s.added or "as given"), *map(three_digits, (s.error, s.check_error, s.nis_mean)), s.text)
+        for s in result.steps
+    ]
     expected = (
         "NIS is that of a filter that trusts the model, as in a comparison; expected is the number of sensors. "
         f"{_ERRORS}"
     )
     table = Table(("step", "error / noise", "on check", "filter's NIS", "what was found"), rows, note=expected)
     sections: list[Section] = [("What to do next", _after_improvement(result))]
-    traces = before_and_after(examined.recordings, first.given, result.crane) if examined is not None and added else []
+    traces: list[Part] = []
+    if examined is not None and len(result.steps) > 1:
+        before, after = cranes_of_improvement(result, examined.recordings, own)
+        traces = before_and_after(examined.recordings, before, after, own)
     falling = Picture(
         result.plot(), "Open-loop error on the Exudyn engine after each step, in units of the sensors' noise."
     )
     sections.append(("Before and after", [falling, *traces, table]))
+    if own:
+        sections.append(("By recording", [_by_recording(own)]))
     if added:
         sections.append(("Where", where_parts(first.given, _places(added))))
         named = [key for key in added if registry.split_key(key)[0].curve is None]
@@ -424,6 +495,34 @@ def report_improvement(
     mood = _MOODS.get(result.verdict, "neutral")
     title = f"Improvement on {result.recording}"
     return write_report(directory, title, outcome(result), sections, parameters=about, mood=mood)
+
+
+def improved_own(result: Improvement, recordings: Sequence[Recording]) -> list[dict[str, Any]]:
+    """Return by recording what differs from one to another, fitted with the crane that an improvement ends with, as
+    entries of `Diagnosis.recordings`; none where nothing may differ.
+    """
+    names = _own_names(result)
+    return [
+        {"recording": r.name, "parameters": own_parameters(with_its_own(result.crane, r, names), result.crane, names)}
+        for r in recordings if names
+    ]  # fmt: skip
+
+
+def _own_names(result: Improvement) -> list[str]:
+    """Return the parameters that differ from recording to recording."""
+    told = result.diagnoses[0].recordings
+    return [*told[0].get("parameters", {})] if told else []
+
+
+def cranes_of_improvement(
+    result: Improvement, recordings: Sequence[Recording], own: Sequence[Mapping[str, Any]] = ()
+) -> tuple[list[Crane], list[Crane]]:
+    """Return the crane as given and as improved as they were in each recording, as the errors of the steps take them:
+    both with what is its own.
+    """
+    given, names = result.diagnoses[0].given, _own_names(result)
+    entries = own or improved_own(result, recordings) or [{}] * len(recordings)
+    return [with_its_own(given, r, names) for r in recordings], [with_own(result.crane, e) for e in entries]
 
 
 def _keyed(c: Candidate) -> dict[str, Mapping[str, Any]]:

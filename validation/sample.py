@@ -4,8 +4,8 @@ and mistakes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from crane_exudyn.mapping import Column, map_text
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import simulate
 from crane_exudyn.units import factor_to_si
+
+from .report import Options, next_command
 
 #: s, step of the recordings, and of the ramps with which valves open
 _STEP, _RAMP = 0.005, 0.15
@@ -61,16 +63,21 @@ _LOGGED = {
 
 @dataclass(frozen=True)
 class Sample:
-    """A file to play with: what it is, what to type (with {} for its folder), and what writes it."""
+    """A file to play with: what it is, what writes it, and the command to try, on which recording, with which other
+    files.
+    """
 
     file: str
     text: str
-    command: str
     save: Callable[[Path], object]
+    command: str
+    recording: str
+    others: Mapping[str, str] = field(default_factory=dict)
 
-    def told(self, folder: Path) -> str:
-        """Return what to type."""
-        return self.command.format(folder)
+    def told(self, folder: Path, given: Options | None = None) -> str:
+        """Return what to type for the files in a folder; `given` are options of the run that wrote them."""
+        others = {flag: folder / name for flag, name in self.others.items()}
+        return next_command(self.command, [folder / self.recording], {**(given or {}), **others})
 
 
 def samples(crane: Crane) -> list[Sample]:
@@ -85,17 +92,20 @@ def samples(crane: Crane) -> list[Sample]:
     last = lay.commands[-1]
     exchanged = {a: sound[b], b: sound[a], last: replace(sound[last], values=-sound[last].values)}
     wrong = replace(sound, channels={**sound.channels, **exchanged})
+    checked, mapped = {"--check": "hidden_check.csv"}, {"--map-file": "logger.toml"}
+
+    def write_map(path: Path) -> None:
+        write_text(path, map_text(mapping, lay))
+
     return [
-        Sample("clean.csv", "a sound machine as the crane file describes it", "patu compare {}/clean.csv", sound.save),
-        Sample("hidden_learn.csv", "a machine with a hidden effect", "patu diagnose {0}/hidden_learn.csv --check "
-                                                                     "{0}/hidden_check.csv", learn.save),
-        Sample("hidden_check.csv", "the same machine, another "
-                                   "manoeuvre", "patu compare {}/hidden_check.csv", check.save),
-        Sample("logger.csv", "the sound machine, by a logger with names and units of its "
-            "own", "patu check {0}/logger.csv --map-file {0}/logger.toml", partial(write_table, columns=table)),
-        Sample("logger.toml", "what that logger's columns are", "patu compare {0}/logger.csv --map-file "
-            "{0}/logger.toml", lambda path: write_text(path, map_text(mapping, lay))),
-        Sample("mistaken.csv", "the sound machine, columns named wrongly", "patu check {}/mistaken.csv", wrong.save),
+        Sample("clean.csv", "a sound machine as the crane file describes it", sound.save, "compare", "clean.csv"),
+        Sample("hidden_learn.csv", "a machine with a hidden effect",
+               learn.save, "diagnose", "hidden_learn.csv", checked),
+        Sample("hidden_check.csv", "the same machine, another manoeuvre", check.save, "compare", "hidden_check.csv"),
+        Sample("logger.csv", "the sound machine, by a logger with names and units of its own",
+               partial(write_table, columns=table), "check", "logger.csv", mapped),
+        Sample("logger.toml", "what that logger's columns are", write_map, "compare", "logger.csv", mapped),
+        Sample("mistaken.csv", "the sound machine, columns named wrongly", wrong.save, "check", "mistaken.csv"),
     ]  # fmt: skip
 
 
