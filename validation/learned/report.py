@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..learning import Learned, sentence
-from ..report import Mood, Part, Picture, Section, Table, write_report
+from ..report import Mood, Part, Picture, Section, Table, three_digits, write_report
 from .learned_law import LearnedLaw
 
 _CAPTION = (
@@ -33,8 +33,8 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
     errors = Table(
         ("", "before", "after"),
         [
-            ("learned from", found.error_before, found.error_after),
-            ("only predicted", found.check_error_before, found.check_error_after),
+            ("learned from", three_digits(found.error_before), three_digits(found.error_after)),
+            ("only predicted", three_digits(found.check_error_before), three_digits(found.check_error_after)),
         ],
         note="Open-loop RMS in units of the sensors' noise.",
     )
