@@ -15,7 +15,7 @@ from .errors import CraneError, nearest
 from .layout import Layout
 from .mapping import Column
 from .tables import RawColumn, RawTable, remarks, split_header
-from .units import factor_to_si
+from .units import factor_to_si, reference_mend, reference_of
 
 #: units that people write, for messages
 EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "m/s": "mm/s", "s": "s"}
@@ -23,6 +23,8 @@ EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": 
 _COMMAND_LIMIT = 1.05
 #: share of repeated times up to which the repeated samples are left out with a remark
 _MOST_REPEATED = 0.1
+#: columns that a message names
+_SHOWN = 12
 #: a pause of all channels beyond so many seconds, and so many times longer than usual, splits a recording; beyond a day
 #: the clock is wrong
 _SPLIT, _SPLIT_RATIO, _DAY = 10.0, 100.0, 86400.0
@@ -48,14 +50,17 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column], layout:
     named, notes = _name_columns(path, table, mapping, layout)
     clock = named.pop("time", None)
     if not named:
-        found = ", ".join(c.header for c in table.columns[:8])
         raise CraneError(
-            f"{path}: found no known channel among the columns {found}. Expected some of "
+            f"{path}: found no known channel among the columns {_headers(table)}. Expected some of "
             f"{', '.join(n for n in units if n not in layout.added)}; give other names with --map {example(layout)}."
         )
     notes = [*table.notes, *notes]
+    shared = {} if clock is None or all(c.clock for c, _ in named.values()) else {"time": clock}
+    for refuse in (_refuse_without_unit, _refuse_referenced):
+        refuse(path, shared | named, {"time": "s", **units})
     times: dict[int, np.ndarray] = {}
-    channels = {}
+    channels: dict[str, Channel] = {}
+    repeated: dict[tuple[int, str], list[str]] = {}
     for name in (n for n in units if n in named):  # in the order of the contract, whatever the file's
         own = _clock_of(path, named[name], clock, table)
         if id(own) not in times:
@@ -65,9 +70,14 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column], layout:
             notes.append(f"channel {name} has no sample")
             continue
         channels[name] = channel
-        again = int(np.count_nonzero(~np.isnan(named[name][0].values))) - len(channel)
-        if again:
-            notes.append(f"channel {name}: {again} samples whose time stands there already are left out")
+        stamps = times[id(own)][~np.isnan(named[name][0].values)]
+        if len(channel) < len(stamps):
+            repeated.setdefault((len(stamps) - len(channel), _where_repeated(stamps)), []).append(name)
+    notes += [
+        f"channel{'s' * (len(names) > 1)} {', '.join(names)}: {again} samples whose time stands there already are left "
+        f"out, {where}"
+        for (again, where), names in repeated.items()
+    ]
     if max((len(c) for c in channels.values()), default=0) < 2:
         raise CraneError(f"{path}: found fewer than two samples, expected a recording over time. Record longer.")
     channels, split = _longest_stretch(channels)
@@ -119,6 +129,42 @@ def _name_columns(
     return named, notes + remarks("column", ignored, "was ignored")
 
 
+def _headers(table: RawTable) -> str:
+    """Return the headers of a file as one text, the first of them where there are many."""
+    headers = [c.header for c in table.columns]
+    return ", ".join(headers[:_SHOWN]) + ", …" * (len(headers) > _SHOWN)
+
+
+def _refuse_without_unit(path: Path, named: Mapping[str, tuple[RawColumn, str | None]], si: Mapping[str, str]) -> None:
+    """Refuse the columns that need a unit and have none, all at once."""
+    without = {n: (column.header, EXAMPLE[si[n]]) for n, (column, unit) in named.items() if unit is None and si[n]}
+    if without:
+        s = "s" * (len(without) > 1)
+        written = ", ".join(f"{n}[{unit}]" for n, (_, unit) in without.items())
+        typed = " ".join(f"--map {n}={header}[{unit}]" for n, (header, unit) in without.items())
+        raise CraneError(
+            f"{path}, column{s} {', '.join(header for header, _ in without.values())}: no unit is given. Write it into "
+            f"the name{s}, as {written}, or give {typed}."
+        )
+
+
+def _refuse_referenced(path: Path, named: Mapping[str, tuple[RawColumn, str | None]], si: Mapping[str, str]) -> None:
+    """Refuse the columns of gauge or of absolute pressures by their unit, all of one unit at once."""
+    found = {n: unit for n, (_, unit) in named.items() if unit and si[n] == "Pa" and reference_of(unit)}
+    for unit in found.values():
+        names = [n for n, own in found.items() if own == unit]
+        raise CraneError(
+            f"{path}: {', '.join(names)} in [{unit}]: the crane file says what pressures count from, not a unit. "
+            f"{reference_mend(unit)}, below {' and again below '.join(f'[{n}]' for n in names)}."
+        )
+
+
+def _where_repeated(stamps: np.ndarray) -> str:
+    """Return where times (n,) stand there once more, in words."""
+    at = np.unique(stamps[1:][np.diff(stamps) == 0.0])
+    return f"where the clock stands at {at[0]:.6g} s" if len(at) == 1 else f"the first at {at[0]:.6g} s"
+
+
 def _remark(header: str, name: str, like: str | None, mapping: Mapping[str, Column]) -> str:
     if name in mapping:
         return f"column {header!r} was put aside for {mapping[name].header!r}"
@@ -149,9 +195,13 @@ def _mapped_unit(path: Path, header: str, own: str | None, column: Column) -> st
     if column.unit is not None:
         return column.unit
     if own is not None and given is not None and own != given:
+        overrule = (
+            f'Leave the unit out there; or, if the file is wrong, write unit = "{given}" into a map file (--map-file), '
+            "which goes before the file"
+        )
         raise CraneError(
-            f"{path}, column {header}: the file says [{own}], {column.said} says [{given}]. Leave the unit of "
-            f"{column.said} out, or mend one."
+            f"{path}, column {header}: the file says [{own}], {column.said} says [{given}]. "
+            f"{reference_mend(own) if reference_of(own) else overrule}."
         )
     return own if given is None else given
 
@@ -162,10 +212,9 @@ def _clock_of(
     if column[0].clock is not None:
         return column[0].clock
     if clock is None:
-        headers = [c.header for c in table.columns]
         raise CraneError(
-            f"{path}: there is no column time[s], found {', '.join(headers[:8])}.{_left_out(table, 'time')} Add it, or "
-            "give its name: --map time=Zeit[s]."
+            f"{path}: there is no column time[s], found {_headers(table)}.{_left_out(table, 'time')} Add it, or give "
+            "its name: --map time=Zeit[s]."
         )
     return clock
 
@@ -239,11 +288,6 @@ def _first_of_stamp(path: Path, header: str, time: np.ndarray, rows: np.ndarray,
 
 
 def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) -> float:
-    if unit is None and si_unit:
-        raise CraneError(
-            f"{path}, column {header}: no unit is given. Write it into the name, as {name}[{EXAMPLE[si_unit]}], "
-            f"or give --map {name}={header}[{EXAMPLE[si_unit]}]."
-        )
     try:
         return factor_to_si(unit or "", si_unit)
     except CraneError as problem:

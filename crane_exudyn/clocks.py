@@ -40,6 +40,10 @@ class Clock:
         """Return by how much commands stamped `time` (N,) act late, on average of the cylinders."""
         return float(np.nanmean(self.late)) + self.drift * (time - time.mean())
 
+    def apart(self, other: Clock, time: np.ndarray) -> float:
+        """Return by how many s another clock differs at most within `time` (N,)."""
+        return float(np.max(np.abs(self.lateness(time) - other.lateness(time))))
+
 
 def clock_of(machine: Figures, grid: Grid) -> Clock | None:
     """Return how late the machine acts on its commands; None where no piston follows them however late."""

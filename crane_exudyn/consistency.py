@@ -39,6 +39,9 @@ _GAIN = 2.5
 _VOID = 2e5
 #: a spool that is open by less is closed
 _CLOSED = 0.01
+#: a command that is never larger opens no valve; m/s up to which a piston may sink while its valve is closed: a leak of
+#: some l/min
+_UNCOMMANDED, _LEAKING = 0.02, 0.015
 #: share of windows in which a pose must be within reach
 _MOST = 0.8
 #: windows that a balance must hold on: of fewer, which overlap, one moment decides
@@ -431,6 +434,27 @@ def _load_changes(
     load = change(np.interp(grid.time, grid.time[at], np.nan_to_num(asked)), LOAD_SPAN)
     noise = 1.5 * max(grid.noise[n] for n in names if n in ch) * a
     return _proportional(change(force, LOAD_SPAN)[still], load[still], float(noise))
+
+
+def travels(machine: Figures, grid: Grid) -> dict[str, float]:
+    """Return how far (m) each piston moves whose valve is never commanded, so fast that no leak explains it; without
+    those that do not.
+    """
+    lay, ch, found = machine.layout, grid.channels, {}
+    lengths = machine.lengths(positions(machine, grid))
+    for c, (cylinder, command) in enumerate(zip(lay.cylinders, lay.commands, strict=True)):
+        if command not in ch or np.abs(ch[command]).max() > _UNCOMMANDED:
+            continue
+        known = np.isfinite(lengths[:, c]).mean() > _MOST
+        length = lengths[:, c] if known else ch.get(lay.lengths[c])
+        if length is not None:
+            noise = _noise_of_length(machine, grid, c, length) if known else grid.noise[lay.lengths[c]]
+            speed = np.nan_to_num(change(smooth(length)) / SPAN)
+            speed[np.abs(speed) < max(_LEAKING, _CLEAR * 1.5 * noise / SPAN)] = 0.0
+            way = float(np.ptp(np.concatenate([[0.0], np.cumsum(speed) * STEP * _EVERY])))
+            if way > 2.0 * PLAY:
+                found[cylinder] = way
+    return found
 
 
 def flow_misfits(machine: Figures, grid: Grid, lateness: np.ndarray) -> np.ndarray | None:

@@ -4,6 +4,7 @@ map files.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -175,15 +176,28 @@ def map_text(mapping: Mapping[str, Column], layout: Layout) -> str:
 
 
 def _table(name: str, column: Column, unit: str) -> str:
-    size = abs(column.factor)
-    lines = [f"[{name}]", f"column = {_quoted(column.header)}"]
-    lines += [f"unit = {_quoted(column.unit)}"] if column.unit is not None else []
-    lines += ["sign = -1"] if column.factor < 0.0 else []
-    lines += [f"scale = {size:.12g}"] if size != 1.0 else []
-    lines += [f"offset = {_quoted(f'{column.offset:.12g} {unit}'.strip())}"] if column.offset else []
-    lines += [f'late = "{column.late:.6g} s"'] if column.late else []
-    lines += [f"drift = {column.drift:.6g}"] if column.drift else []
-    return "\n".join(lines) + "\n"
+    return "\n".join([f"[{name}]", *(f"{key} = {value}" for key, value in keys_of(column, unit).items())]) + "\n"
+
+
+#: units in which offsets are written, with what one of them is in SI
+_WRITTEN = {"rad": ("deg", math.pi / 180), "rad/s": ("deg/s", math.pi / 180), "Pa": ("bar", 1e5)}
+
+
+def keys_of(column: Column, si: str) -> dict[str, str]:
+    """Return what a map file says of a column whose channel has the SI unit `si`: keys and values as TOML writes
+    them.
+    """
+    size, (unit, one) = abs(column.factor), _WRITTEN.get(si, (si, 1.0))
+    found = {
+        "column": _quoted(column.header),
+        "unit": None if column.unit is None else _quoted(column.unit),
+        "sign": "-1" if column.factor < 0.0 else None,
+        "scale": f"{size:.12g}" if size != 1.0 else None,
+        "offset": _quoted(f"{column.offset / one:.12g} {unit}".strip()) if column.offset else None,
+        "late": f'"{column.late:.6g} s"' if column.late else None,
+        "drift": f"{column.drift:.6g}" if column.drift else None,
+    }
+    return {key: value for key, value in found.items() if value is not None}
 
 
 def _quoted(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -115,3 +116,138 @@ def _own_samples(values: np.ndarray, step: float) -> np.ndarray:
     if not steep.any() or bend[steep].mean() > 0.34:
         return np.arange(len(values))
     return np.concatenate([[0], np.flatnonzero(bend) + 1, [len(values) - 1]])
+
+
+# -- samples that were not measured ------------------------------------------------------------------------------------
+
+#: a leap that no machine makes: so many times every other one of its channel, and so many standard deviations of noise
+_LEAP, _LEAP_NOISE = 4.0, 8.0
+#: s in which no machine leaps away and is back as if nothing had been: its cylinders ring at a few Hz, and its valves
+#: take as long to open
+_BLINK = 0.05
+#: steps of a clock that are none of its usual ones; share of samples equal to the one before, beyond which a channel
+#: comes in steps or is held, so that equal samples tell nothing; how often a value of a logger's own comes at least
+_PAUSE, _EQUAL, _OFTEN = 2.5, 0.2, 3
+#: samples of which nothing can be said
+_TOO_FEW = 20
+
+
+class Stray(NamedTuple):
+    """A stretch of samples that show nothing of what is measured: from `first` to before `after`, `height` beyond their
+    neighbours; `filled`: whether they are one value that stands there for "no value".
+    """
+
+    first: int
+    after: int
+    height: float
+    filled: bool
+
+
+class _Stretches(NamedTuple):
+    """Stretches (k,) of equal samples, or of samples that are all impossible.
+
+    Attributes:
+        first, after: number of the first sample, and of the one behind the last.
+        into, back: leaps from the sample before, and to the one behind; took: s that the longer one took.
+        inner: whether there are both; height: the lesser of both, the only one where there is one.
+    """
+
+    first: np.ndarray
+    after: np.ndarray
+    into: np.ndarray
+    back: np.ndarray
+    took: np.ndarray
+
+    @classmethod
+    def of(cls, time: np.ndarray, values: np.ndarray, impossible: np.ndarray) -> _Stretches:
+        border = np.flatnonzero((np.diff(values) != 0.0) & ~(impossible[1:] & impossible[:-1])) + 1
+        first, after = np.concatenate([[0], border]), np.concatenate([border, [len(values)]])
+        before, behind = np.maximum(first - 1, 0), np.minimum(after, len(values) - 1)
+        into, back = values[first] - values[before], values[after - 1] - values[behind]
+        return cls(first, after, into, back, np.maximum(time[first] - time[before], time[behind] - time[after - 1]))
+
+    @property
+    def inner(self) -> np.ndarray:
+        return (self.first > 0) & (self.after < self.after[-1])
+
+    @property
+    def height(self) -> np.ndarray:
+        leaps = np.abs([self.into, self.back])
+        return np.where(self.inner, leaps.min(axis=0), leaps.max(axis=0))
+
+
+def strays(
+    time: np.ndarray, values: np.ndarray, impossible: np.ndarray, fastest: float = math.inf, noise: float | None = None
+) -> list[Stray]:
+    """Return the stretches of a channel that were not measured: a glitch, a dropout, a value that stands for none.
+
+    A stretch has equal samples, or impossible ones. Leaps lead into it and back that are far beyond every other leap of
+    the channel and beyond its noise; and it has impossible values, or leaps that nothing can follow, or is of one
+    sample between two that agree, too short for a machine to come back, or one of several that have exactly the same
+    value. A valve's step, an end stop, a peak of several samples and a ring are none: they leap one way, or come back
+    with other leaps.
+
+    Args:
+        time: (n,) s, increasing; values: (n,).
+        impossible: (n,) whether no machine shows such a value.
+        fastest: change a second that nothing exceeds.
+        noise: standard deviation of the channel's noise; estimated by default.
+    """
+    if len(values) < _TOO_FEW or impossible.all():
+        return []
+    all_ = _Stretches.of(time, values, impossible)
+    low, high = np.quantile(values[~impossible], [0.01, 0.99])
+    noise = max(noise_std(values) if noise is None else noise, USUAL_SENSOR * float(high - low))
+    clear = (all_.height > _LEAP_NOISE * noise) & (~all_.inner | (all_.into * all_.back > 0.0))
+    if not clear.any():
+        return []
+    lone = clear & ~_beside(clear)
+    rushed = lone & (all_.height > fastest * np.where(all_.took > 0.0, all_.took, math.inf))
+    chosen = np.flatnonzero((clear & impossible[all_.first]) | rushed | _brief(time, values, all_, clear, lone))
+    chosen = chosen[all_.height[chosen] > _LEAP * _ordinary(time, values, all_, chosen)]
+    own, lengths = values[all_.first[chosen]], all_.after[chosen] - all_.first[chosen]
+    return [
+        Stray(int(all_.first[k]), int(all_.after[k]), float(all_.height[k]), int(lengths[own == v].sum()) >= _OFTEN)
+        for k, v in zip(chosen, own, strict=True)
+    ]
+
+
+def _brief(time: np.ndarray, values: np.ndarray, all_: _Stretches, clear: np.ndarray, lone: np.ndarray) -> np.ndarray:
+    """Return which stretches (k,) are left and entered so fast that no machine does: a single sample between two that
+    agree, or a value that comes again and again and nowhere else.
+    """
+    usual, lengths = float(np.median(np.diff(time))), all_.after - all_.first
+    brief = clear & all_.inner & (all_.took < _PAUSE * usual) & (2.0 * usual < _BLINK)
+    if not brief.any() or is_noise_free(values):  # where nothing scatters, the lowest pressure comes exactly, too
+        return np.zeros_like(brief)
+    blink = brief & lone & (lengths == 1) & (np.abs(all_.into - all_.back) < 0.5 * all_.height)
+    own, (found, number) = values[all_.first], np.unique(values[all_.first][brief], return_inverse=True)
+    samples = np.bincount(number, lengths[brief], len(found))
+    often = [v for v, n in zip(found, samples, strict=True) if n >= _OFTEN and (values == v).sum() == n]
+    filled = brief & np.isin(own, often)
+    others = np.delete(np.diff(values), _within(all_, filled))
+    return blink | filled if np.mean(others == 0.0) < _EQUAL else blink
+
+
+def _beside(clear: np.ndarray) -> np.ndarray:
+    """Return whether a neighbour of each stretch (k,) leaps, too: a ring does so again and again."""
+    beside = np.zeros_like(clear)
+    beside[1:] |= clear[:-1]
+    beside[:-1] |= clear[1:]
+    return beside
+
+
+def _ordinary(time: np.ndarray, values: np.ndarray, all_: _Stretches, chosen: np.ndarray) -> float:
+    """Return the largest leap of a channel apart from those of the chosen stretches, and those over a pause."""
+    leaps, took = np.abs(np.diff(values)), np.diff(time)
+    leaps[took > _PAUSE * np.median(took)] = 0.0
+    ends = np.concatenate([all_.first[chosen] - 1, all_.after[chosen] - 1])
+    leaps[ends[(ends >= 0) & (ends < len(leaps))]] = 0.0
+    leaps[_within(all_, chosen)] = 0.0
+    return float(leaps.max())
+
+
+def _within(all_: _Stretches, chosen: np.ndarray) -> np.ndarray:
+    """Return the numbers of the steps between samples of one and the same of the chosen stretches."""
+    spans = [np.arange(a, b - 1) for a, b in zip(all_.first[chosen], all_.after[chosen], strict=True)]
+    return np.concatenate([np.empty(0, dtype=int), *spans])

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
@@ -26,6 +28,9 @@ _GZIP = 31
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 #: what plain numbers are written with; anything else is for the careful reader
 _PLAIN = b"0123456789+-.eEnNaA\n"
+#: a date as in ISO 8601, with or without a time of day; hours, minutes and seconds; what else may be a date or time
+_DATE, _OF_DAY = re.compile(r"\d{4}-\d\d-\d\d([T ].+)?"), re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:[.,]\d*)?)")
+_MAYBE_TIME = re.compile(r"\d+:\d+|\d+[-./]\d+[-./]\d+")
 #: spreadsheets and archives that people hand over by mistake, by their first bytes
 _NOT_TEXT = {
     b"PK": "an Excel or ZIP file",
@@ -83,12 +88,17 @@ def remarks(what: str, names: Sequence[str], happened: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Form:
-    """What a text file's header line tells: names, what separates fields, and how many lines stand above the data."""
+    """What a text file's header line tells: names, what separates fields, and how many lines stand above the data.
+
+    Attributes:
+        stamps: the first field of each column of dates or times of day, from which its seconds count.
+    """
 
     path: Path
     names: list[str]
     delimiter: str
     skipped: int
+    stamps: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def decimal_comma(self) -> bool:
@@ -100,13 +110,15 @@ def read_text(path: Path, file: BinaryIO) -> RawTable:
 
     Fields are separated by commas, semicolons or tabs, as the header line shows; with the latter two, decimals may
     be commas. UTF-8 with or without byte order mark, UTF-16 and Windows-1252 are read, any line ends, and gzip. Lines
-    above the header that start with # are skipped.
+    above the header that start with # are skipped. Dates as in ISO 8601 ("2024-03-01 10:00:00.000") and times of day
+    ("10:00:00.000") become seconds from the first.
 
     Raises:
         CraneError: empty or cut-off file, text in a number, a line with too few or too many fields.
     """
     pieces = _pieces(path, file)
     form, first = _header(path, next(pieces, b""))
+    form = replace(form, stamps=_stamps(form, first))
     line, numbers, lines = form.skipped + 2, [], []
     ahead: bytes | None = first
     while ahead is not None:
@@ -118,8 +130,14 @@ def read_text(path: Path, file: BinaryIO) -> RawTable:
     found = np.concatenate(numbers)
     if not len(found):
         raise CraneError(f"{path}: the file ends after its header line. Expected one line per sample; record again.")
-    columns = [RawColumn(name, found[:, i]) for i, name in enumerate(form.names) if name]
-    return RawTable(columns, lambda row: f"line {np.concatenate(lines)[row]}")
+    columns = [_column(name, found[:, i], form) for i, name in enumerate(form.names) if name]
+    notes = [f"column {split_header(name)[0]!r} counts from {first}" for name, first in form.stamps.items()]
+    return RawTable(columns, lambda row: f"line {np.concatenate(lines)[row]}", notes)
+
+
+def _column(name: str, values: np.ndarray, form: Form) -> RawColumn:
+    """Return a column; one of dates or times of day is in seconds, whatever its header says of their form."""
+    return RawColumn(split_header(name)[0], values, "s") if name in form.stamps else RawColumn(name, values)
 
 
 def _pieces(path: Path, file: BinaryIO) -> Iterator[bytes]:
@@ -207,6 +225,39 @@ def _header(path: Path, data: bytes) -> tuple[Form, bytes]:
     names = [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
     _check_header(path, skipped + 1, names)
     return Form(path, names, delimiter, skipped), body
+
+
+def _stamps(form: Form, body: bytes) -> dict[str, str]:
+    """Return {column: first field} of the columns that begin with a date or a time of day."""
+    line = _to_text(body.lstrip(b"\n").partition(b"\n")[0])
+    fields = next(csv.reader([line], delimiter=form.delimiter), [])
+    first = {name: text.strip() for name, text in zip(form.names, fields, strict=False) if name}
+    return {name: text for name, text in first.items() if _is_stamp(text)}
+
+
+def _is_stamp(text: str) -> bool:
+    try:
+        return _since(text, text) == 0.0
+    except ValueError:
+        return False
+
+
+def _since(first: str, text: str) -> float:
+    """Return the seconds from a first date to another, or from a first time of day.
+
+    Raises:
+        ValueError: one is neither, or they are not of one kind.
+    """
+    times = [_OF_DAY.fullmatch(t) for t in (first, text)]
+    if times[0] and times[1]:
+        start, now = (60.0 * (60.0 * float(t[1]) + float(t[2])) + float(t[3].replace(",", ".")) for t in times if t)
+        return round(now - start, 9)
+    if not (_DATE.fullmatch(first) and _DATE.fullmatch(text)):
+        raise ValueError
+    try:
+        return (datetime.fromisoformat(text) - datetime.fromisoformat(first)).total_seconds()
+    except TypeError:  # one knows its time zone, the other does not
+        raise ValueError from None
 
 
 def _to_text(line: bytes) -> str:
@@ -333,15 +384,25 @@ def _number(field: str, name: str, form: Form, line: int) -> float:
     text = field.strip()
     if not text or not name:
         return np.nan
-    if form.decimal_comma:
-        text = text.replace(",", ".")
     try:
+        if name in form.stamps:
+            return _since(form.stamps[name], text)
         if "_" in text:  # Python's float takes 1_000, nobody's logger writes it
             raise ValueError
-        return float(text)
+        return float(text.replace(",", ".") if form.decimal_comma else text)
     except ValueError:
-        hint = " If this line holds units, put them into the header, as name[unit]." if line <= form.skipped + 2 else ""
-        raise CraneError(
-            f"{form.path}, line {line}, column {name[:40]}: found {field.strip()[:40]!r}, expected a number. "
-            f"Mend it, or leave the field empty for a missing sample.{hint}"
-        ) from None
+        raise CraneError(_no_number(text, name, form, line)) from None
+
+
+def _no_number(text: str, name: str, form: Form, line: int) -> str:
+    """Return what to say of a field that is neither a number nor a date as the first of its column."""
+    where = f"{form.path}, line {line}, column {name[:40]}: found {text[:40]!r}"
+    if name in form.stamps:
+        return f"{where}, expected a time such as {form.stamps[name]} in the column's first line. Mend it."
+    if _MAYBE_TIME.search(text):
+        return (
+            f"{where}, expected a number. It looks like a date or a time: export seconds, or in every line "
+            "2024-03-01 10:00:00.000 or 10:00:00.000, which are read as seconds from the first."
+        )
+    hint = " If this line holds units, put them into the header, as name[unit]." if line <= form.skipped + 2 else ""
+    return f"{where}, expected a number. Mend it, or leave the field empty for a missing sample.{hint}"

@@ -159,7 +159,10 @@ _USUAL: dict[tuple[str, str], float] = {
     **{("s", u): f for u, f in {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0}.items()},
     **{("rad", u): f for u, f in {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180}.items()},
     **{("rad/s", u): f for u, f in {"rad/s": 1.0, "deg/s": math.pi / 180, "°/s": math.pi / 180}.items()},
-    **{("Pa", u): f for u, f in {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 1e2}.items()},
+    **{
+        ("Pa", u): f
+        for u, f in {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 1e2, "psi": 6894.757293168361}.items()
+    },
     **{("m", u): f for u, f in {"m": 1.0, "cm": 1e-2, "mm": 1e-3}.items()},
     **{("V", u): f for u, f in {"V": 1.0, "mV": 1e-3}.items()},
     **{("", u): f for u, f in {"": 1.0, "-": 1.0, "1": 1.0, "%": 1e-2}.items()},
@@ -177,6 +180,10 @@ def factor_to_si(unit: str, si_unit: str) -> float:
     if usual is not None:
         return usual
     expected = si_unit or "a pure number"
+    if si_unit == "Pa" and reference_of(unit):
+        raise CraneError(
+            f"unit [{unit}]: the crane file says what pressures count from, not a unit. {reference_mend(unit)}"
+        )
     try:
         quantity = 1.0 * _quantity(unit)
         base, wanted = quantity.to_base_units().units, registry().Quantity(1.0, si_unit or "dimensionless")
@@ -187,3 +194,42 @@ def factor_to_si(unit: str, si_unit: str) -> float:
     if base != wanted.to_base_units().units:
         raise CraneError(f"unit [{unit}] has the wrong dimension, expected {expected}")
     return float(quantity.to(wanted.units).magnitude)
+
+
+def unit_of(size: float, si_unit: str) -> str | None:
+    """Return the usual unit of which one is `size` in `si_unit`, None where there is none."""
+    return next((u for (si, u), f in _USUAL.items() if si == si_unit and math.isclose(f, size, rel_tol=_SAME)), None)
+
+
+#: relative difference of a factor within which it is that of a unit
+_SAME = 1e-6
+#: a unit of pressure with what it counts from, as in barg, bar(g), psi abs, barü
+_REFERENCED = re.compile(r"(\w+?)[\s_]*\(?(?:(g|gauge|rel|ü)|(a|abs))\)?", re.IGNORECASE)
+#: Pa of air on the ground, from which gauge pressures count
+_AIR = 101325.0
+
+
+@functools.cache
+def reference_of(unit: str) -> tuple[str, str] | None:
+    """Return the plain unit of "barg", "psi(a)" and the like, and whether it is of "gauge" or "absolute" pressures;
+    None for any other unit.
+    """
+    found = _REFERENCED.fullmatch(unit.strip())
+    if found is None or ("Pa", unit) in _USUAL:
+        return None
+    try:
+        factor_to_si(found[1], "Pa")
+    except CraneError:  # what stands before the letter is no pressure, as in Pa itself or mmHg
+        return None
+    return found[1], "gauge" if found[2] else "absolute"
+
+
+def reference_mend(unit: str) -> str:
+    """Return what to write of pressures in a unit that says what they count from, which the crane file says of all."""
+    plain, reference = reference_of(unit) or (unit, "gauge")
+    air = _AIR / factor_to_si(plain, "Pa")
+    offset, other = (f"{air:.6g}", "absolute") if reference == "gauge" else (f"{-air:.6g}", "gauge")
+    return (
+        f'Write unit = "{plain}" into a map file (--map-file), and offset = "{offset} {plain}" if the crane file\'s '
+        f"pressures are {other} (supply.pressure_reference)"
+    )

@@ -4,7 +4,8 @@ channels disagree.
     for finding in vet(recording, crane):
         print(finding.severity, finding.text, finding.mend)
 
-What no crane can do is seen in single channels, from values that occur often (a single spike is not a wrong unit).
+What no crane can do is seen in single channels. Samples that were not measured at all (`signals.strays`: a glitch, a
+value that stands for none) are told first, and the rest is looked at without them: a single spike is no wrong unit.
 Whether a channel is another one, has another sign, unit, line of reference or clock is seen in the balances: it is
 found where they close far better with it read otherwise (`readings`, `clocks`), which no wear of a machine makes them
 do.
@@ -20,17 +21,19 @@ from typing import Literal
 import numpy as np
 
 from .channels import BEYOND, Channel
+from .channels import of as units_of
 from .clocks import Clock, clock_of, mended
-from .consistency import LONGEST, PLAY, Figures, Grid
+from .consistency import LONGEST, PLAY, Figures, Grid, travels
 from .crane import Crane
 from .errors import CraneError
 from .geometry import cylinder_lengths
-from .mapping import Column, map_text
+from .mapping import Column, keys_of
 from .readings import Reading, Weighed, mistaken
 from .recording import Recording
-from .signals import noise_std, quantisation, sampling_rate
+from .signals import USUAL_SENSOR, Stray, noise_std, quantisation, sampling_rate, strays
 from .statics import vapour_pressure
 from .tables import split_header
+from .units import factor_to_si, unit_of
 
 Severity = Literal["error", "warning", "note"]
 Kind = Literal["sign", "swapped", "absolute", "scale", "offset", "clock", "pose", "noise", "saturation", "motion"]
@@ -43,10 +46,16 @@ _LOW, _HIGH, _VACUUM = 0.1e5, BEYOND["Pa"], -0.5e5
 _LIKELY = {"rad": (0.01, math.pi), "m": (0.01, 10.0), "rad/s": (0.01, 2.0), "m/s": (0.001, 2.0)}
 #: samples a second between which sensors of a crane are read
 _SLOWEST_CLOCK, _FASTEST_CLOCK = 2.0, 2e5
+#: Pa above vapour pressure that not even a gauge set too low shows, by how many standard deviations of noise, and
+#: beside which a chamber may be empty
+_LOWEST, _UNLIKELY, _EMPTY = -1.5e5, 8.0, 1.2e5
+#: share of the noise's sum of squares that outliers add to be an error; outliers whose times are told
+_SPOILT, _TOLD = 0.1, 5
 #: how many poses are looked at, and the share of them beyond reach that is no longer an outlier
 _POSES, _SHARE = 400, 0.05
-#: logs by which another reading must be better to be told, and to be decisive
-_SEEN, _DECISIVE = 0.9, 1.4
+#: logs by which another reading must be better to be told, and to be decisive; how often readings and clock are looked
+#: for in turn
+_SEEN, _DECISIVE, _TURNS = 0.9, 1.4, 3
 #: s: motion before its command that no error of a model makes, delays that two valves have not, or hardly, and that no
 #: valve has
 _EARLY, _DELAYED, _LONG = 0.04, 0.1, 0.6
@@ -96,24 +105,34 @@ class Finding:
 
 def vet(recording: Recording, crane: Crane) -> list[Finding]:
     """Return what is implausible about a recording of a crane, worst first; empty for a sound one."""
-    found = contents(recording, crane)
-    mistaken = _disagreements(recording, crane)
+    measured, astray = _without_strays(recording, crane)
+    mistaken = _disagreements(measured, crane)
     told = {n for f in mistaken for n in f.channels}
     kept = [
-        f for f in found if not told.intersection(f.channels)
+        f for f in _looks(measured, crane) if not told.intersection(f.channels)
     ]  # what a channel is, says more than that it cannot be
-    return sorted([*mistaken, *kept], key=lambda f: _SEVERITIES.index(f.severity))
+    return worst_first([*astray, *mistaken, *kept])
 
 
 def contents(recording: Recording, crane: Crane) -> list[Finding]:
     """Return what cannot be true of single channels, or hardly, worst first; in well under a second."""
+    measured, astray = _without_strays(recording, crane)
+    return worst_first([*astray, *_looks(measured, crane)])
+
+
+def _looks(recording: Recording, crane: Crane) -> list[Finding]:
     looks = (_pressures, _supply, _motion, _lengths, _poses, _clock, _saturation, _steps, _noise, _start)
     found: list[Finding] = []
     for finding in (f for look in looks for f in look(recording, crane)):
         wrong = {n for f in found if f.severity == "error" for n in f.channels}
         if not wrong.intersection(finding.channels):  # one reason is enough
             found.append(finding)
-    return sorted(found, key=lambda f: _SEVERITIES.index(f.severity))
+    return found
+
+
+def worst_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings by their severity, those of one as they come."""
+    return sorted(findings, key=lambda f: _SEVERITIES.index(f.severity))
 
 
 def vetted(recording: Recording, crane: Crane) -> Recording:
@@ -158,28 +177,54 @@ def _disagreements(recording: Recording, crane: Crane) -> list[Finding]:
     grid = Grid.of(recording, crane)
     if grid is None:
         return []
-    machine = Figures(crane)
-    clock = clock_of(machine, grid)
-    if clock is not None:
-        found, _ = mistaken(machine, mended(grid, clock, crane.layout.commands), _SEEN)
-    else:  # pistons do not follow their commands at all before the channels are what they should be
-        found, grid = mistaken(machine, grid, _SEEN)
-        clock = clock_of(machine, grid)
-    columns = {n: recording.columns.get(n, Column(n)) for n in recording.channels}
+    machine, columns = Figures(crane), {n: recording.columns.get(n, Column(n)) for n in recording.channels}
+    found, clock = _readings(machine, grid)
+    chosen = [rivals[0].reading for rivals in found]
     return [
-        *(_of_reading(recording, crane, rivals, columns) for rivals in found),
+        *(_of_reading(recording, crane, rivals, chosen, columns) for rivals in found),
         *_of_clock(recording, crane, clock, columns),
+        *_of_dead_commands(recording, crane, travels(machine, _read(grid, found))),
     ]
 
 
-def _of_reading(recording: Recording, crane: Crane, rivals: list[Weighed], columns: dict[str, Column]) -> Finding:
-    """Return the finding of a reading, with those that would do as well; what its channels are read from is changed in
-    `columns`.
+def _readings(machine: Figures, grid: Grid) -> tuple[list[list[Weighed]], Clock | None]:
+    """Return the readings that a recording asks for, each with its rivals, and the clock of its commands.
+
+    Readings are weighed on the commands' own clock, and that is judged with the channels as they are read: pistons seem
+    to be far ahead of commands that are another's. So both are looked for in turn until they agree.
+    """
+    first = clock = clock_of(machine, grid)  # None: pistons do not follow commands before the channels are others
+    found: list[list[Weighed]] = []
+    for _ in range(_TURNS):
+        timed = grid if clock is None else mended(grid, clock, machine.layout.commands)
+        found, _ = mistaken(machine, timed, _SEEN)
+        if not found:
+            return [], first
+        before, clock = clock, clock_of(machine, _read(grid, found))
+        if clock is None or (before is not None and before.apart(clock, grid.time) < _EARLY):
+            break
+    return found, clock
+
+
+def _read(grid: Grid, found: list[list[Weighed]]) -> Grid:
+    """Return the channels as all that was found reads them."""
+    for rivals in found:
+        grid = rivals[0].reading.of(grid)
+    return grid
+
+
+def _of_reading(
+    recording: Recording, crane: Crane, rivals: list[Weighed], chosen: list[Reading], columns: dict[str, Column]
+) -> Finding:
+    """Return the finding of a reading, with those that would do as well and are not chosen, too; what its channels are
+    read from is changed in `columns`.
     """
     reading = rivals[0].reading
     (balance, of), before, after = rivals[0].best
     names = _recorded(recording, crane, reading.channels)
-    others = [w.reading for w in rivals[1:] if set(w.reading.channels) != set(reading.channels)][:2]
+    others = [
+        w.reading for w in rivals[1:] if set(w.reading.channels) != set(reading.channels) and w.reading not in chosen
+    ][:2]
     text = (
         f"{' and '.join(names)} agree{'s' * (len(names) == 1)} with the other channels only {reading.words}: "
         f"{_BALANCES[balance].format(of)} is then off by {after:.2g} instead of {before:.2g} (0: closes, 1: knows "
@@ -189,26 +234,36 @@ def _of_reading(recording: Recording, crane: Crane, rivals: list[Weighed], colum
         rival = [f"{' and '.join(_recorded(recording, crane, r.channels))} {r.words}" for r in others]
         text += f"; nearly as well {' or '.join(rival)}"
     severity: Severity = "error" if rivals[0].gain > _DECISIVE else "warning"
-    fix = _columns_of(reading, columns)
+    fix = _columns_of(crane, reading, columns)
     if not fix:
         mend = "Mend the valves' calibration in the crane file, or the columns of the voltages."
         return Finding(reading.kind, names, severity, text, mend)
-    mend = " Or: ".join(_typed(crane, c) for c in (fix, *(_columns_of(r, columns) for r in others)) if c)
+    tried = (fix, *(_columns_of(crane, r, columns) for r in others))
+    mend = " Or: ".join(_typed(crane, columns, c) for c in tried if c)
     columns |= fix
     return Finding(reading.kind, names, severity, text, mend, fix)
 
 
-def _columns_of(reading: Reading, columns: Mapping[str, Column]) -> dict[str, Column]:
+def _columns_of(crane: Crane, reading: Reading, columns: Mapping[str, Column]) -> dict[str, Column]:
     """Return what channels are read from under a reading; nothing where it is of commands that were recorded as
     voltages.
     """
     if any(s.channel not in columns for s in reading.made.values()):
         return {}
-    was = {name: columns[s.channel] for name, s in reading.made.items()}
-    return {
-        name: replace(was[name], factor=s.factor * was[name].factor, offset=s.factor * was[name].offset + s.offset)
-        for name, s in reading.made.items()
-    }
+    units = units_of(crane.layout)
+    return {name: _rescaled(columns[s.channel], s.factor, s.offset, units[name]) for name, s in reading.made.items()}
+
+
+def _rescaled(column: Column, factor: float, offset: float, si: str) -> Column:
+    """Return a column whose channel is a factor times what it was, and an offset in SI; in another unit, where the
+    factor is that of one.
+    """
+    same = column.unit is None or abs(factor) == 1.0
+    unit = None if same else unit_of(abs(factor) * factor_to_si(column.unit or "", si), si)
+    if unit is None:
+        return replace(column, factor=factor * column.factor, offset=factor * column.offset + offset)
+    turned = math.copysign(1.0, factor) * column.factor
+    return replace(column, unit=unit, factor=turned, offset=factor * column.offset + offset)
 
 
 _BALANCES = {
@@ -239,8 +294,8 @@ def _of_clock(
             f"ms a second, {abs(gone):.2g} s in all"
         )
         late = -float(np.nanmean(clock.late)) + 0.5 * gone
-        fix = {n: replace(columns[n], late=late, drift=-clock.drift) for n in names}
-        yield Finding("clock", names, "error", text, _typed(crane, fix), fix)
+        fix = _shifted(columns, names, late, -clock.drift)
+        yield Finding("clock", names, "error", text, _typed(crane, columns, fix), fix)
         return
     told = clock.late[~np.isnan(clock.late)]
     shift = float(told.min())  # a valve may delay, but nothing moves before its command
@@ -249,9 +304,31 @@ def _of_clock(
         words = "before they command it" if shift < 0.0 else "after they command it"
         severity: Severity = "error" if shift < -2.0 * _EARLY or shift > _LONG else "warning"
         text = f"{' and '.join(names)}: the machine moves {abs(shift):.2g} s {words}"
-        fix = {n: replace(columns[n], late=-shift) for n in names}
+        fix = _shifted(columns, names, -shift)
         delay = "" if shift < 0.0 else " Or the valves delay: see the effect command_delay."
-        yield Finding("clock", names, severity, text, _typed(crane, fix) + delay, fix)
+        yield Finding("clock", names, severity, text, _typed(crane, columns, fix) + delay, fix)
+
+
+def _shifted(columns: Mapping[str, Column], names: Iterable[str], late: float, drift: float = 0.0) -> dict[str, Column]:
+    """Return columns whose stamps come so much later after their events, and drift so much more, than they were said
+    to.
+    """
+    return {n: replace(columns[n], late=columns[n].late + late, drift=columns[n].drift + drift) for n in names}
+
+
+def _of_dead_commands(recording: Recording, crane: Crane, travelled: Mapping[str, float]) -> Iterator[Finding]:
+    """Find valves whose commands stay closed while their pistons move as no leakage lets them."""
+    commands = dict(zip(crane.layout.cylinders, crane.layout.commands, strict=True))
+    dead = tuple(dict.fromkeys(_recorded(recording, crane, (commands[c] for c in travelled))))
+    if dead:
+        ways = " and ".join(f"{1e3 * way:.3g} mm" for way in travelled.values())
+        several = len(dead) > 1
+        text = (
+            f"the {' and the '.join(travelled)} cylinder{'s' * several} move{'s' * (not several)} by {ways}, but "
+            f"{'their valves are' if several else 'its valve is'} never commanded: {' and '.join(dead)} "
+            f"{'are' if several else 'is'} dead (not connected, or not logged)"
+        )
+        yield Finding("motion", dead, "error", text, "Record the commands, or mend their columns.")
 
 
 def _recorded(recording: Recording, crane: Crane, names: Iterable[str]) -> tuple[str, ...]:
@@ -260,15 +337,95 @@ def _recorded(recording: Recording, crane: Crane, names: Iterable[str]) -> tuple
     return tuple(n if recording.has(n) else voltage.get(n, n) for n in names)
 
 
-def _typed(crane: Crane, columns: Mapping[str, Column]) -> str:
-    """Return what to type: options where they can say it, else the lines of a map file."""
-    if all(c.offset == c.late == c.drift == 0.0 and abs(c.factor) == 1.0 for c in columns.values()):
-        minus = {1.0: "", -1.0: "-"}
-        return (
-            f"Type {' '.join(f'--map {n}={minus[c.factor]}{split_header(c.header)[0]}' for n, c in columns.items())}."
+def _typed(crane: Crane, was: Mapping[str, Column], fix: Mapping[str, Column]) -> str:
+    """Return what to type: options where they can say it, else the keys of a map file that change."""
+    told = {n: _option(n, c, units_of(crane.layout)[n]) for n, c in fix.items()}
+    if all(told.values()):
+        return f"Type {' '.join(f'--map {option}' for option in told.values())}."
+    changed: dict[str, list[str]] = {}
+    for n, c in fix.items():
+        si = units_of(crane.layout)[n]
+        old, new = keys_of(was.get(n, Column(n)), si), keys_of(c, si)
+        changes = [f"{key} = {value}" for key, value in new.items() if old.get(key) != value]
+        changes += [f"no {key}" for key in old if key not in new]
+        changed.setdefault(" and ".join(changes), []).append(f"[{n}]")
+    lines = "; ".join(f"{changes} for {', '.join(names)}" for changes, names in changed.items())
+    return f"Let `patu check --write-map FILE` write a map file (for --map-file): {lines}."
+
+
+def _option(name: str, column: Column, si: str) -> str:
+    """Return what `--map` takes where it can say all of a column, else ""."""
+    header, written = split_header(column.header)
+    plain = column.offset == column.late == column.drift == 0.0 and abs(column.factor) == 1.0
+    if not plain or (written is not None and column.unit is not None and written != column.unit):
+        return ""
+    unit = f"[{column.unit}]" if written is None and column.unit and si else ""
+    return f"{name}={'-' if column.factor < 0.0 else ''}{header}{unit}"
+
+
+# -- samples that were not measured ----------------------------------------------------------------------------------
+
+
+def _without_strays(recording: Recording, crane: Crane) -> tuple[Recording, list[Finding]]:
+    """Return the recording without the samples that were not measured, and what is told of these."""
+    channels, found = dict(recording.channels), list[Finding]()
+    for name in (n for n in (*recording.sensors, *crane.layout.supply) if recording.has(n)):
+        channel, unit = recording[name], units_of(recording.layout)[name]
+        noise = noise_std(channel.values)
+        impossible = np.abs(channel.values) > BEYOND[unit]
+        if unit == "Pa":
+            impossible |= channel.values < vapour_pressure(crane) + _LOWEST - _UNLIKELY * noise
+        astray = strays(channel.time, channel.values, impossible, BEYOND.get(f"{unit}/s", math.inf), noise)
+        if astray:
+            gone = np.concatenate([np.arange(s.first, s.after) for s in astray])
+            channels[name] = Channel(np.delete(channel.time, gone), np.delete(channel.values, gone), channel.unit)
+            found += _of_fills(recording, crane, name, [s for s in astray if s.filled])
+            usual = max(noise, USUAL_SENSOR * float(np.subtract(*_usual(channels[name])[::-1])))
+            found += _of_outliers(recording, name, [s for s in astray if not s.filled], usual)
+    return (replace(recording, channels=channels), found) if found else (recording, [])
+
+
+def _of_fills(recording: Recording, crane: Crane, name: str, filled: list[Stray]) -> Iterator[Finding]:
+    """Find values that stand in a channel for none."""
+    counts: dict[float, int] = {}
+    for s in filled:
+        value = float(recording[name].values[s.first])
+        counts[value] = counts.get(value, 0) + s.after - s.first
+    for value, count in counts.items():
+        gauge = units_of(recording.layout)[name] == "Pa"
+        empty = gauge and abs(value - vapour_pressure(crane)) < _EMPTY  # where a gauge may be cut off
+        text = (
+            f"{count} samples of {name} are exactly {_as_written(recording, name, value)}, which looks like a fill "
+            'value for "no value"'
         )
-    lines = map_text(columns, crane.layout).split("\n")
-    return f"Write into a map file (--map-file): {'; '.join(lines).replace(';;', ';')}"
+        yield Finding("noise", (name,), "warning" if empty else "error", text, "Leave these fields empty.")
+
+
+def _of_outliers(recording: Recording, name: str, outliers: list[Stray], usual: float) -> Iterator[Finding]:
+    """Find samples that leap away and back; an error where they add clearly to what noise of `usual` leaves of a right
+    model.
+    """
+    if not outliers:
+        return
+    channel, worst = recording[name], max(outliers, key=lambda s: s.height)
+    count, when = sum(s.after - s.first for s in outliers), [f"{channel.time[s.first]:.6g}" for s in outliers]
+    more = f" and {len(when) - _TOLD} more" if len(when) > _TOLD else ""
+    beside = [channel.values[k] for k in (worst.first - 1, worst.after) if 0 <= k < len(channel)]
+    text = (
+        f"{name} has {count} outlier{'s' * (count > 1)} at t = {', '.join(when[:_TOLD])} s{more}: "
+        f"{_as_written(recording, name, channel.values[worst.first])} beside "
+        f"{' and '.join(_as_written(recording, name, v) for v in beside)}"
+    )
+    added = sum((s.after - s.first) * (s.height / usual) ** 2 for s in outliers)
+    severity: Severity = "error" if added > _SPOILT * len(channel) else "warning"
+    yield Finding("noise", (name,), severity, text, f"Leave {'these fields' if count > 1 else 'the field'} empty.")
+
+
+def _as_written(recording: Recording, name: str, value: float) -> str:
+    """Return a value in SI as it stands in the file, with its unit."""
+    column, si = recording.columns.get(name, Column(name)), units_of(recording.layout)[name]
+    unit = column.unit or si
+    return f"{(value - column.offset) / column.factor / factor_to_si(unit, si):.6g} {unit}"
 
 
 # -- one look each ---------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,25 +35,28 @@ def command(
     poses, noise.
 
     A channel is found to be something else where the crane's balances close far better with it read otherwise; leaks,
-    friction or another payload do not make them so. Exit status 1 where something is surely wrong.
+    friction or another payload do not make them so. What `patu compare` would refuse is told, too, and what was left
+    out while reading. Exit status 1 where something is surely wrong.
     """
     chosen = load_crane(crane, effects)
     from crane_exudyn.files import write_text
     from crane_exudyn.mapping import map_text
-    from crane_exudyn.vetting import mended_columns, vet
+    from crane_exudyn.vetting import mended_columns
+    from validation.fitness import examine
 
-    printer, told = Printer(json), list[dict[str, Any]]()
+    printer, told, notes = Printer(json), list[dict[str, Any]](), list[dict[str, str]]()
     columns: dict[str, Column] = {}
     for path in recordings:
         recording = load_recording(path, chosen, mapping, map_file)
-        findings = vet(recording, chosen)
-        tell(printer, path, findings)
+        findings = examine(recording, chosen)
+        tell(printer, path, findings, recording.notes)
+        notes += [{"recording": str(path), "text": note} for note in recording.notes]
         told += [document(path, f) for f in findings]
         columns = mended_columns(recording, findings) | columns
     with saving(printer) as save:
         text = map_text(columns, chosen.layout)
         save(write_map, lambda path: write_text(path, text), text)
-        save.json(json, {"findings": told, "crane": chosen.name})
+        save.json(json, {"findings": told, "notes": notes, "crane": chosen.name})
     if any(finding["severity"] == "error" for finding in told):
         raise typer.Exit(1)
 
@@ -65,10 +69,12 @@ def document(path: Path, finding: Finding) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def tell(printer: Printer, path: Path, findings: list[Finding]) -> None:
-    """Print the findings of a recording, worst first."""
-    if not findings:
-        printer.line(f"{path}: nothing to complain of.")
+def tell(printer: Printer, path: Path, findings: list[Finding], notes: Sequence[str]) -> None:
+    """Print the findings of a recording, worst first, and what was left out of its file."""
     for finding in findings:
         printer.line(f"{path}: {finding.severity}: {finding.text}.")
         printer.line(f"  {finding.mend}")
+    for note in (n for n in notes if not any(n in f.mend for f in findings)):
+        printer.line(f"{path}: note: {note}{'' if note.endswith('?') else '.'}")
+    if not findings:
+        printer.line(f"{path}: nothing to complain of.")

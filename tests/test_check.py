@@ -16,13 +16,17 @@ import pytest
 from crane_exudyn.channels import Channel
 from crane_exudyn.consistency import Figures, Grid, Misfit, motions
 from crane_exudyn.crane import Crane
-from crane_exudyn.mapping import load_map
+from crane_exudyn.errors import CraneError
+from crane_exudyn.formats import write_table
+from crane_exudyn.mapping import Column, load_map
 from crane_exudyn.readings import Reading, Source, Weighed
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import simulate
 from crane_exudyn.vetting import Finding, mended_columns, vet
 from patu.reading import load_checked
+from validation.fitness import check_recording, examine
 from validation.loggers import Mistake, mistakes
+from validation.sample import with_the_package
 
 DATA = Path(__file__).parent / "data"
 CRANE = Crane.load("patu655")
@@ -119,6 +123,113 @@ def test_a_machine_that_nobody_can_explain_is_not_explained() -> None:
     ] == []
 
 
+def changed(recording: Recording, **changes: np.ndarray) -> Recording:
+    """Return the recording with other values in some channels."""
+    other = {n: replace(recording[n], values=v) for n, v in changes.items()}
+    return replace(recording, channels={**recording.channels, **other})
+
+
+def test_the_clock_is_judged_with_the_commands_that_are_meant(tmp_path: Path) -> None:
+    """Pistons seem to move seconds before the commands of the other valve."""
+    clean, _ = with_the_package()
+    changed(clean, u1=clean["u2"].values, u2=clean["u1"].values).save(tmp_path / "wrong.csv")
+    findings = vet(wrong := Recording.load(tmp_path / "wrong.csv"), CRANE)
+    assert [(f.kind, f.mend) for f in findings] == [("swapped", "Type --map u1=u2 --map u2=u1.")]
+    assert vet(Recording.load(tmp_path / "wrong.csv", mended_columns(wrong, findings)), CRANE) == []
+
+
+def test_commands_that_are_exchanged_and_late_are_both_told(tmp_path: Path) -> None:
+    clean, _ = with_the_package()
+    late = {n: replace(clean[m], time=clean[m].time + 0.3) for n, m in (("u1", "u2"), ("u2", "u1"))}
+    replace(clean, channels={**clean.channels, **late}).save(tmp_path / "wrong.csv")
+    findings = vet(wrong := Recording.load(tmp_path / "wrong.csv"), CRANE)
+    assert {f.kind for f in findings} == {"swapped", "clock"}
+    assert any('late = "0.3 s" for [u1], [u2]' in f.mend for f in findings)
+    assert vet(Recording.load(tmp_path / "wrong.csv", mended_columns(wrong, findings)), CRANE) == []
+
+
+def test_a_clock_that_a_map_file_mends_in_part_is_mended_by_the_rest(tmp_path: Path) -> None:
+    clean, _ = with_the_package()
+    late = {n: replace(clean[n], time=clean[n].time + 0.3) for n in ("u1", "u2")}
+    replace(clean, channels={**clean.channels, **late}).save(tmp_path / "late.csv")
+    partly = Recording.load(tmp_path / "late.csv", {n: Column(n, late=0.1) for n in late})
+    (found,) = vet(partly, CRANE)
+    assert found.columns["u1"].late == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_mend_that_is_found_as_well_is_no_alternative() -> None:
+    clean, _ = with_the_package()
+    findings = vet(changed(clean, u1=-clean["u1"].values, u2=-clean["u2"].values), CRANE)
+    assert {f.mend.split("=")[0] for f in findings} == {"Type --map u1", "Type --map u2"}
+    assert not any(" Or: " in f.mend or "nearly as well" in f.text for f in findings)
+
+
+def test_commands_that_are_dead_while_the_machine_moves_are_told() -> None:
+    both = vet(changed(sound(), u1=0.0 * sound()["u1"].values, u2=0.0 * sound()["u2"].values), CRANE)
+    assert [(f.kind, f.channels, f.severity) for f in both] == [("motion", ("u1", "u2"), "error")]
+    assert "never commanded: u1 and u2 are dead" in both[0].text
+    one = vet(changed(sound(), u1=0.0 * sound()["u1"].values), CRANE)
+    assert ("motion", ("u1",), "error") in [(f.kind, f.channels, f.severity) for f in one]
+
+
+def test_a_boom_that_sinks_behind_a_closed_valve_is_no_dead_command() -> None:
+    worn = CRANE.with_effect("internal_leakage@lift", {"k": 3e-12}).with_effect("external_leakage@p1", {"k": 2e-12})
+    sunk = driven(worn, np.zeros(2000), pulse(2.0, 6.0, 0.2, 20.0), "z1", "z4", "p1", "p2", "p3", "p4")
+    assert np.ptp(sunk["z1"].values) > np.radians(3.0)
+    assert [f for f in vet(sunk, CRANE) if f.kind == "motion"] == []
+
+
+@pytest.mark.parametrize(
+    ("values", "factor", "mend"),
+    [
+        ("z1[rad]", np.degrees(1.0), 'unit = "deg" for [z1]'),
+        ("z4[rad]", np.degrees(1.0), 'unit = "deg" for [z4]'),
+        ("p1[bar]", 1.45037738e-4, 'unit = "psi" for [p1]'),
+        ("p1[bar]", 1e-4, "scale = 0.1 for [p1]"),
+    ],
+)
+def test_a_mend_is_written_as_a_map_file_has_it(values: str, factor: float, mend: str, tmp_path: Path) -> None:
+    clean, _ = with_the_package()
+    time, columns = clean.aligned()
+    name = values.partition("[")[0]
+    table = {"time[s]": time}
+    for n, column in zip(clean.channels, columns.T, strict=True):
+        table[values if n == name else f"{n}[{clean[n].unit or '-'}]"] = factor * column if n == name else column
+    write_table(tmp_path / "wrong.csv", table)
+    first, *more = vet(Recording.load(tmp_path / "wrong.csv"), CRANE)
+    assert mend in first.mend and "--write-map" in first.mend and more == []
+
+
+# -- what no comparison takes, told beforehand -----------------------------------------------------------------------
+
+
+def unusable() -> dict[str, Recording]:
+    clean, _ = with_the_package()
+    return {
+        "u1 and u2 missing": clean.select(clean.sensors),
+        "found 0 sensor channels": clean.select(["u1", "u2"]),
+        "at least 1 s is needed": clean.window(0.0, 0.5),
+        "sensor p4 stands exactly at its largest value": changed(clean, p4=0.0 * clean["p4"].values),
+        "every sensor": changed(clean, **{n: 0.0 * clean[n].values for n in clean.sensors}),
+    }
+
+
+@pytest.mark.parametrize("words", unusable())
+def test_check_says_what_a_comparison_would(words: str) -> None:
+    recording = unusable()[words]
+    told = [f"{f.text}. {f.mend}" for f in examine(recording, CRANE) if f.severity == "error"]
+    assert sum(words in text for text in told) == 1
+    with pytest.raises(CraneError) as refused:
+        check_recording(recording, CRANE)
+    assert any(text in str(refused.value) for text in told)
+
+
+def test_what_only_a_diagnosis_refuses_is_a_note() -> None:
+    clean, _ = with_the_package()
+    (found,) = examine(clean.select(["u1", "u2", "p1"]), CRANE)
+    assert found.severity == "note" and "`patu diagnose` will refuse it: found 1 sensor channels (p1)" in found.text
+
+
 # -- the command -----------------------------------------------------------------------------------------------------
 
 
@@ -163,6 +274,27 @@ def test_anyway_goes_on_and_tells(wrong: Path, capsys: pytest.CaptureFixture[str
     told = capsys.readouterr().err
     assert measured.vouched and "p3 and p4" in told and "Type --map p3=p4" in told
     assert any("p3 and p4" in note for note in measured.notes)
+
+
+def test_check_notes_what_was_left_out_of_the_file(patu: Callable[..., SimpleNamespace], tmp_path: Path) -> None:
+    clean, _ = with_the_package()
+    time, columns = clean.aligned()
+    time = np.where(np.arange(len(time)) // 100 == 10, time[1000], time)
+    table = {"time[s]": time} | {
+        f"{n}[{clean[n].unit or '-'}]": c for n, c in zip(clean.channels, columns.T, strict=True)
+    }
+    write_table(tmp_path / "log.csv", table | {"p2[Pa]": np.full(len(time), np.nan), "temp": np.full(len(time), 40.0)})
+    done = patu("check", str(tmp_path / "log.csv"), "--json", "-")
+    assert done.status == 0 and json.loads(done.out)["findings"] == []
+    notes = [note["text"] for note in json.loads(done.out)["notes"]]
+    assert [n for n in notes if "u1 is missing" not in n and "u2 is missing" not in n] == [
+        "column 'temp' was ignored",
+        "channel p2 has no sample",
+        "channels u1, u2, z1, z4, p1, p3, p4: 99 samples whose time stands there already are left out, where the clock "
+        "stands at 5 s",
+    ]
+    said = patu("check", str(tmp_path / "log.csv")).out
+    assert "log.csv: note: column 'temp' was ignored.\n" in said and "log.csv: nothing to complain of." in said
 
 
 def test_samples_are_what_they_say(patu: Callable[..., SimpleNamespace], tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from scipy.io import loadmat, savemat
 
 from crane_exudyn.errors import CraneError
 from crane_exudyn.formats import write_table
+from crane_exudyn.mapping import Column
 from crane_exudyn.recording import Recording
 
 SLOW, FAST = np.arange(6) * 0.05, np.arange(21) * 0.0125
@@ -374,3 +375,108 @@ def test_a_text_file_is_the_same_in_pieces(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "bad.csv").write_text((tmp_path / "run.csv").read_text().replace("\n4.5,", "\nfour,"), encoding="utf-8")
     monkeypatch.setattr("crane_exudyn.tables._PIECE", 1000)
     assert "line 452" in _refused(tmp_path / "bad.csv")
+
+
+# -- dates and times of day in text files ----------------------------------------------------------------------------
+
+ISO = [f"2024-03-01 23:59:59.{k:03d}" for k in range(995, 1000)] + ["2024-03-02 00:00:00", "2024-03-02 00:00:00.001"]
+
+
+def logged(folder: Path, stamps: list[str], header: str = "time", separator: str = ",") -> Path:
+    rows = [separator.join([header, "z1[deg]"]), *(f"{s}{separator}{k}" for k, s in enumerate(stamps))]
+    (folder / "log.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return folder / "log.csv"
+
+
+@pytest.mark.parametrize(
+    ("stamps", "steps"),
+    [
+        (ISO, 0.001),
+        ([s.replace(" ", "T") + "+01:00" for s in ISO], 0.001),
+        (["10:59:59.9", "11:00:00.0", "11:00:00.1", "11:00:00.2"], 0.1),
+        (["23:59:59", "24:00:00", "24:00:01"], 1.0),
+    ],
+)
+@pytest.mark.parametrize("header", ["time", "time[s]", "time[hh:mm:ss]"])
+def test_dates_and_times_of_day_are_seconds_from_the_first(
+    tmp_path: Path, stamps: list[str], steps: float, header: str
+) -> None:
+    recording = Recording.load(logged(tmp_path, stamps, header))
+    np.testing.assert_allclose(recording["z1"].time, steps * np.arange(len(stamps)), rtol=0, atol=1e-9)
+    assert f"column 'time' counts from {stamps[0]}" in recording.notes
+
+
+def test_times_of_day_with_decimal_commas_and_another_name(tmp_path: Path) -> None:
+    file = logged(tmp_path, ["10:00:00,000", "10:00:00,005", "10:00:00,010"], "Uhrzeit", ";")
+    np.testing.assert_allclose(Recording.load(file, {"time": "Uhrzeit"})["z1"].time, [0.0, 0.005, 0.01], atol=1e-9)
+    np.testing.assert_allclose(Recording.load(file, {"time": "Uhrzeit[s]"})["z1"].time, [0.0, 0.005, 0.01], atol=1e-9)
+
+
+def test_a_column_of_dates_that_is_none_of_the_channels_is_ignored(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("date,time[s],z1[deg]\n2024-03-01,0,1\n2024-03-01,1,2\n", encoding="utf-8")
+    recording = Recording.load(tmp_path / "log.csv")
+    assert len(recording["z1"]) == 2 and "column 'date' was ignored" in recording.notes
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (
+            ["01.03.2024 10:00:00", "01.03.2024 10:00:01"],
+            "line 2, column time: found '01.03.2024 10:00:00'.*export sec",
+        ),
+        (["10:00", "10:01"], "looks like a date or a time: export seconds"),
+        (["10:00:00", "10:00:01", "11.5"], "line 4, column time: found '11.5', expected a time such as 10:00:00"),
+        (["2024-03-01 10:00:00", "2024-03-01 10:00:00+01:00"], "line 3.*expected a time such as 2024-03-01 10:00:00"),
+        (["2024-03-01 10:00:00", "2024-13-01 10:00:00"], "line 3.*'2024-13-01 10:00:00'"),
+        (["10:00:01", "10:00:00"], "line 3.*goes back"),
+    ],
+)
+def test_other_dates_are_refused_with_what_would_be_read(tmp_path: Path, stamps: list[str], words: str) -> None:
+    assert re.search(words, _refused(logged(tmp_path, stamps)))
+
+
+# -- units of a file's columns ---------------------------------------------------------------------------------------
+
+
+def test_all_columns_without_a_unit_are_told_at_once(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time,u1,z1,p1[bar],p2\n0,0,1,2,3\n1,0,1,2,3\n", encoding="utf-8")
+    said = _refused(tmp_path / "log.csv")
+    assert "columns time, z1, p2: no unit is given" in said
+    assert "time[s], z1[deg], p2[bar], or give --map time=time[s] --map z1=z1[deg] --map p2=p2[bar]." in said
+
+
+def test_gauge_pressures_are_told_with_what_a_map_file_says_of_them(tmp_path: Path) -> None:
+    text = "time[s],z1[deg],p1[barg],p2[barg]\n0,1,9,2\n1,1,9,3\n"
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    said = _refused(tmp_path / "log.csv")
+    assert "p1, p2 in [barg]" in said and "below [p1] and again below [p2]" in said
+    assert 'unit = "bar"' in said and 'offset = "1.01325 bar" if the crane file\'s pressures are absolute' in said
+    with pytest.raises(CraneError, match=r'says \[barg\], --map says \[bar\]. Write unit = "bar".*offset'):
+        Recording.load(tmp_path / "log.csv", {"p1": "p1[bar]", "p2": "p2[bar]"})
+    mended = {n: Column(n, "bar", offset=101325.0) for n in ("p1", "p2")}
+    np.testing.assert_allclose(Recording.load(tmp_path / "log.csv", mended)["p1"].values, 9e5 + 101325.0)
+
+
+def test_a_unit_that_contradicts_the_files_is_told_with_what_overrules_it(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time[s],z1[rad]\n0,10\n1,20\n", encoding="utf-8")
+    with pytest.raises(CraneError, match=r'the file says \[rad\], --map says \[deg\].*unit = "deg" into a map file'):
+        Recording.load(tmp_path / "log.csv", {"z1": "z1[deg]"})
+    overruled = Recording.load(tmp_path / "log.csv", {"z1": Column("z1", "deg")})
+    np.testing.assert_allclose(overruled["z1"].values, np.radians([10, 20]))
+
+
+@pytest.mark.parametrize("count", [9, 30])
+def test_a_list_of_columns_says_where_it_goes_on(tmp_path: Path, count: int) -> None:
+    names = [f"c{k}[bar]" for k in range(count)]
+    (tmp_path / "log.csv").write_text(",".join(names) + "\n" + (",".join("1" * count) + "\n") * 2, encoding="utf-8")
+    said = _refused(tmp_path / "log.csv")
+    assert ("c8[bar]. Expected" if count == 9 else "c11[bar], …. Expected") in said
+
+
+def test_a_clock_that_stands_still_is_one_note(tmp_path: Path) -> None:
+    rows = [f"{min(k, 50) if k < 55 else k},{k},{k}" for k in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(["time[s],z1[deg],z4[deg]", *rows]) + "\n", encoding="utf-8")
+    assert Recording.load(tmp_path / "log.csv").notes == (
+        "channels z1, z4: 4 samples whose time stands there already are left out, where the clock stands at 50 s",
+    )

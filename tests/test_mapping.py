@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
-from crane_exudyn.mapping import Column, load_map, map_text
+from crane_exudyn.mapping import Column, keys_of, load_map, map_text
 from crane_exudyn.recording import Recording
 
 LAYOUT = Crane.load("patu655").layout
@@ -56,6 +57,16 @@ def test_a_recordings_columns_are_a_map_file_of_it(logged: Path) -> None:
     for name, channel in recording.channels.items():
         assert again[name].values == pytest.approx(channel.values, abs=1e-9)
         assert again[name].time == pytest.approx(channel.time)
+
+
+def test_offsets_are_written_in_the_units_that_people_use() -> None:
+    columns = {"z1": Column("Boom", "deg", -1.0, math.pi / 2), "p1": Column("P", "psi", offset=101325.0)}
+    text = map_text(columns, LAYOUT)
+    assert text.splitlines()[:4] == ["[z1]", 'column = "Boom"', 'unit = "deg"', "sign = -1"]
+    assert 'offset = "90 deg"' in text and 'offset = "1.01325 bar"' in text
+    assert keys_of(Column("V1", "%", 0.1, late=0.05), "") == {
+        "column": '"V1"', "unit": '"%"', "scale": "0.1", "late": '"0.05 s"',
+    }  # fmt: skip
 
 
 def test_a_minus_turns_the_sign(logged: Path) -> None:

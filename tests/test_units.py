@@ -12,7 +12,7 @@ import pytest
 
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
-from crane_exudyn.units import factor_to_si, to_si
+from crane_exudyn.units import factor_to_si, reference_of, to_si, unit_of
 
 
 @pytest.mark.parametrize(
@@ -93,3 +93,37 @@ def test_a_column_in_grad_is_no_giga_radian(tmp_path: Path) -> None:
     file.write_text("time[s],z1[Grad]\n0,1\n1,2\n", encoding="utf-8")
     with pytest.raises(CraneError, match=r"lift.csv, column z1\[Grad\].*deg"):
         Recording.load(file)
+
+
+@pytest.mark.parametrize(
+    ("unit", "plain", "reference"),
+    [
+        ("barg", "bar", "gauge"),
+        ("bar(g)", "bar", "gauge"),
+        ("bar_g", "bar", "gauge"),
+        ("barü", "bar", "gauge"),
+        ("psig", "psi", "gauge"),
+        ("MPa gauge", "MPa", "gauge"),
+        ("bara", "bar", "absolute"),
+        ("kPa(abs)", "kPa", "absolute"),
+        ("psia", "psi", "absolute"),
+    ],
+)
+def test_units_of_gauge_and_of_absolute_pressures_are_told_from_the_plain_one(
+    unit: str, plain: str, reference: str
+) -> None:
+    assert reference_of(unit) == (plain, reference)
+    with pytest.raises(CraneError, match=rf'unit = "{plain}".*offset = "-?[\d.]+ {plain}"'):
+        factor_to_si(unit, "Pa")
+
+
+@pytest.mark.parametrize(
+    "unit", ["Pa", "kPa", "hPa", "bar", "mbar", "psi", "mmHg", "inHg", "atm", "torr", "g", "a", "P"]
+)
+def test_units_that_only_end_so_are_none_of_those(unit: str) -> None:
+    assert reference_of(unit) is None
+
+
+def test_a_factor_that_is_that_of_a_usual_unit() -> None:
+    assert unit_of(math.pi / 180, "rad") == "deg" and unit_of(0.0689475729 * 1e5, "Pa") == "psi"
+    assert unit_of(0.01, "") == "%" and unit_of(1e4, "Pa") is None

@@ -84,7 +84,84 @@ def test_gauge_pressures_of_a_crane_that_has_them_may_be_below_zero() -> None:
 def test_spikes_are_no_units() -> None:
     z1 = of(5 * DEG, 20 * DEG)
     z1[::300] = 1e4
-    assert contents(recorded(z1=z1), Crane.load("patu655")) == []
+    (found,) = contents(recorded(z1=z1), Crane.load("patu655"))
+    assert (found.kind, found.channels, found.severity) == ("noise", ("z1",), "error")
+    assert "7 samples of z1 are exactly 10000 rad" in found.text and found.mend == "Leave these fields empty."
+
+
+# -- samples that were not measured ----------------------------------------------------------------------------------
+
+
+def noisy(middle: float, std: float = 0.3 * BAR, n: int = 2000) -> np.ndarray:
+    return of(10 * BAR, middle, n) + std * np.random.default_rng(3).standard_normal(n)
+
+
+@pytest.mark.parametrize("value", [9999 * BAR, 0.0, -999 * BAR])
+def test_one_sample_that_no_machine_can_show_is_told_with_its_time(value: float) -> None:
+    p1 = noisy(60 * BAR)
+    p1[500] = value
+    (found,) = contents(recorded(p1=p1), Crane.load("patu655"))
+    assert (found.kind, found.channels, found.severity) == ("noise", ("p1",), "error")
+    assert "p1 has 1 outlier at t = 2.5 s" in found.text and found.mend == "Leave the field empty."
+
+
+def test_many_outliers_are_one_finding() -> None:
+    p1 = noisy(60 * BAR)
+    p1[100::200] += np.linspace(20, 90, 10) * BAR
+    (found,) = contents(recorded(p1=p1), Crane.load("patu655"))
+    assert "p1 has 10 outliers at t = 0.5, 1.5, 2.5, 3.5, 4.5 s and 5 more" in found.text
+    assert "Leave these fields empty." in found.mend
+
+
+@pytest.mark.parametrize(("value", "severity"), [(-999 * BAR, "error"), (9999 * BAR, "error"), (0.0, "warning")])
+def test_a_value_that_stands_for_none_is_told_with_how_often(value: float, severity: str) -> None:
+    """Zero may also be a gauge that is cut off above an empty chamber."""
+    p1 = noisy(60 * BAR)
+    p1[800:1101] = p1[1500:1520] = value
+    (found,) = contents(recorded(p1=p1), Crane.load("patu655"))
+    assert (found.kind, found.channels, found.severity) == ("noise", ("p1",), severity)
+    assert f"321 samples of p1 are exactly {value:.6g} Pa" in found.text and "fill value" in found.text
+
+
+def test_a_loose_contact_is_told_though_its_dropouts_stand_close() -> None:
+    p1 = noisy(60 * BAR)
+    p1[800:830:2] = 0.0
+    (found,) = contents(recorded(p1=p1), Crane.load("patu655"))
+    assert "15 samples of p1 are exactly 0 Pa" in found.text
+
+
+def test_an_angle_that_begins_with_zeros_leaps_faster_than_any_boom() -> None:
+    z1 = of(5 * DEG, 30 * DEG) + 1e-3 * np.random.default_rng(2).standard_normal(2000)
+    z1[:40] = 0.0
+    (found,) = contents(recorded(z1=z1), Crane.load("patu655"))
+    assert found.severity == "error" and "40 samples of z1 are exactly 0 rad" in found.text
+
+
+def _after(instant: float) -> np.ndarray:
+    return np.maximum(0.005 * np.arange(2000) - instant, 0.0)
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        np.where(_after(2.0) > 0, 60.0, 0.0),  # a valve that opens at once
+        np.where((_after(2.0) > 0) & (_after(2.0) < 0.02), 60.0, 0.0),  # a peak of four samples
+        60.0 * np.exp(-_after(2.0) / 0.01) * (_after(2.0) > 0),  # a shock that dies out
+        60.0 * np.exp(-_after(2.0)) * np.sin(500 * _after(2.0)),  # a ring that the samples hardly follow
+        np.where((_after(2.0) > 0) & (_after(2.0) <= 0.005), 90.0, np.where(_after(2.0) > 0, 60.0, 0.0)),  # an end stop
+    ],
+    ids=["step", "peak", "shock", "ring", "stop"],
+)
+@pytest.mark.parametrize("std", [0.3 * BAR, 0.0])
+def test_fast_events_are_no_outliers(event: np.ndarray, std: float) -> None:
+    found = contents(recorded(p1=noisy(60 * BAR, std) + event * BAR), Crane.load("patu655"))
+    assert not any("outlier" in f.text or "fill value" in f.text for f in found), found
+
+
+def test_a_recording_of_ten_samples_a_second_may_leap() -> None:
+    p1 = noisy(60 * BAR)
+    p1[500] += 60 * BAR
+    assert contents(recorded(step=0.1, p1=p1), Crane.load("patu655")) == []
 
 
 def test_ten_minutes_are_vetted_in_seconds() -> None:

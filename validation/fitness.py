@@ -1,8 +1,11 @@
-"""Whether a recording can bear what is asked of it: the checks that come before any comparison or diagnosis."""
+"""Whether a recording can bear what is asked of it: the checks that come before any comparison or diagnosis, and all
+that `patu check` tells.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Literal
 
@@ -13,12 +16,14 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
-from crane_exudyn.vetting import OPEN, vetted
+from crane_exudyn.vetting import OPEN, Finding, accepted, vet, vetted, worst_first
 
 Purpose = Literal["compare", "diagnose"]
 
 #: shortest recording, s; a spool alone needs a tenth of that to open
 SHORTEST = 1.0
+#: samples of a channel that are too few
+_FEWEST = 10
 #: a channel that stands at its extreme for more than this share of the time is saturated
 _STUCK_SHARE = 0.5
 #: seconds of closed valves in which slow errors of a sensor are looked for, and by how much they must exceed its white
@@ -28,38 +33,65 @@ _REST, _WAVERS = 0.25, 1.5
 _STUCK_SECONDS = 0.3
 
 
+def examine(recording: Recording, crane: Crane) -> list[Finding]:
+    """Return all that speaks against a recording, worst first: what is implausible about it (`crane_exudyn.vetting`),
+    what no comparison takes, and as notes what is left out of one and what no diagnosis takes.
+    """
+    found = vet(recording, crane)
+    wrong = _blamed(found)
+    found += [f for f in unfit(recording, crane) if not wrong.intersection(f.channels)]
+    cut_off = _blamed(f for f in found if f.kind == "saturation")
+    found = [f for f in found if f.severity == "error" or f.kind != "saturation" or not cut_off & set(f.channels)]
+    if not _blamed(found):
+        found += [
+            replace(f, severity="note", text=f"`patu diagnose` will refuse it: {f.text}")
+            for f in unfit(recording, crane, "diagnose")
+        ]
+        mend = "Check that it was connected."
+        found += [Finding("saturation", (n,), "note", _left_out(n), mend) for n in _constant(recording)]
+    return worst_first(found)
+
+
+def _blamed(found: Iterable[Finding]) -> set[str]:
+    """Return the channels of findings that are errors."""
+    return {n for f in found if f.severity == "error" for n in f.channels}
+
+
+def unfit(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> list[Finding]:
+    """Return what forbids to use a recording, all of it errors; empty for one that can be used.
+
+    Of any purpose: no commands, no sensor, shorter than 1 s, sensors that overlap with the commands for less than that,
+    all sensors constant, a saturated sensor. Of "diagnose" also: a single sensor, and a crane that never moves.
+    """
+    lacking = _lacking(recording, crane, purpose)
+    if lacking is not None:
+        return [lacking]
+    time, commands = recording.commands(crane)
+    found = [*_short(recording, time), *_dead(recording)]
+    for name in recording.sensors if not found else ():
+        found += _saturated(name, recording[name], time, commands[:, crane.layout.sensors[name].cylinder])
+    if purpose == "diagnose" and not _moves(recording, crane, commands):
+        text = f"nothing moves: no valve is opened by more than {OPEN:g} and no angle leaves its noise"
+        mend = "A diagnosis needs motion; record a run in which every cylinder extends and retracts."
+        found.append(Finding("motion", crane.layout.coordinates, "error", text, mend))
+    return found
+
+
 def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> list[str]:
     """Return notes on a recording (one sentence each); what cannot be used at all is refused with the reason.
 
-    Refused for any purpose: contents that cannot be true (`crane_exudyn.vetting`), no commands, no sensor, shorter than
-    1 s, sensors that overlap with the commands for less than that, all sensors constant, a saturated sensor. Refused
-    for "diagnose" also: a single sensor, and a crane that never moves.
+    Refused are contents that cannot be true (`crane_exudyn.vetting`), and what is `unfit` for the purpose.
 
     Raises:
         CraneError: what is wrong with the recording, and how to mend it.
     """
-    recording = vetted(recording.require(commands=True, sensors=2 if purpose == "diagnose" else 1), crane)
+    lacking = _lacking(recording, crane, purpose)
+    accepted(recording, [] if lacking is None else [lacking])
+    recording = vetted(recording, crane)
+    accepted(recording, unfit(recording, crane, purpose))
     time, commands = recording.commands(crane)
-    _refuse_short(recording, time)
-    constant = [name for name in recording.sensors if _is_constant(recording[name])]
-    where = recording.source or recording.name
-    if len(constant) == len(recording.sensors):
-        raise CraneError(
-            f"{where}: every sensor ({', '.join(constant)}) shows one value from beginning to end, so there is nothing "
-            "to compare. "
-            "Check that the sensors were connected and the logger was running."
-        )
-    for name in recording.sensors:
-        command = commands[:, crane.layout.sensors[name].cylinder]
-        _refuse_saturated(where, name, recording[name], time, command)
-    moves = _moves(recording, crane, commands)
-    if purpose == "diagnose" and not moves:
-        raise CraneError(
-            f"{where}: nothing moves: no valve is opened by more than {OPEN:g} and no angle leaves its noise. A "
-            "diagnosis needs "
-            "motion; record a run in which every cylinder extends and retracts."
-        )
-    notes = _notes(recording, crane, time, commands, constant, moves)
+    constant = _constant(recording)
+    notes = _notes(recording, crane, time, commands, constant, _moves(recording, crane, commands))
     return notes + _wavering(recording, crane, time, commands, constant)
 
 
@@ -115,53 +147,84 @@ def usable(recording: Recording) -> Recording:
     """Return the recording without sensors that show one value throughout: they have no noise to be measured
     against.
     """
-    dead = {name for name in recording.sensors if _is_constant(recording[name])}
+    dead = _constant(recording)
     return recording.select([n for n in recording.channels if n not in dead]) if dead else recording
 
 
-def _refuse_short(recording: Recording, command_time: np.ndarray) -> None:
+def _lacking(recording: Recording, crane: Crane, purpose: Purpose) -> Finding | None:
+    """Return which channels are missing, None where none is: nothing tells then what moves the machine, or whether it
+    does.
+    """
+    where, lay = recording.source or recording.name, crane.layout
+    try:
+        recording.require(commands=True, sensors=2 if purpose == "diagnose" else 1).commands(crane)
+    except CraneError as problem:
+        text, _, mend = str(problem).removeprefix(f"{where}: ").partition(". ")
+        sets = (lay.commands, lay.voltages)
+        driven = any(recording.has(*names) for names in sets)
+        missing = tuple(n for n in max(sets, key=lambda s: sum(map(recording.has, s))) if not recording.has(n))
+        return Finding("motion", recording.sensors or lay.coordinates if driven else missing, "error", text, mend)
+    return None
+
+
+def _short(recording: Recording, command_time: np.ndarray) -> Iterator[Finding]:
+    """Find a recording that is too short, commands on another clock, and channels of a few samples."""
     first = min(recording[n].time[0] for n in recording.sensors)
     last = max(recording[n].time[-1] for n in recording.sensors)
-    where = recording.source or recording.name
     if last - first < SHORTEST:
-        raise CraneError(
-            f"{where}: the sensors cover {last - first:.3g} s; at least {SHORTEST:g} s is needed. Record a longer run."
-        )
+        text = f"the sensors cover {last - first:.3g} s; at least {SHORTEST:g} s is needed"
+        yield Finding("clock", ("time",), "error", text, "Record a longer run.")
+        return
     common = min(last, command_time[-1]) - max(first, command_time[0])
     if common < SHORTEST:
-        raise CraneError(
-            f"{where}: commands cover {command_time[0]:g} … {command_time[-1]:g} s and sensors {first:g} … {last:g} s: "
-            f"only {max(common, 0.0):.3g} s in common, at least {SHORTEST:g} s is needed. Check the clocks."
+        text = (
+            f"commands cover {command_time[0]:g} … {command_time[-1]:g} s and sensors {first:g} … {last:g} s: "
+            f"only {max(common, 0.0):.3g} s in common, at least {SHORTEST:g} s is needed"
         )
-    few = next((n for n in recording.sensors if len(recording[n]) < 10), None)
-    if few is not None:
-        raise CraneError(
-            f"{where}: channel {few} has only {len(recording[few])} samples; at least 10 are needed. Leave it out, or "
-            "sample faster."
-        )
+        yield Finding("clock", ("time",), "error", text, "Check the clocks.")
+    for n in (n for n in recording.sensors if len(recording[n]) < _FEWEST):
+        text = f"channel {n} has only {len(recording[n])} samples; at least {_FEWEST} are needed"
+        yield Finding("clock", (n,), "error", text, "Leave it out, or sample faster.")
+
+
+def _constant(recording: Recording) -> list[str]:
+    """Return the sensors that show one value throughout."""
+    return [name for name in recording.sensors if _is_constant(recording[name])]
 
 
 def _is_constant(channel: Channel) -> bool:
     return bool(np.ptp(channel.values) <= 1e-9 * max(float(np.max(np.abs(channel.values))), 1e-9))
 
 
-def _refuse_saturated(where: str, name: str, channel: Channel, time: np.ndarray, command: np.ndarray) -> None:
-    """Refuse a channel that sits exactly at its largest or smallest value most of the time, also while its valve is
+def _left_out(name: str) -> str:
+    return f"{name} shows one value throughout and is left out"
+
+
+def _dead(recording: Recording) -> Iterator[Finding]:
+    constant = _constant(recording)
+    if len(constant) == len(recording.sensors):
+        shown = ", ".join(constant)
+        text = f"every sensor ({shown}) shows one value from beginning to end, so there is nothing to compare"
+        mend = "Check that the sensors were connected and the logger was running."
+        yield Finding("saturation", tuple(constant), "error", text, mend)
+
+
+def _saturated(name: str, channel: Channel, time: np.ndarray, command: np.ndarray) -> Iterator[Finding]:
+    """Find a channel that sits exactly at its largest or smallest value most of the time, also while its valve is
     open.
     """
     valve = np.abs(np.interp(channel.time, time, command)) > OPEN
     step = float(np.median(np.diff(channel.time)))
-    for value, word in ((channel.values.max(), "largest"), (channel.values.min(), "smallest")):
+    limits = ((channel.values.max(), "largest"), (channel.values.min(), "smallest"))
+    for value, word in limits[:1] if _is_constant(channel) else limits:
         stuck = channel.values == value
         share, through = float(stuck.mean()), float((stuck & valve).sum()) * step
         if share > _STUCK_SHARE and through > _STUCK_SECONDS:
-            raise CraneError(
-                f"{where}: sensor {name} stands exactly at its {word} value ({value:g} SI) for {share:.0%} of the "
-                "time, and for "
-                f"{through:.1f} s of it while its valve is open: it is saturated, frozen or not connected. Mend its "
-                "range, or "
-                "leave the channel out."
+            text = (
+                f"sensor {name} stands exactly at its {word} value ({value:g} SI) for {share:.0%} of the time, and for "
+                f"{through:.1f} s of it while its valve is open: it is saturated, frozen or not connected"
             )
+            yield Finding("saturation", (name,), "error", text, "Mend its range, or leave the channel out.")
 
 
 def _moves(recording: Recording, crane: Crane, commands: np.ndarray) -> bool:
@@ -181,7 +244,7 @@ def _notes(
     recording: Recording, crane: Crane, time: np.ndarray, commands: np.ndarray, constant: list[str], moves: bool
 ) -> list[str]:
     notes = list(recording.notes)
-    notes += [f"{name} shows one value throughout and is left out" for name in constant]
+    notes += map(_left_out, constant)
     valves = zip(crane.layout.cylinders, commands.T, strict=True)
     notes += [f"the {name} valve is never opened" for name, command in valves if not _opened(command)]
     if free := recording.noise_free():
