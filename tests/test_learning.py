@@ -219,7 +219,7 @@ def test_a_progressive_spool_is_learned_and_read_and_predicts(tmp_path):
     assert removed(found.crane, law.effect).effects == ()
     file = tmp_path / "progressive.py"
     file.write_text(own_effect(law, CRANE, "learn", "progressive"), encoding="utf-8")
-    code = f"from crane_exudyn.effects import registry as r; print(r.load_effects(r'{file}')[0].opening(1.0, {law.x[0]}))"
+    code = f"import crane_exudyn; print(crane_exudyn.load_effects(r'{file}')[0].opening(1.0, {law.x[0]}))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert float(said) == pytest.approx(law.y[0], rel=1e-4)
 

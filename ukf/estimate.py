@@ -214,8 +214,9 @@ class Estimate:
         """
         if self.sensor_std is None or not (self._size < _NO_NOISE * self.sensor_std).all():
             return False
-        known = [y[np.isfinite(y)] for y in self.measured.T]
-        return all(is_noise_free(y) or np.ptp(y) == 0.0 for y in known if y.size)
+        known = [(y[np.isfinite(y)], size) for y, size in zip(self.measured.T, self._size, strict=True)]
+        # innovations are never less than noise: what looks like more of it is motion
+        return all(is_noise_free(y) or np.ptp(y) == 0.0 or size < _SMALL * noise_std(y) for y, size in known if y.size)
 
     @property
     def overstated(self) -> tuple[str, ...]:

@@ -37,8 +37,8 @@ def paper_process_noise(
 
 
 def _in_blocks(dt: float, accelerations: Sequence[float], pressures: Sequence[float]) -> np.ndarray:
-    """Return the covariance (n, n) of states over `dt` seconds: of each coordinate and its rate Van Loan's integral of a
-    white acceleration, by its density; variances of pressures.
+    """Return the covariance (n, n) of states over `dt` seconds: of each coordinate and its rate Van Loan's integral of
+    a white acceleration, by its density; variances of pressures.
     """
     m, block = len(accelerations), np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     out = np.diag([*[0.0] * 2 * m, *pressures])
