@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -13,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from . import crane_toml
-from .description import Description, complete
+from .description import Description, complete, number
 from .effects import registry
 from .effects.base import Acting
 from .effects.curve import X, Y
 from .errors import CraneError, nearest
 from .files import write_text
 from .frozen import frozen
+from .parameters import unit_of
 
 _DATA = "crane_exudyn.data"
 
@@ -62,13 +64,22 @@ class Crane(Description):
         return crane_toml.from_document(cls, document, where, text)
 
     def save(self, path: str | Path) -> None:
-        """Write the crane as TOML, whole or not at all; reading it again gives an equal crane."""
+        """Write the crane as TOML, whole or not at all; reading it again gives an equal crane.
+
+        Raises:
+            CraneError: it has objects of one's own, which no file holds.
+        """
         write_text(path, self.to_toml())
 
     def to_toml(self) -> str:
-        """Return the crane as TOML text, values in SI at full precision."""
+        """Return the crane as TOML text, values in SI at full precision. Raises CraneError as `save` does."""
         from .crane_edit import to_text
 
+        if self.objects:
+            raise CraneError(
+                f"{self.name} has {self._own}, and a crane file holds no functions. Save crane.without_objects(), and "
+                "add them again with with_objects after loading."
+            )
         return to_text(self)
 
     # -- numbers -------------------------------------------------------------------------------------------------
@@ -110,7 +121,7 @@ class Crane(Description):
     # -- changed copies ------------------------------------------------------------------------------------------
 
     def with_parameters(self, changes: Mapping[str, float]) -> Crane:
-        """Return a copy with other nominal parameters (SI)."""
+        """Return a copy with other nominal parameters, numbers in SI such as {"payload.mass": 150.0} in kg."""
         return self.changed(changes, {})
 
     def with_effect(self, key: str, values: Mapping[str, float]) -> Crane:
@@ -125,8 +136,8 @@ class Crane(Description):
         for key, values in effects.items():
             effect, place = registry.split_key(key, self.layout)
             acting[key] = Acting(effect.name, place, frozen(complete(effect, values)))
-        values = {**self.values, **{n: float(v) for n, v in parameters.items()}}
-        return replace(self, values=values, effects=tuple(acting.values()))
+        numbers = {n: number(v, f"{self.name}: {n}", unit_of(n)) for n, v in parameters.items()}
+        return replace(self, values={**self.values, **numbers}, effects=tuple(acting.values()))
 
     def without_effect(self, key: str) -> Crane:
         """Return a copy without the effect "name@place"."""
@@ -147,20 +158,39 @@ class Crane(Description):
         or a contact.
 
         They are part of every Exudyn system of the crane, also of a batch; `plant.marker("E", number)` gives a marker
-        at a named point.
+        at a named point. No crane file holds them: `save` refuses such a crane.
         """
         return replace(self, objects=(*self.objects, *functions))
+
+    def without_objects(self) -> Crane:
+        """Return a copy without objects of one's own."""
+        return replace(self, objects=())
 
     def with_history(self, entry: Mapping[str, Any]) -> Crane:
         """Return a copy whose history has one entry more."""
         return replace(self, history=(*self.history, frozen(entry)))
 
+    @property
+    def _own(self) -> str:
+        return f"{len(self.objects)} object{'s' * (len(self.objects) > 1)} of one's own"
+
     def __repr__(self) -> str:
         effects = ", ".join(e.key for e in self.effects) or "no effects"
         return (
-            f"<Crane {self.name}: {effects}; payload {self['payload.mass']:g} kg, pump "
-            f"{self['supply.pump_pressure'] / 1e5:g} bar>"
+            f"<Crane {self.name}: {effects}{f', {self._own}' if self.objects else ''}; payload "
+            f"{self['payload.mass']:g} kg, pump {self['supply.pump_pressure'] / 1e5:g} bar>"
         )
+
+
+def checked_crane(given: Any, whom: str) -> Crane:
+    """Return `given`, which must be a crane. Raises CraneError, which says what to write, where it is none; `whom` it
+    was given to.
+    """
+    if isinstance(given, Crane):
+        return given
+    name = str(given) if isinstance(given, str | Path) else "patu655"
+    found = textwrap.shorten(repr(given), 60)
+    raise CraneError(f"{whom}: found {found} instead of a crane. Crane.load({name!r}) gives one.")
 
 
 def built_in() -> list[str]:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from . import faulty_laws, geometry, mechanism, reduction, statics, trapezoidal
-from .crane import Crane
-from .effects import hooks, registry
-from .errors import CraneError, nearest
+from .crane import Crane, checked_crane
+from .description import RowValues
+from .effects import hooks
+from .errors import CraneError
 from .item_values import ItemValues
 from .static_start import static_start
 from .step_control import MOST_HALVINGS, enough_to_grow, limit, next_level
@@ -40,9 +41,9 @@ class ExudynEngine:
     """
 
     def __init__(self, crane: Crane, size: int = 1, *, accuracy: float = 1.0) -> None:
-        self.crane, self.accuracy = crane, float(accuracy)
+        self.crane, self.accuracy = checked_crane(crane, "ExudynEngine"), float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
-        self._swings = hooks.swings(self._E)
+        self._row_values, self._swings = RowValues(crane), hooks.swings(self._E)
         self.state_names = crane.layout.all_states if self._swings else crane.layout.states
         self._systems: OrderedDict[int, System] = OrderedDict()
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
@@ -75,7 +76,8 @@ class ExudynEngine:
                 parameters of effects such as "internal_leakage@lift.k", and disturbances such as "flow.p1".
 
         Raises:
-            CraneError: wrong shapes, a pose that cannot be reached, an end of stroke, or no convergence.
+            CraneError: wrong shapes, a spool position that is missing or far beyond ±1, parameters that no crane has, a
+                pose that cannot be reached, an end of stroke, or no convergence.
         """
         x = np.ascontiguousarray(states, dtype=float)
         if x.ndim != 2 or x.shape[1] != len(self.state_names):
@@ -93,6 +95,7 @@ class ExudynEngine:
                 f"[{' '.join(names)}] at the "
                 "start and the end of the step."
             )
+        statics.check_spools(self.crane.layout.voltages, w, step=True)
         rows = np.zeros((2, len(x), len(self.crane.layout.all_inputs)))
         rows[:, :, self.crane.layout.driving] = w[:, None, :] if w.ndim == 2 else w
         P, E = self._rows(parameters, rows) if parameters else (None, None)
@@ -100,15 +103,8 @@ class ExudynEngine:
 
     def _rows(self, parameters: Mapping[str, np.ndarray], w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return P (n, .) and E (n, .) with what differs from row to row; disturbances go into w (2, n, .)."""
-        n, index = w.shape[1], self.crane.machine.index
-        P, E = np.tile(self._P, (n, 1)), np.tile(self._E, (n, 1))
-        for name, values in parameters.items():
-            if name in index:
-                P[:, index[name]] = values
-            elif name in self.crane.layout.disturbances:
-                w[:, :, self.crane.layout.all_inputs.index(name)] = values
-            else:
-                E[:, _effect_column(self.crane, name)] = values
+        P, E = np.tile(self._P, (w.shape[1], 1)), np.tile(self._E, (w.shape[1], 1))
+        self._row_values.fill(parameters, P, E, w)
         return P, E
 
     def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float = 1e-3) -> np.ndarray:
@@ -125,6 +121,7 @@ class ExudynEngine:
         """
         t, w = np.asarray(time, dtype=float), np.asarray(inputs, dtype=float)
         _check_grid(self.crane.layout.inputs, t, w, step)
+        statics.check_spools(self.crane.layout.voltages, w, step=False)
         driving = self.crane.layout.driving
         x, rows = (
             np.ascontiguousarray(x0, dtype=float)[None].copy(),
@@ -166,15 +163,19 @@ class ExudynEngine:
             "mass": (nq, nq), "force": (nq,) applied forces, "joint": rows of G v, "joint_jacobian": G (rows, nq),
             "pressure_rates": (chambers,); and what it was given: "q", "v", "a" (nq,) redundant coordinates and their
                 rates, "dp".
+
+        Raises:
+            CraneError: a state or inputs of another length, or a pose that cannot be reached.
         """
-        return self._system(1).inspect(np.asarray(state, dtype=float), np.asarray(w, dtype=float), time)
+        x, w = statics.checked_state(self.crane, state), statics.checked_inputs(self.crane, w)
+        return self._system(1).inspect(x, w, time)
 
     # -- one step ------------------------------------------------------------------------------------------------
 
     def _system(self, size: int) -> System:
-        """Return the kept system of a batch size; build it where there is none."""
+        """Return the kept system of a batch size; build it where there is none that can go on."""
         system = self._systems.get(size)
-        if system is None:
+        if system is None or system.spoilt:
             system = self._systems[size] = System(self.crane, size, self.accuracy)
             if len(self._systems) > _MOST_SYSTEMS:
                 self._systems.popitem(last=False)
@@ -302,23 +303,6 @@ def _check_grid(names: tuple[str, ...], t: np.ndarray, w: np.ndarray, step: floa
         raise CraneError(f"simulate: step = {step:g} s is not positive.")
 
 
-def _effect_column(crane: Crane, name: str) -> int:
-    """Return where in E the parameter "effect@place.parameter" stands.
-
-    Raises:
-        CraneError: there is no such parameter, neither of an effect nor of the crane.
-    """
-    key, _, parameter = name.rpartition(".")
-    if not key or key.split("@")[0] not in [e.name for e in registry.known()]:
-        known = [*crane.machine.names, *crane.layout.disturbances]
-        raise CraneError(f"parameters: there is no {name!r}.{nearest(name, known)}")
-    effect, place = registry.split_key(key, crane.layout)
-    names = [p.name for p in effect.parameters]
-    if parameter not in names:
-        raise CraneError(f"parameters: effect {key!r} has no parameter {parameter!r}.{nearest(parameter, names)}")
-    return registry.slot(effect.name, place, crane.layout) + names.index(parameter)
-
-
 class System:
     """A kept Exudyn system of n cranes and the solver that assembles its residuals."""
 
@@ -329,6 +313,7 @@ class System:
         self._container, self.mbs = mechanism.main_system()
         states = np.tile(mechanism.start_pose(crane), (size, 1))
         self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)
+        self.spoilt = False  # whether its items hold what nobody knows
         self.plant.guarded = False  # an iterate may be beyond a stroke where the step is not
         self.mbs.Assemble()
         self._items = ItemValues(self.mbs, self.plant)
@@ -421,7 +406,16 @@ class System:
         self._varied = P is not None or E is not None
         P, E = (self._P if P is None else P), (self._E if E is None else E)
         reduction.all_inertias(plant.topology, P, E, start, self._before)
-        if self._items.set(P, E, end):
+        try:
+            changed = self._items.set(P, E, end)
+        except ValueError as problem:  # of Exudyn's range checks: limits hold one by one, what effects make of them not
+            self.spoilt = True  # some items were changed already, and others not
+            raise CraneError(
+                f"{plant.crane.name}: the parameters and effects of a row make a body or a cylinder that cannot be at "
+                f"t = {end:g} s ({str(problem).partition(' (range')[0]}). Mend payload.mass, payload_change or the "
+                "cylinders."
+            ) from problem
+        if changed:
             self.solver.ComputeMassMatrix(self.mbs)
         return self._before
 

@@ -120,6 +120,11 @@ class SpoolPath:
         self._past: deque[tuple[float, np.ndarray]] = deque()
         self._states: list[tuple[float, float, float]] = []
 
+    def __repr__(self) -> str:
+        lags = ", ".join(f"{name} lag {valve.tau:g} s" for name, valve in zip(self._names, self._valves, strict=True))
+        live = f"live, at t = {self._past[-1][0]:g} s" if self._past else "not live"
+        return f"<SpoolPath of {self._crane.name}: {lags}; {live}>"
+
     def run(self, time: np.ndarray, commands: np.ndarray, valve: int | None = None) -> np.ndarray:
         """Return spool positions (n, valves) at `time` for a whole record; leaves the live state of `step` alone.
 

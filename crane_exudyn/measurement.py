@@ -19,6 +19,7 @@ from .crane import Crane
 from .effects import hooks
 from .effects.base import SENSORS
 from .effects.registry import neutral_vector, slots_of
+from .errors import CraneError
 from .faulty_laws import check_law
 from .geometry import fill_lengths
 from .hydraulics import vapour_pressure
@@ -51,6 +52,9 @@ class _Reads(NamedTuple):
 class Measurement:
     """The measurement function of some sensors on a crane with parameters P and effects E.
 
+    States are (n, nx), or have more columns behind, as those of filters. What has another shape is a CraneError:
+    compiled code would read beyond it.
+
     Attributes:
         names: (m,) of the sensors.
         lags: (number among the sensors, time constant in s) of those that lag.
@@ -59,7 +63,7 @@ class Measurement:
 
     def __init__(self, names: Sequence[str], machine: Machine, P: np.ndarray, E: np.ndarray) -> None:
         """Raises CraneError for a sensor that the machine does not have."""
-        self._machine, lay = machine, machine.layout
+        self._machine, lay, self._least = machine, machine.layout, len(machine.layout.states)
         self.names, chosen = tuple(names), [sensor(n, lay.sensors) for n in names]
         most = max(1, *(len(c.shows) for c in chosen))
         summed = [[lay.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
@@ -75,10 +79,37 @@ class Measurement:
     @classmethod
     def of(cls, crane: Crane, names: Sequence[str] | None = None) -> Measurement:
         """Return the measurement function of a crane's sensors, of all that it may have by default."""
-        chosen = tuple(crane.layout.sensors) if names is None else names
+        chosen = tuple(crane.layout.sensors) if names is None else (names,) if isinstance(names, str) else names
         return cls(chosen, crane.machine, crane.parameter_vector(), crane.effect_vector())
 
+    def __repr__(self) -> str:
+        lags = "".join(f"; {self.names[j]} lags by {tau:g} s" for j, tau in self.lags)
+        return f"<Measurement of {', '.join(self.names)}{lags}{'; with effects on readings' * self.has_laws}>"
+
+    def _checked(self, X: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
+        """Return states as an array (n, nx or more), with a time for each. Raises CraneError for another shape."""
+        X, least = np.asarray(X, dtype=float), self._least
+        if X.ndim != 2 or X.shape[1] < least:
+            names = " ".join(self._machine.layout.states)
+            raise CraneError(
+                f"measurement: states have shape {X.shape}, expected (n, {least}) for {names}. A single state is "
+                "state[None]."
+            )
+        if time is not None and np.shape(time) != X.shape[:1]:
+            raise CraneError(
+                f"measurement: time has shape {np.shape(time)}, expected ({len(X)},). Give one instant for each state."
+            )
+        return X
+
+    def _check_cranes(self, P: np.ndarray, E: np.ndarray) -> None:
+        if np.ndim(P) != 2 or np.shape(P)[1:] != self.P.shape or np.shape(E) != (len(P), self.E.size):
+            raise CraneError(
+                f"measurement: P and E have shapes {np.shape(P)} and {np.shape(E)}, expected (k, {self.P.size}) and "
+                f"(k, {self.E.size}). Give one row for each crane."
+            )
+
     def use(self, P: np.ndarray, E: np.ndarray) -> None:
+        """Take the parameters P and the effects E of another crane with this machine."""
         self.P, self.E = P, E
         self._floor = np.where(self._reads.is_pressure, vapour_pressure(P), -np.inf)
         slots = slots_of(SENSING)
@@ -97,6 +128,8 @@ class Measurement:
         """Return whether (k,) the sensors may show something else along states X (n, nx) on cranes with other
         parameters P (k, …) and effects E (k, …).
         """
+        X = self._checked(X)
+        self._check_cranes(P, E)
         moved = (P != self.P).any(axis=1)
         lengths = self._reads.cylinder >= 0
         differ = np.array([vapour_pressure(p) != vapour_pressure(self.P) for p in P[moved]], bool)
@@ -110,6 +143,7 @@ class Measurement:
 
     def read(self, X: np.ndarray) -> np.ndarray:
         """Return what the sensors would show (n, m) of states X (n, nx) without lag."""
+        X = self._checked(X)
         Y: np.ndarray = _sums(X, self._reads.summed, self._floor)
         if not self._is_plain:
             _read(self._machine.topology, tuple(self._reads), X, self.P, self.E, Y)
@@ -117,6 +151,7 @@ class Measurement:
 
     def rows(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what the sensors would show without lag (n, m), and its derivative (n, m, nx), at states X (n, nx)."""
+        X = self._checked(X)
         Y, C = _sums(X, self._reads.summed, self._floor), np.zeros((len(X), len(self.names), X.shape[1]))
         _rows(self._machine.topology, tuple(self._reads), self._floor, X, self.P, self.E, Y, C)
         return Y, C
@@ -127,6 +162,7 @@ class Measurement:
         """Return what the sensors show (n, m) along states X (n, nx) at `time` (n,) in s; `settled` and `first` (m,) as
         in `lagged`.
         """
+        X = self._checked(X, time)
         Y = self.read(X)
         for j, tau in self.lags:
             Y[:, j] = lagged(Y[:, j], time, tau, settled=settled, first=None if first is None else first[j])
@@ -138,6 +174,8 @@ class Measurement:
         """Return what the sensors show (n, m, k) along states X (n, nx) on cranes with parameters P (k, …) and effects
         E (k, …); lags begin at `first` (m, k), as in `lagged`.
         """
+        X = self._checked(X, time)
+        self._check_cranes(P, E)
         Y, taus = self._read_on(X, P, E)
         for k, j in np.argwhere(taus > 0.0):
             Y[:, j, k] = lagged(Y[:, j, k], time, taus[k, j], first=None if first is None else first[j, k])
@@ -154,6 +192,12 @@ class Measurement:
         """Return what the sensors show (n, m), and its derivative (n, m, k), along states X (n, nx) with derivative S
         (n, nx, k); lags begin at `first` ((m,), (m, k)), as in `lagged`.
         """
+        X = self._checked(X, time)
+        if np.ndim(S) != 3 or np.shape(S)[:2] != X.shape:
+            raise CraneError(
+                f"measurement: the derivative of states {X.shape} has shape {np.shape(S)}, expected ({len(X)}, "
+                f"{X.shape[1]}, k). Give one column for each of k quantities."
+            )
         Y, C = self.rows(X)
         G = C @ S
         for j, tau in self.lags:
@@ -165,6 +209,7 @@ class Measurement:
         """Raise CraneError that names the crane's effect of which a law gives no number, where `read` gives Y (n, m) of
         X (n, nx).
         """
+        X = self._checked(X)
         for k, j in np.argwhere(~np.isfinite(Y)):
             true = float(self.beside(self.P, crane.nominal().effect_vector()).read(X[k : k + 1])[0, j])
             if np.isfinite(true):
@@ -181,7 +226,12 @@ def lagged(
     """Return y (n, …) at `time` (n,) behind a first-order lag of tau s: exact where y is linear between instants.
 
     It begins at `first` (…), or `settled` at y[0], or else as if it had followed the first slope for ever.
+
+    Raises:
+        CraneError: not one instant for each y.
     """
+    if np.shape(time) != np.shape(y)[:1]:
+        raise CraneError(f"lagged: time has shape {np.shape(time)}, y {np.shape(y)}. Give one instant for each y.")
     if first is None:
         slope = (y[1] - y[0]) / (time[1] - time[0]) if len(y) > 1 and not settled else 0.0 * y[0]
         first = y[0] - tau * slope

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -112,6 +112,13 @@ class Recording:
             known = ", ".join(self.channels)
             raise CraneError(f"{self.source or self.name}: there is no channel {name!r}, only {known}.{self._unused()}")
         return self.channels[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.channels
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of the channels."""
+        return iter(self.channels)
 
     @property
     def sensors(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ import numpy as np
 
 from . import render_shapes as shapes
 from .crane import Crane
-from .errors import CraneError
+from .errors import CraneError, nearest
 from .exudyn_quietly import exu, items
 from .files import replacing
 from .geometry import Pose, pose
@@ -141,6 +141,14 @@ class Scene:
         self._problem: Exception | None = None
         self._fill(own)
         self._set_up_look()
+
+    def __repr__(self) -> str:
+        labels, (width, height) = ", ".join(t.label for t in self.trajectories), self.size
+        coloured = f", coloured by {self.colour}" if self.colour else ""
+        return (
+            f"<Scene of {self.crane.name}: {labels}; {self.start:g} … {self.end:g} s from the {self.view}{coloured}, "
+            f"{width} × {height} pixels>"
+        )
 
     @property
     def width(self) -> float:
@@ -589,6 +597,8 @@ def _places(crane: Crane) -> tuple[str, ...]:
 def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajectory], marks: Sequence[str]) -> None:
     if not trajectories:
         raise CraneError("A scene needs at least one trajectory.")
+    if colour is not None and colour not in MAPS:
+        raise CraneError(f"Scene: there is no colour {colour!r}.{nearest(str(colour), list(MAPS))}")
     wanted = len(crane.layout.coordinates)
     for trajectory in trajectories:
         if trajectory.positions.ndim != 2 or trajectory.positions.shape[1] != wanted:
@@ -599,10 +609,16 @@ def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajector
                 "for each."
             )
     if colour == "residual" and len(trajectories) < 2:
-        raise CraneError("--colour residual shows a difference: give a second run with --ghost FILE.")
+        raise CraneError(
+            "Colours by residual show the difference of two runs, and only one was given. Give a second trajectory, in "
+            "the command --ghost FILE."
+        )
     if colour == "pressure" and not trajectories[0].pressures:
         chambers = ", ".join(crane.layout.chambers)
-        raise CraneError(f"--colour pressure needs pressures, and this run has none of {chambers}.")
+        raise CraneError(
+            f"Colours by pressure need pressures, and this run has none of {chambers}. Leave colour (--colour) out, or "
+            "record one."
+        )
     for mark in marks:
         if mark not in _places(crane):
             raise CraneError(f"There is no place {mark!r} to mark. Known: {', '.join(_places(crane))}.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import channels
-from .crane import Crane
-from .errors import CraneError
+from .crane import Crane, checked_crane
+from .engines import engine_class
+from .errors import CraneError, nearest
 from .recording import Recording
 
 if TYPE_CHECKING:
@@ -48,9 +50,14 @@ class Simulation:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a channel (N,) by name: a command, what a sensor shows, a supply pressure, or a state that no sensor
-        shows.
+        shows. Raises CraneError, which tells what there is, for another name.
         """
+        if name not in self._channels:
+            raise CraneError(f"Simulation of {self.crane.name}: no channel {name!r}.{nearest(name, [*self._channels])}")
         return self._channels[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._channels
 
     def channels(self) -> dict[str, np.ndarray]:
         """Return every channel (N,) that a recording may hold, as the crane's sensors show it, without noise."""
@@ -124,7 +131,7 @@ class Simulation:
 
 
 def simulate(
-    crane: Crane | str = "patu655",
+    crane: Crane | str | Path = "patu655",
     inputs: Recording | None = None,
     *,
     start: np.ndarray | None = None,
@@ -134,23 +141,24 @@ def simulate(
     """Return an open-loop run of a crane.
 
     Args:
-        crane: the crane, or the name of a built-in one.
+        crane: the crane, or the name of a built-in one, or a file.
         inputs: a recording whose commands (and supply pressures, if measured) drive the crane; the result has its
             instants. Without one, the crane goes through the paper's 25 s working cycle (`inputs.paper_cycle`), with a
             result every 1 ms.
         start: (nx,) state at the first instant; by default the crane file's initial rule.
-        engine: an engine that holds the crane; by default a new ExudynEngine.
+        engine: "exudyn", "semi-recursive", or an engine object with this crane; by default a new ExudynEngine.
         step: largest time step in s.
 
     Raises:
-        CraneError: a recording without commands, a payload of negative mass, or a run that leaves what the crane can
-            do.
+        CraneError: a recording without commands, an engine of another crane, a step that is not positive, a payload of
+            negative mass, or a run that leaves what the crane can do.
     """
-    crane = Crane.load(crane) if isinstance(crane, str) else crane
+    crane = checked_crane(Crane.load(crane) if isinstance(crane, str | Path) else crane, "simulate")
     if engine is None:
         from .engine import ExudynEngine
 
         engine = ExudynEngine(crane)
+    engine = engine_class(engine)(crane) if isinstance(engine, str) else of_this_crane(engine, crane)
     time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
     grid, rows = inner_grid(time, step)
     commands, w = _driven(crane, inputs, grid)
@@ -159,6 +167,44 @@ def simulate(
     states = engine.simulate(x0, grid, w, step=step)
     readings = sensed(crane, states, grid)[rows]
     return Simulation(crane, time, tuple(engine.state_names), states[rows], commands[rows], w[rows], readings)
+
+
+def of_this_crane(engine: Any, crane: Crane) -> Any:
+    """Return an engine object, which must compute with this crane: what it computes would pass for this one's.
+
+    Cranes are told apart by what an engine takes from them: machine, parameters, effects and objects of one's own.
+
+    Raises:
+        CraneError: something else, or an engine of another crane.
+    """
+    if isinstance(engine, type) or not (hasattr(engine, "propagate") or hasattr(engine, "simulate")):
+        found = textwrap.shorten(repr(engine), 60)
+        raise CraneError(f'engine is {found}. Give a name, such as "exudyn", or an engine object, ExudynEngine(crane).')
+    own = getattr(engine, "crane", crane)
+    if own is not crane and isinstance(own, Crane) and (apart := _apart(own, crane)):
+        kind = type(engine).__name__
+        raise CraneError(
+            f"The {kind} holds another crane than the {crane.name} given: {apart}. Make one of this crane, "
+            f"{kind}(crane), or give the engine's name."
+        )
+    return engine
+
+
+def _apart(own: Crane, crane: Crane) -> str:
+    """Return in words what an engine's own crane computes otherwise than a crane; "" where nothing does."""
+    if own.machine != crane.machine:
+        return "it is of another machine"
+    values = [n for n in crane.machine.names if own[n] != crane[n]]
+    if values:
+        more = f" (and {len(values) - 1} more)" if len(values) > 1 else ""
+        return f"its {values[0]} is {own[values[0]]:g}, not {crane[values[0]]:g}{more}"
+    mine, asked = ({e.key: e.parameters for e in c.effects} for c in (own, crane))
+    effects = sorted(key for key in mine.keys() | asked.keys() if mine.get(key) != asked.get(key))
+    if effects:
+        return f"the effect {effects[0]} is not the same"
+    if own.objects != crane.objects:
+        return f"it has {len(own.objects)} objects of one's own, this one {len(crane.objects)}"
+    return ""
 
 
 def sensed(crane: Crane, states: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -214,8 +260,10 @@ def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a grid with even steps of at most `step` between the instants of `time`, and where those stand in it.
 
     Raises:
-        CraneError: more steps than a computer could hold.
+        CraneError: a step that is not positive, or more of them than a computer could hold.
     """
+    if not step > 0.0:
+        raise CraneError(f"A step of {step:g} s is not positive. Give the largest time step in seconds, such as 1e-3.")
     spans = np.diff(time)
     if spans.sum() > MOST_STEPS * step:
         raise CraneError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,9 @@ from .effects import hooks
 from .errors import CraneError
 from .geometry import LENGTH, RATE
 from .machine import BODIES
+
+#: a spool may stand a little beyond fully open, as recorded commands do (`assembly`); more than this is another unit
+SPOOL_LIMIT = 1.05
 
 
 class Reduction(NamedTuple):
@@ -52,9 +56,7 @@ def reduced(crane: Crane, state: np.ndarray, time: float) -> Reduction:
     """
     P, E, topology = crane.parameter_vector(), crane.effect_vector(), crane.machine.topology
     width, nu = trapezoidal.widths(topology, hooks.swings(E))
-    x = np.asarray(state, dtype=float)
-    if x.shape != (size_of_state(crane),):
-        raise CraneError(f"{crane.name}: a state has {size_of_state(crane)} numbers, found shape {x.shape}.")
+    x = checked_state(crane, state)
     inertia, N = np.zeros((topology[0, BODIES] + 1, 4)), np.zeros((nu, width))
     arms, lines = red.new_arms(topology), trapezoidal.new_lines(topology)
     q, v, bias, work, M = np.zeros(width), np.zeros(width), np.zeros(width), np.zeros(width), np.zeros((nu, nu))
@@ -66,6 +68,55 @@ def reduced(crane: Crane, state: np.ndarray, time: float) -> Reduction:
     geo.fill_lines(topology, arms, q, v, lines)
     D = np.array([[geo.line_rate(topology, arms, row, lines, c) for row in N] for c in range(len(lines))])
     return Reduction(crane, P, E, topology, inertia, arms, lines, v, bias, N, M, D)
+
+
+def checked_state(crane: Crane, state: np.ndarray) -> np.ndarray:
+    """Return one state (nx,) as an array. Raises CraneError where it has another shape."""
+    x = np.ascontiguousarray(state, dtype=float)
+    if x.shape != (size_of_state(crane),):
+        names = crane.layout.all_states[: size_of_state(crane)]
+        raise CraneError(
+            f"{crane.name}: a state has {len(names)} numbers, found shape {x.shape}. Give {' '.join(names)}."
+        )
+    return x
+
+
+def check_spools(valves: Sequence[str], w: np.ndarray, *, step: bool) -> None:
+    """Raise CraneError for a spool position in w, whose first columns are the `valves`, that is missing or beyond
+    ±`SPOOL_LIMIT`; w is (2, m) or (2, n, m) at the start and the end of a step, or of a run (N, m).
+    """
+    n = len(valves)
+    if step and w.ndim == 2:  # a filter's step, a thousand times a second: on so few, plain Python is faster
+        start, end = w.tolist()
+        if not [u for u in start[:n] + end[:n] if not -SPOOL_LIMIT <= u <= SPOOL_LIMIT]:
+            return
+    spools = w[..., :n]
+    bad = np.argwhere(~(np.abs(spools) <= SPOOL_LIMIT))
+    if bad.size:
+        at, *row, valve = bad[0].tolist()
+        of_row = f" of row {row[0]}" if row else ""
+        place = f"the {('start', 'end')[at]} of the step{of_row}" if step else f"sample {at}"
+        raise CraneError(
+            f"{'propagate' if step else 'simulate'}: the spool position at {place} is {valves[valve]} = "
+            f"{spools[tuple(bad[0])]:g}, expected a number from -1 to 1; only pp and pt may be NaN. Scale the commands "
+            "(50 % is 0.5), or fill in what is missing."
+        )
+
+
+def checked_inputs(crane: Crane, w: np.ndarray) -> np.ndarray:
+    """Return the inputs at one instant (m,) as an array.
+
+    Raises:
+        CraneError: they are as many as neither `Layout.inputs` nor, with disturbances, `all_inputs`.
+    """
+    given, lay = np.ascontiguousarray(w, dtype=float), crane.layout
+    if given.shape not in ((len(lay.inputs),), (len(lay.all_inputs),)):
+        raise CraneError(
+            f"{crane.name}: the inputs w have shape {given.shape}, expected ({len(lay.inputs)},) with "
+            f"[{' '.join(lay.inputs)}], or ({len(lay.all_inputs)},) with the disturbances behind. NaN for pp or pt is "
+            "the crane's own supply."
+        )
+    return given
 
 
 def size_of_state(crane: Crane) -> int:
@@ -104,7 +155,7 @@ def stroke_message(crane: Crane, state: np.ndarray) -> str:
     """Return in words which cylinder is at which end of its stroke at a state."""
     cylinder, end, length = stroke_end(crane, state)
     return (
-        f"the {cylinder} cylinder is fully {end} (length {length:.4f} m)"
+        f"the {cylinder} cylinder is fully {end} (length {length:.4f} m, the end of its stroke)"
         if cylinder
         else "the end of a stroke is reached"
     )
@@ -128,7 +179,7 @@ def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> 
     """Return every term of the balances at one state by name, in SI.
 
     Args:
-        state: (nx,);  w: `Layout.inputs`, or with disturbances behind;  time in s.
+        state: (nx,);  w: (m,), as `Layout.inputs` or, with disturbances behind, `all_inputs`;  time in s.
 
     Returns:
         Pin-to-pin lengths and their rates by the layout ("s1", "ds1"); dependent coordinates and their derivatives by
@@ -140,10 +191,13 @@ def terms(crane: Crane, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> 
             (joints, forces on the payload's point, pendulum's damping); "ddz1", "ddtheta". A pendulum's own equation is
             eliminated from M and the Q; without one ddtheta is 0.
         Supply "pp", "pt"; "x_O", "y_O" of all points.
+
+    Raises:
+        CraneError: a state or inputs of another length, or a machine that cannot stand like that.
     """
-    x, lay = np.ascontiguousarray(state, dtype=float), crane.layout
+    x, given, lay = checked_state(crane, state), checked_inputs(crane, w), crane.layout
     wide = np.zeros(len(lay.all_inputs))
-    wide[: np.size(w)] = w
+    wide[: given.size] = given
     r = reduced(crane, x, time)
     p = x[lay.pressures].copy()
     return _geometry_terms(crane, x, r) | _pressure_terms(r, p, wide) | _motion_terms(r, p, wide, time)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.layout import Layout
 from crane_exudyn.machine_toml import usual_layout
 from crane_exudyn.signals import is_noise_free, noise_std
@@ -119,7 +120,11 @@ class Estimate:
     layout: Layout = field(default_factory=usual_layout, repr=False)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return the estimated mean (N,) of one quantity by its name."""
+        """Return the estimated mean (N,) of one quantity by its name. Raises CraneError, which tells what there is, for
+        another name.
+        """
+        if name not in self.state_names:
+            raise CraneError(f"Estimate of {self.crane}: no quantity {name!r}.{nearest(name, list(self.state_names))}")
         return self.mean[:, self.state_names.index(name)]
 
     def first(self, count: int, **changes: Any) -> Estimate:
@@ -138,9 +143,15 @@ class Estimate:
         )
 
     def interval(self, probability: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper limits (N, n) of the intervals that hold each quantity with this probability."""
+        """Return lower and upper limits (N, n) of the intervals that hold each quantity with this probability.
+
+        Raises:
+            CraneError: a probability that is not between 0 and 1.
+        """
         from scipy.stats import norm
 
+        if not 0.0 < probability < 1.0:
+            raise CraneError(f"interval: {probability:g} is no probability between 0 and 1. Give 0.95 for 95 %.")
         half = norm.ppf(0.5 + probability / 2) * self.std
         return self.visible(self.mean - half), self.mean + half
 

@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from crane_exudyn.crane import Crane
-from crane_exudyn.errors import CraneError
+from crane_exudyn.crane import Crane, checked_crane
+from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.sensors import sensor
+from crane_exudyn.simulation import of_this_crane
 from crane_exudyn.statics import vapour_pressure
 
 from .augment import Augment, Sizes, resolve
@@ -27,7 +28,7 @@ from .estimate import Estimate
 from .filter import Belief, FilterError
 from .methods import method_of
 from .monitor import ABSENT, FASTEST, OUTLIER, USED, Doubt, Monitor, leaps
-from .noise import ProcessNoise, measurement_noise
+from .noise import ProcessNoise, added_by, measurement_noise
 from .process import Process, engine_of
 from .recorder import REJECTED, Recorder
 from .revisit import Beginning, Revisit, Step
@@ -62,12 +63,37 @@ class Now:
     names: tuple[str, ...]
 
     def __getitem__(self, name: str) -> float:
-        """Return one estimated quantity by its name."""
+        """Return one estimated quantity by its name. Raises CraneError, which tells what there is, for another name."""
+        if name not in self.names:
+            raise CraneError(f"There is no estimated quantity {name!r}.{nearest(name, list(self.names))}")
         return float(self.mean[self.names.index(name)])
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} {self.mean[i]:.4g} ± {1.96 * self.std[i]:.2g}" for i, n in enumerate(self.names))
         return f"<t = {self.time:.3f} s: {shown}>"
+
+
+class _Misfit(CraneError):
+    """An engine that does not do what engines do: no failure of one step, after which the filter could go on."""
+
+
+class _Watched:
+    """An engine whose answers are looked at: what has another shape than the states would be taken apart in silence."""
+
+    def __init__(self, engine: Any) -> None:
+        self._engine = engine
+
+    def propagate(
+        self, states: np.ndarray, inputs: np.ndarray, dt: float, time: float, **parameters: Any
+    ) -> np.ndarray:
+        """Return what the engine returns. Raises CraneError where that are no states."""
+        out: np.ndarray = self._engine.propagate(states, inputs, dt, time, **parameters)
+        if np.shape(out) != states.shape:
+            raise _Misfit(
+                f"The engine {type(self._engine).__name__} returned the shape {np.shape(out)} for states of shape "
+                f"{states.shape}. Mend its method propagate: a state in, a state out."
+            )
+        return out
 
 
 class Estimator:
@@ -79,7 +105,8 @@ class Estimator:
         sensors: channels with their noise standard deviation in SI, or channel names alone (then the crane file's
             standard deviation, else a default of the channel's kind); by default all coordinates and the chambers that
             carry loads.
-        noise: process noise with a method `covariance(dt)` -> (nx, nx); `noise.ProcessNoise` or `noise.PaperNoise`.
+        noise: process noise with a method `covariance(dt)` -> (nx, nx); `noise.ProcessNoise` or `noise.PaperNoise`. nx
+            may leave out the states that effects add.
         method: "ukf", "sr-ukf", "ckf", "simplex" or "ekf".
         augment: quantities to estimate along with the state, see `augment`.
         start: mean and covariance (nx, …) of the state to start with; without it, the crane at rest as measured first.
@@ -94,17 +121,18 @@ class Estimator:
             (`methods.Linearised`). Of the filter "ekf" only; live steps are never gone through again.
 
     Raises:
-        CraneError: an unknown sensor, filter, engine or quantity, or a noise that is not positive.
+        CraneError: an unknown sensor, filter, engine or quantity, an engine of another crane, a noise that is not
+            positive, or a noise or start of another shape.
     """
 
     def __init__(
         self,
         crane: Crane,
         engine: Any = "exudyn",
-        sensors: Mapping[str, float] | Sequence[str] | None = None,
+        sensors: Mapping[str, float] | Sequence[str] | str | None = None,
         noise: Any = None,
         method: str = "ukf",
-        augment: Iterable[Augment | str] = (),
+        augment: Iterable[Augment | str] | Augment | str = (),
         *,
         start: Belief | None = None,
         gate: float | None = 6.0,
@@ -114,8 +142,8 @@ class Estimator:
         strokes: bool = True,
         revisit: Revisit | None = None,
     ) -> None:
-        self.crane = crane
-        self.engine = engine_of(engine, crane)
+        self.crane = checked_crane(crane, "Estimator")
+        self.engine = of_this_crane(engine_of(engine, crane), crane)
         lay = crane.layout
         self.std_of = default_sensors(crane) if sensors is None else sensor_std(crane, sensors)
         self.noise = noise if noise is not None else ProcessNoise.of(lay)
@@ -128,22 +156,23 @@ class Estimator:
         self._units = tuple(lay.sensors[n].unit for n in self.std_of)
         self._std = np.array(list(self.std_of.values()))
         self._variance = measurement_noise(self._std)
-        self.augment = tuple(augment)
+        self.augment = (augment,) if isinstance(augment, str | Augment) else tuple(augment)
         self.extras = resolve(crane, self.augment)
         self._engine_states = len(self.engine.state_names)
         self._channels = Channels(crane, list(self.std_of), self._engine_states, self.extras)
         self._bounds = self._all_bounds(partial(cylinder_lengths, crane) if strokes else None)
         self._limits = self._bounds.without(crane.layout.positions)
-        self._process = self._again = Process(self.engine, self._channels, self.extras, self._bounds)
+        self._process = self._again = self._process_on(self.engine)
         if revisit is not None and revisit.engine is not None:
-            engine = engine_of(revisit.engine, crane)
-            self._again = Process(engine, self._channels, self.extras, self._bounds)
+            self._again = self._process_on(of_this_crane(engine_of(revisit.engine, crane), crane))
         self._method_name = method
         constants = [k for k, e in enumerate(self.extras, self.size - len(self.extras)) if e.memory == np.inf]
         self._held = constants if revisit is not None else []
         self._method = method_of(method, np.ones(self.size))
         self.gate = np.inf if gate is None else float(gate)
         self._start, self._pressure_std = start, float(pressure_std)
+        self._check_start()
+        self._known_noise(self.max_step)  # refused here, not in the middle of a run
         self._adapt = float(adapt)
         self._revisit = revisit
         if revisit is not None and method != "ekf":
@@ -155,6 +184,30 @@ class Estimator:
         self._noises: dict[int, np.ndarray] = {}
         self._spool: Any = None
         self.reset()
+
+    def __repr__(self) -> str:
+        sensors = ", ".join(f"{n} ± {std:.2g}" for n, std in self.std_of.items())
+        kind, names = type(self.engine).__name__, " ".join(self.state_names)
+        return f"<Estimator of {self.crane.name} by {self._method_name} on {kind}: {names} from sensors {sensors}>"
+
+    def _process_on(self, engine: Any) -> Process:
+        process = Process(engine, self._channels, self.extras, self._bounds)
+        process.engine = _Watched(engine)
+        return process
+
+    def _check_start(self) -> None:
+        """Raise CraneError for a start that is no belief in the engine's states."""
+        if self._start is None:
+            return
+        n, names = self._engine_states, " ".join(self.engine.state_names)
+        mean, covariance = (np.asarray(getattr(self._start, part, None)) for part in ("mean", "covariance"))
+        if mean.shape != (n,) or covariance.shape != (n, n):
+            raise CraneError(
+                f"start: mean and covariance have shapes {mean.shape} and {covariance.shape}, expected ({n},) and "
+                f"({n}, {n}) for {names}. Of variances, np.diag makes a covariance: Belief(mean, np.diag(variances))."
+            )
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+            raise CraneError(f"start: mean or covariance of {names} holds what is not finite. Give numbers in SI.")
 
     def varied(self, **changes: Any) -> Estimator:
         """Return a fresh estimator with some arguments changed."""
@@ -392,6 +445,8 @@ class Estimator:
         """
         try:
             result = self._predict_and_correct(times, inputs, values, recorder)
+        except _Misfit:
+            raise
         except _FAILURES as problem:
             self._restart(float(times[-1]), str(problem))
             result = self._nothing(values.size)
@@ -585,7 +640,7 @@ class Estimator:
             if len(self._noises) > 1000:
                 self._noises.clear()
             full = np.zeros((self.size, self.size))
-            known = self.noise.covariance(dt)
+            known = self._known_noise(dt)
             full[: len(known), : len(known)] = known
             for k, extra in enumerate(self.extras):
                 at = self._engine_states + len(self._channels.lags) + k
@@ -596,6 +651,11 @@ class Estimator:
         noise, rows = self._noises[key].copy(), self._sizes.rows
         noise[rows, rows] = self._sizes.added(dt)
         return noise
+
+    def _known_noise(self, dt: float) -> np.ndarray:
+        """Return the covariance that the process noise adds in `dt` s, of the engine's states or of the machine's."""
+        sizes = {self._engine_states, min(self._engine_states, len(self.crane.layout.states))}
+        return added_by(self.noise, dt, sizes, self.engine.state_names)
 
     def _restart(self, time: float, why: str) -> None:
         """Open the belief again around the last good mean: a filter that has lost its covariance knows nothing."""
@@ -717,6 +777,8 @@ class Estimator:
             return
         try:
             found = beginning.again(self._limits.project)
+        except _Misfit:
+            raise
         except _FAILURES as problem:
             self.events.append((time, "filter", f"the beginning could not be gone through again: {problem}"))
             beginning.end()
@@ -780,13 +842,15 @@ def default_sensors(crane: Crane) -> dict[str, float]:
     return sensor_std(crane, (*crane.layout.coordinates, *crane.layout.loaded))
 
 
-def sensor_std(crane: Crane, sensors: Mapping[str, float] | Sequence[str]) -> dict[str, float]:
-    """Return {channel: noise standard deviation in SI}: as given, else the crane file's, else a default.
+def sensor_std(crane: Crane, sensors: Mapping[str, float] | Sequence[str] | str) -> dict[str, float]:
+    """Return {channel: noise standard deviation in SI}: as given, else the crane file's, else a default; a lone text is
+    one channel.
 
     Raises:
         CraneError: no sensor, an unknown one, or a standard deviation that is not positive.
     """
-    given = dict(sensors) if isinstance(sensors, Mapping) else dict.fromkeys(sensors)
+    names = (sensors,) if isinstance(sensors, str) else sensors
+    given = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names)
     table = crane.layout.sensors
     if not given:
         raise CraneError(f"The estimator has no sensor. Give at least one of {', '.join(table)}.")

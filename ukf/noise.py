@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from crane_exudyn.errors import CraneError
 from crane_exudyn.layout import Layout
 
 #: The paper's tuning: variances of acceleration in rad²/s⁴ and of pressure in Pa² a step
@@ -64,6 +66,21 @@ class ProcessNoise:
     pressure: tuple[float, ...]
     creep: tuple[float, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Raises CraneError for a density that is none, or a creep of some coordinates only."""
+        for name in ("acceleration", "pressure", "creep"):
+            densities = getattr(self, name)
+            if np.ndim(densities) != 1 or not np.all(np.isfinite(densities) & (np.asarray(densities) >= 0.0)):
+                raise CraneError(
+                    f"process noise: {name} is {densities}, expected densities in a tuple. Give one for each "
+                    "coordinate or chamber, not below zero, or take ProcessNoise.of(crane.layout)."
+                )
+        if len(self.creep) not in (0, len(self.acceleration)):
+            raise CraneError(
+                f"process noise: found {len(self.creep)} densities of creep and {len(self.acceleration)} of "
+                "acceleration. Give as many, or no creep."
+            )
+
     @classmethod
     def of(
         cls, layout: Layout, acceleration: Mapping[str, float] = _ACCELERATION, pressure: float = _PRESSURE
@@ -91,3 +108,25 @@ class PaperNoise:
     def covariance(self, dt: float) -> np.ndarray:
         """Return Rw (8, 8) of one step of `dt` seconds."""
         return paper_process_noise(dt, self.acceleration, self.pressure)
+
+
+def added_by(noise: Any, dt: float, sizes: Collection[int], names: Sequence[str]) -> np.ndarray:
+    """Return the covariance (n, n) that a process noise adds to the states `names` in `dt` s, n being one of `sizes`.
+
+    Raises:
+        CraneError: it has no method `covariance`, or that returns something else.
+    """
+    mend = (
+        "Give ProcessNoise an acceleration for each coordinate and a pressure for each chamber, as "
+        "ProcessNoise.of(crane.layout) does, or an object of your own whose method covariance(dt) returns that."
+    )
+    if not callable(getattr(noise, "covariance", None)):
+        raise CraneError(f"noise is of type {type(noise).__name__}, which has no method covariance(dt). {mend}")
+    found = np.asarray(noise.covariance(dt), dtype=float)
+    if found.shape not in [(n, n) for n in sizes] or not np.isfinite(found).all():
+        expected = " or ".join(str((n, n)) for n in sorted(set(sizes)))
+        raise CraneError(
+            f"noise: its covariance over {dt:g} s has shape {found.shape}, expected {expected} and finite, for "
+            f"{' '.join(names)}. {mend}"
+        )
+    return found

@@ -65,6 +65,10 @@ class SideBySide:
                     "names. Give crane files of one machine."
                 )
 
+    def __repr__(self) -> str:
+        sensors = ", ".join(self.estimators[0].channel_names)
+        return f"<SideBySide of {', '.join(self.names)}: {' '.join(self.states)} from sensors {sensors}>"
+
     def run(self, recording: Any, *, progress: Callable[[float], None] | None = None) -> Estimate:
         """Return the mixed estimate, over a recording, of the states that all models have; its `models` say how
         probable each was.

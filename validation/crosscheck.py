@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from crane_exudyn.crane import Crane
+from crane_exudyn.crane import Crane, checked_crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import told
@@ -57,6 +57,10 @@ ORDER_STEPS = (4e-3, 2e-3, 1e-3)
 #: RMS differences, rad and Pa, of runs that differ by no more than what both Newton's methods leave: these do not fall
 #: with the step
 NOISE = (1e-9, 1.0)
+
+
+#: shortest run that is compared, s: some steps of the coarsest
+_SHORTEST = 0.1
 
 
 @dataclass(frozen=True)
@@ -287,7 +291,7 @@ def compare_runs(
     """Return quantities and runs of both engines from the static start of the crane file.
 
     The difference must fall with the square of the step, and at `step` be below 1e-6 rad and 1e-4 of the pressures'
-    ranges.
+    ranges. What does not move has no order.
     """
     crane = first.crane
     x0 = initial_state(crane, second)
@@ -306,8 +310,16 @@ def compare_runs(
     progress(0.15)
     fine = run(time, w, step)
     progress(1.0)
-    orders = convergence_orders(crane.layout, runs)
+    moving = _moving(fine, crane.layout)
+    orders = [q for q, moves in zip(convergence_orders(crane.layout, runs), moving, strict=True) if moves]
     return [*orders, *_final_differences(fine, crane.layout)], [*runs, fine]
+
+
+def _moving(run: Run, layout: Layout) -> list[bool]:
+    """Return whether positions, and pressures, move along a run by more than what Newton's methods leave."""
+    reach = np.maximum(np.ptp(run.first, axis=0), np.ptp(run.second, axis=0))
+    parts = zip((layout.positions, layout.pressures), NOISE, strict=True)
+    return [not (reach[columns] <= noise).all() for columns, noise in parts]
 
 
 def _as_asked(engine: Engine) -> Engine:
@@ -337,8 +349,10 @@ def convergence_orders(layout: Layout, runs: Sequence[Run]) -> list[Quantity]:
 
 
 def _final_differences(run: Run, layout: Layout) -> list[Quantity]:
-    """Return the largest differences of positions (absolute) and pressures (relative to their range) along a run."""
-    out = []
+    """Return the largest differences of positions (absolute) and pressures (relative to their range) along a run; of a
+    pressure that hardly moves, as much is accepted as Newton's methods leave.
+    """
+    out, tolerance = [], 1e-4
     difference = np.abs(run.first - run.second)
     reach = np.ptp(run.second, axis=0)
     for i, name in enumerate(layout.all_states[: difference.shape[1]]):
@@ -346,13 +360,14 @@ def _final_differences(run: Run, layout: Layout) -> list[Quantity]:
         if unit.endswith("/s"):
             continue
         worst = int(np.argmax(np.where(np.isnan(difference[:, i]), np.inf, difference[:, i])))
-        size, range_ = float(difference[worst, i]), max(float(reach[i]), 1e-12)
+        least = NOISE[1] / tolerance if unit == "Pa" else 1e-12
+        size, range_ = float(difference[worst, i]), max(float(reach[i]), least)
         reason = f"two forms of one rule, steps of {1e3 * run.step:g} ms"
         place = f"t = {run.time[worst]:.2f} s"
         out.append(
             Quantity(f"{run.name}: {name}", unit, size, size / range_, 1e-6, reason, place, absolute=True)
             if unit != "Pa"
-            else Quantity(f"{run.name}: {name}", "Pa", size, size / range_, 1e-4, reason + ", of the range", place)
+            else Quantity(f"{run.name}: {name}", "Pa", size, size / range_, tolerance, reason + ", of the range", place)
         )
     return out
 
@@ -386,8 +401,19 @@ def crosscheck(
         progress: is called with the fraction done.
 
     Raises:
-        CraneError: an effect that the crane cannot have, or that acts in no engine.
+        CraneError: no states or no time to compare in, or an effect that the crane cannot have, or that acts in no
+            engine.
     """
+    crane = checked_crane(crane, "crosscheck")
+    if not (states >= 1 and states == int(states)):
+        raise CraneError(
+            f"crosscheck: states = {states} compares nothing. Give a whole number of random states, such as 200."
+        )
+    if not (seconds >= _SHORTEST and step > 0.0):
+        raise CraneError(
+            f"crosscheck: runs of {seconds:g} s with steps of {step:g} s cannot be compared. Give at least "
+            f"{_SHORTEST:g} s, and a positive step."
+        )
     make_first, make_second = make_first or _exudyn, make_second or _semi_recursive
     probes = _probes(crane.nominal(), effects)
     rng = np.random.default_rng(seed)

@@ -6,16 +6,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crane_exudyn.crane import Crane
+from crane_exudyn.crane import Crane, checked_crane
 from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
+from crane_exudyn.errors import CraneError
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 
@@ -32,6 +33,9 @@ ERRORS = ("error_before", "error_after", "check_error_before", "check_error_afte
 
 #: so many candidates are drawn
 _DRAWN = 8
+
+#: a recording, or the file that it is read from
+OneRecording = Recording | str | Path
 
 
 @dataclass(frozen=True)
@@ -171,9 +175,9 @@ def own_values(entry: Mapping[str, Any]) -> str:
 
 
 def diagnose(
-    crane: Crane,
-    recording: Recording | Sequence[Recording],
-    check: Recording | None = None,
+    crane: Crane | str | Path,
+    recording: OneRecording | Sequence[OneRecording],
+    check: OneRecording | None = None,
     *,
     per_recording: Sequence[str] = (),
     jobs: int = 2,
@@ -186,8 +190,9 @@ def diagnose(
     verdict is "unknown".
 
     Args:
-        crane: the crane file; effects that it has stay, and are fitted along.
-        recording: commands and sensors; several recordings of one machine may differ in sensors and rates.
+        crane: the crane, or a name or file; effects that it has stay, and are fitted along.
+        recording: commands and sensors, or their file; several recordings of one machine may differ in sensors and
+            rates.
         check: another recording of the same machine, which is only predicted, after all choices.
         per_recording: nominal parameters that differ from recording to recording, such as payload.mass.
         jobs: processes to use.
@@ -197,9 +202,34 @@ def diagnose(
         CraneError: the recording cannot support a diagnosis.
     """
     began = time.perf_counter()
-    path, notes = searched(crane, recording, check, per_recording, CRITERIA.most, jobs, progress)
+    crane, recordings, check = loaded(crane, recording, check)
+    path, notes = searched(crane, recordings, check, per_recording, CRITERIA.most, jobs, progress)
     progress("predicting", 0.9)
     return replace(diagnosis_of(path, check, notes), seconds=time.perf_counter() - began)
+
+
+def loaded(
+    crane: Crane | str | Path, recording: OneRecording | Sequence[OneRecording], check: OneRecording | None
+) -> tuple[Crane, tuple[Recording, ...], Recording | None]:
+    """Return a crane, the recordings and the check recording that were given as such, or by their names or files.
+
+    Raises:
+        CraneError: something else, or a file that cannot be read.
+    """
+    crane = checked_crane(Crane.load(crane) if isinstance(crane, str | Path) else crane, "crane")
+
+    def one(given: OneRecording) -> Recording:
+        if isinstance(given, str | Path):
+            return Recording.load(given, layout=crane.layout)
+        if not isinstance(given, Recording):
+            raise CraneError(
+                f"recording: found an object of type {type(given).__name__}. Give a Recording or its file."
+            )
+        return given
+
+    several = isinstance(recording, Iterable) and not isinstance(recording, Recording | str)
+    given: Iterable[Any] = recording if several else [recording]  # type: ignore[assignment]
+    return crane, tuple(map(one, given)), None if check is None else one(check)
 
 
 def searched(

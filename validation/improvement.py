@@ -20,7 +20,7 @@ from crane_exudyn.recording import Recording
 from ukf.model_error import lasting
 
 from .comparison import filtered, longest_stretch
-from .diagnosis import Candidate, Diagnosis, diagnosis_of, searched, sentence
+from .diagnosis import Candidate, Diagnosis, OneRecording, diagnosis_of, loaded, searched, sentence
 from .fit.data import FINE, FitData
 from .fit.staged import residuals, rms
 from .fitness import usable
@@ -122,9 +122,9 @@ class Improvement:
 
 
 def improve(
-    crane: Crane,
-    recording: Recording | Sequence[Recording],
-    check: Recording | None = None,
+    crane: Crane | str | Path,
+    recording: OneRecording | Sequence[OneRecording],
+    check: OneRecording | None = None,
     *,
     per_recording: Sequence[str] = (),
     jobs: int = 2,
@@ -138,8 +138,8 @@ def improve(
     Laws that the crane learned before go again where named effects do as well.
 
     Args:
-        crane: the crane file as given.
-        recording, check: learned from (several of one machine together), and only predicted.
+        crane: the crane as given, or its name or file.
+        recording, check: learned from (several of one machine together), and only predicted; or their files.
         per_recording: nominal parameters that differ from recording to recording.
         jobs: processes to use.
         most: at most so many effects.
@@ -147,18 +147,22 @@ def improve(
             place where laws alone leave less.
         told: called with each step as soon as it is known.
         progress: called with a text and the share that is done.
+
+    Raises:
+        CraneError: the recording cannot support a diagnosis.
     """
+    crane, recordings, checked = loaded(crane, recording, check)
 
     def path_of(given: Crane) -> tuple[WhitePath, list[str]]:
-        return searched(given, recording, check, per_recording, most, jobs, progress)
+        return searched(given, recordings, checked, per_recording, most, jobs, progress)
 
     path, notes = path_of(crane)
     replaced = learned(crane)
     if replaced:
         named, _ = path_of(without_learned(crane))
         path, replaced = (named, replaced) if _as_well(named, path) else (path, ())
-    d = replace(diagnosis_of(path, check, notes), given=crane)
-    judge = Judge(path.problem.recordings, check, path.problem.data.own, jobs, noise_level(path.problem.data))
+    d = replace(diagnosis_of(path, checked, notes), given=crane)
+    judge = Judge(path.problem.recordings, checked, path.problem.data.own, jobs, noise_level(path.problem.data))
     steps = [judge.step(None, crane, d.verdict, sentence(d))]
     told(steps[0])
     result = _named(

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
-from .diagnosis import looked_at
+from .diagnosis import OneRecording, loaded, looked_at
 from .fit.staged import STIFF, TIGHT
 from .history import added
 from .learned.fits import laws_of, refined, spread, told, with_curves
@@ -85,9 +86,9 @@ def sentence(found: Learned) -> str:
 
 
 def learn(
-    crane: Crane,
-    recordings: Recording | Sequence[Recording],
-    check: Recording | None = None,
+    crane: Crane | str | Path,
+    recordings: OneRecording | Sequence[OneRecording],
+    check: OneRecording | None = None,
     *,
     per_recording: Sequence[str] = (),
     jobs: int = 2,
@@ -97,8 +98,8 @@ def learn(
     as well.
 
     Args:
-        crane: effects that it has stay, and are fitted along.
-        recordings: commands and sensors, of one run or of several of one machine.
+        crane: the crane, or a name or file; effects that it has stay, and are fitted along.
+        recordings: commands and sensors, or their files, of one run or of several of one machine.
         check: another recording of the same machine, which is only predicted.
         per_recording: nominal parameters that differ from recording to recording.
         jobs: processes to use.
@@ -108,10 +109,11 @@ def learn(
         CraneError: the recording cannot support it.
     """
     began = time.perf_counter()
-    problem, notes = looked_at(crane, recordings, check, per_recording, jobs, progress)
+    crane, known, checked = loaded(crane, recordings, check)
+    problem, notes = looked_at(crane, known, checked, per_recording, jobs, progress)
     path = search(LEARNING, problem, CRITERIA.laws, progress)
     progress("weighing", 0.85)
-    return replace(_concluded(path, check, [*notes, *path.notes]), seconds=time.perf_counter() - began)
+    return replace(_concluded(path, checked, [*notes, *path.notes]), seconds=time.perf_counter() - began)
 
 
 def _along_forms(problem: Problem, best: Fitted) -> Fitted:

@@ -51,6 +51,9 @@ def results_of(
     Raises:
         WorkerEnded: a worker process was ended from outside.
     """
+    if jobs == 1 and not _schedulers:
+        yield from (function(*arguments) for function, *arguments in tasks)
+        return
     from joblib import Parallel, delayed
 
     parent = None if _schedulers else os.getpid()

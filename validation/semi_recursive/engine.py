@@ -9,10 +9,12 @@ import numpy as np
 
 from crane_exudyn import faulty_laws
 from crane_exudyn.compiled import njit
-from crane_exudyn.crane import Crane
-from crane_exudyn.effects import hooks, registry
-from crane_exudyn.errors import CraneError, listed, nearest
+from crane_exudyn.crane import Crane, checked_crane
+from crane_exudyn.description import RowValues
+from crane_exudyn.effects import hooks
+from crane_exudyn.errors import CraneError, listed
 from crane_exudyn.machine import Joint, Machine
+from crane_exudyn.statics import check_spools, checked_inputs, checked_state
 from crane_exudyn.step_control import MOST_HALVINGS
 
 from . import equations, kernel
@@ -73,22 +75,6 @@ def _asked(P, E, n):
     return hooks.pendulum(E)[0], stopped
 
 
-def _find_column(machine: Machine, name: str) -> tuple[str, int]:
-    layout = machine.layout
-    if name in layout.disturbances:
-        return "w", layout.all_inputs.index(name)
-    if name in machine.index:
-        return "P", machine.index[name]
-    key, _, last = name.rpartition(".")
-    if "@" in key or key in {e.name for e in registry.known()}:
-        effect, place = registry.split_key(key, layout)
-        for i, parameter in enumerate(effect.parameters):
-            if parameter.name == last:
-                return "E", registry.slot(effect.name, place, layout) + i
-    known = [*machine.names, *layout.disturbances]
-    raise CraneError(f"Semi-recursive engine: no parameter {name!r} can differ from row to row.{nearest(name, known)}")
-
-
 class SemiRecursiveEngine:
     """A crane, whatever its machine, by the double-step semi-recursive method; states in, states out, no hidden state.
 
@@ -99,7 +85,7 @@ class SemiRecursiveEngine:
     """
 
     def __init__(self, crane: Crane, *, step: float = 1e-3, accuracy: float = 1.0):
-        if crane.objects:
+        if checked_crane(crane, "SemiRecursiveEngine").objects:
             raise CraneError(
                 f"{crane.name}: objects of one's own are known to the Exudyn engine only. Use that, or a crane without "
                 "them."
@@ -107,12 +93,15 @@ class SemiRecursiveEngine:
         self.crane, self.step, self.accuracy = crane, float(step), float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
         self._topology = crane.machine.topology
-        self._columns: dict[str, tuple[str, int]] = {}
+        self._row_values = RowValues(crane)
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
         self.halved = 0
         self._layout = crane.layout
         length, self._stopped = _asked(self._P, self._E, len(self._layout.cylinders))
         self.state_names = self._layout.all_states if length > 0.0 else self._layout.states
+
+    def __repr__(self) -> str:
+        return f"<SemiRecursiveEngine of {self.crane!r}, states {' '.join(self.state_names)}>"
 
     def static_start(self, *pose: float, less_loaded: float | Sequence[float] | None = None) -> np.ndarray:
         """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded` (20
@@ -177,8 +166,8 @@ class SemiRecursiveEngine:
                 parameters of effects such as "internal_leakage@lift.k", and the disturbances of the layout.
 
         Raises:
-            CraneError: wrong shapes, a step that is not positive, an unknown parameter, or a state whose step does not
-                converge.
+            CraneError: wrong shapes, a spool position that is missing or far beyond ±1, a step that is not positive, a
+                parameter that is unknown or that no crane has, or a state whose step does not converge.
         """
         x = np.ascontiguousarray(states, dtype=float)
         self._check_shape("states", x, (None, len(self.state_names)))
@@ -190,6 +179,7 @@ class SemiRecursiveEngine:
             raise CraneError(
                 f"inputs have the shape {w.shape}; expected (2, {m}) or (2, {len(x)}, {m}): w at start and end."
             )
+        check_spools(self._layout.voltages, w, step=True)
         w, P, E = w.reshape(2, -1, m), self._P[None], self._E[None]
         if parameters:
             w, P, E = self._by_row(len(x), w, parameters)
@@ -213,19 +203,8 @@ class SemiRecursiveEngine:
         wide = np.zeros((2, rows, len(self._layout.all_inputs)))
         wide[:, :, self._layout.driving] = w
         P, E = self._P[None].repeat(rows, 0), self._E[None].repeat(rows, 0)
-        for name, values in parameters.items():
-            table, column = self._column(name)
-            if table == "w":
-                wide[:, :, column] = values
-            else:
-                (P if table == "P" else E)[:, column] = values
+        self._row_values.fill(parameters, P, E, wide)
         return wide, P, E
-
-    def _column(self, name: str) -> tuple[str, int]:
-        """Return where a quantity that may differ from row to row stands: "w", "P" or "E", and the column."""
-        if name not in self._columns:
-            self._columns[name] = _find_column(self.crane.machine, name)
-        return self._columns[name]
 
     def simulate(
         self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float | None = None
@@ -250,13 +229,28 @@ class SemiRecursiveEngine:
         return X
 
     def terms(self, state: np.ndarray, w: np.ndarray, time: float = 0.0) -> dict[str, float]:
-        """Return every term of the balances by name at a state (nx,) and inputs w (m,); SI."""
-        values = self.terms_along(np.asarray(state)[None], np.asarray(w)[None], np.array([time]))
+        """Return every term of the balances by name at a state (nx,) and inputs w (m,), which may have the disturbances
+        behind; SI.
+
+        Raises:
+            CraneError: a state or inputs of another length.
+        """
+        x, given = checked_state(self.crane, state), checked_inputs(self.crane, w)
+        values = self.terms_along(x[None], given[None], np.array([time]))
         return {name: float(v[0]) for name, v in values.items()}
 
     def terms_along(self, states: np.ndarray, inputs: np.ndarray, time: np.ndarray) -> dict[str, np.ndarray]:
-        """Return every term by name along states (N, nx), inputs (N, m) and times (N,)."""
+        """Return every term by name along states (N, nx), inputs (N, m) and times (N,). Raises CraneError for wrong
+        shapes.
+        """
         x, w, t = (np.ascontiguousarray(a, dtype=float) for a in (states, inputs, time))
+        self._check_shape("states", x, (None, len(self.state_names)))
+        widths = len(self._layout.inputs), len(self._layout.all_inputs)
+        if w.shape not in [(len(x), m) for m in widths] or t.shape != (len(x),):
+            raise CraneError(
+                f"inputs have the shape {w.shape} and time {t.shape}; expected ({len(x)}, {widths[0]}), or ({len(x)}, "
+                f"{widths[1]}) with disturbances, and ({len(x)},): one row for each state."
+            )
         names = term_names(self.crane.machine)
         values = terms(x, w, t, self._P, self._E, self._topology, point_rows(self.crane.machine), len(names))
         return dict(zip(names, values.T, strict=True))
@@ -279,12 +273,7 @@ class SemiRecursiveEngine:
         if not np.all(np.diff(t) > 0.0):
             k = int(np.argmin(np.diff(t) > 0.0))
             raise CraneError(f"time does not increase from sample {k} ({t[k]:g} s) to {k + 1} ({t[k + 1]:g} s).")
-        if not np.all(np.isfinite(w[:, self._layout.spools])):
-            k = int(np.argmin(np.all(np.isfinite(w[:, self._layout.spools]), axis=1)))
-            raise CraneError(
-                f"inputs: the spool position at sample {k} ({t[k]:g} s) is {w[k, self._layout.spools]}. Give finite "
-                "numbers."
-            )
+        check_spools(self._layout.voltages, w, step=False)
 
     def _refuse_stroke_end(self, states: np.ndarray, time: np.ndarray) -> None:
         lengths = _chamber_lengths(np.ascontiguousarray(states), self._P, self._E, self._topology)
