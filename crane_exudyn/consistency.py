@@ -135,7 +135,7 @@ def _averaged(recording: Recording, name: str, time: np.ndarray) -> np.ndarray:
     channel = recording[name]
     low, high = np.quantile(channel.values, [0.01, 0.99])
     reach = _SPIKE * max(float(high - low), 1e-300)
-    sound = (channel.values > low - reach) & (channel.values < high + reach)
+    sound = (channel.values >= low - reach) & (channel.values <= high + reach)  # a channel may stand still
     wide = max(1, round(STEP * sampling_rate(channel.time)))
     padded = np.pad(channel.values[sound], (wide // 2, wide - 1 - wide // 2), "edge")
     means = np.convolve(padded, np.full(wide, 1.0 / wide), "valid")

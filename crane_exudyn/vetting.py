@@ -608,7 +608,7 @@ def _saturation(recording: Recording, crane: Crane) -> Iterator[Finding]:
         kept = values[1:] == values[:-1]
         for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
             there = values[1:] == limit
-            cut = (kept & there).mean() > _CUT and kept[~there].mean() < _KEPT
+            cut = (kept & there).mean() > _CUT and (there.all() or kept[~there].mean() < _KEPT)
             if cut and not (unit == "Pa" and limit <= vapour_pressure(crane)):
                 text = (
                     f"{name} stands at its {word} value {limit:.4g} {unit} in {100 * there.mean():.0f} % of its "

@@ -81,6 +81,17 @@ def test_gauge_pressures_of_a_crane_that_has_them_may_be_below_zero() -> None:
     assert found.severity == "error" and "at least -1.01 bar" in found.text
 
 
+def test_a_simulated_machine_that_stands_still_is_vetted() -> None:
+    """Channels that never change ended in an error of numpy."""
+    still = {n: 0.0 * np.arange(2000) for n in ("u1", "u2")} | {"z1": 0.2, "z4": -0.7, "p1": 50 * BAR, "p4": 40 * BAR}
+    recording = Recording.from_arrays(
+        "r", 0.005 * np.arange(2000), {n: np.broadcast_to(v, 2000) for n, v in still.items()}
+    )
+    assert not [f for f in vet(recording, Crane.load("patu655")) if f.severity == "error"]
+    leapt = recorded(p1=np.where(np.arange(2000) < 1, 60 * BAR, 61 * BAR))
+    assert "saturation" in [f.kind for f in contents(leapt, Crane.load("patu655"))]
+
+
 def test_spikes_are_no_units() -> None:
     z1 = of(5 * DEG, 20 * DEG)
     z1[::300] = 1e4
