@@ -9,8 +9,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from validation import workers
 from validation.workers import in_parallel, results_of, scheduled
@@ -87,6 +89,16 @@ def test_workers_know_the_users_own_effects_before_they_import_what_is_compiled_
     file.write_text(OWN)
     run = subprocess.run([sys.executable, "-c", USE, str(file)], capture_output=True, text=True, check=False)
     assert (run.stdout.split(), run.returncode) == (["8", "8"], 0), run.stderr
+
+
+def writable(array: np.ndarray) -> bool:
+    return bool(array.flags.writeable)
+
+
+def test_what_is_read_only_is_so_in_a_worker() -> None:
+    """A machine's table that could be written was another type to compiled code, and each worker compiled for it."""
+    table = Crane.load("patu655").machine.topology
+    assert not table.flags.writeable and in_parallel(2, [(writable, table)] * 2) == [False, False]
 
 
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:

@@ -58,8 +58,7 @@ def results_of(
 
     parent = None if _schedulers else os.getpid()
     files = registry.user_files()
-    # packed here: unpacking imports what is compiled with all effects, and must wait until these are known
-    calls = [delayed(_in_worker)(parent, files, pickle.dumps(task)) for task in tasks]
+    calls = [delayed(_in_worker)(parent, files, _packed(task)) for task in tasks]
     try:
         with _deaf_to_interrupts():
             results = Parallel(n_jobs=-1 if _schedulers else jobs, return_as=order, max_nbytes=None)(calls)
@@ -81,7 +80,7 @@ def own_processes(tasks: Sequence[Task]) -> Iterator[Callable[[], bool]]:
     """
     context = multiprocessing.get_context("spawn")
     given = os.getpid(), registry.user_files()
-    running = [context.Process(target=_in_worker, args=(*given, pickle.dumps(task)), daemon=True) for task in tasks]
+    running = [context.Process(target=_in_worker, args=(*given, _packed(task)), daemon=True) for task in tasks]
     with _deaf_to_interrupts():
         for process in running:
             process.start()
@@ -142,6 +141,15 @@ def scheduled(address: str | None) -> Iterator[None]:
             yield
         finally:
             _schedulers.pop()
+
+
+def _packed(task: Task) -> bytes:
+    """Return a task as bytes: unpacking it imports what is compiled with all effects, and must wait until these are
+    known.
+
+    The highest protocol keeps arrays read-only that are; compiled code exists for them as they are.
+    """
+    return pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
 
 
 def _in_worker(parent: int | None, files: Sequence[Path], packed: bytes) -> Any:
