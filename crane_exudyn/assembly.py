@@ -19,8 +19,6 @@ from .units import factor_to_si, reference_mend, reference_of
 
 #: units that people write, for messages
 EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "m/s": "mm/s", "s": "s"}
-#: a command may read a little beyond fully open, as sensors do; more than this is another unit
-_COMMAND_LIMIT = 1.05
 #: share of repeated times up to which the repeated samples are left out with a remark
 _MOST_REPEATED = 0.1
 #: columns that a message names
@@ -334,7 +332,7 @@ def _channel(
 
 
 def _check_command(path: Path, raw: RawColumn, values: np.ndarray, table: RawTable, mend: str) -> None:
-    beyond = np.flatnonzero(np.abs(np.nan_to_num(values)) > _COMMAND_LIMIT)
+    beyond = np.flatnonzero(np.abs(np.nan_to_num(values)) > channel_names.FULLY_OPEN)
     if len(beyond):
         raise CraneError(
             f"{path}, {table.place(beyond[0])}, column {raw.header}: found the command {values[beyond[0]]:g}, expected "

@@ -14,6 +14,8 @@ from .layout import Layout
 
 #: by unit, the size that no reading of a crane has: turns that no boom makes, rad/s, 1000 bar, m, m/s
 BEYOND: Mapping[str, float] = frozen({"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0, "m/s": 20.0})
+#: a command, or a spool, may read a little beyond fully open, as sensors do; more than this is another unit
+FULLY_OPEN = 1.05
 
 
 @cache

@@ -190,9 +190,9 @@ def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> N
             f"{where}: {missing[0]} is missing ({len(missing)} in all). Give it, in {parameters.unit_of(missing[0])}."
         )
     for name, value in values.items():
-        _check_one(where, name, value)
+        check_value(where, name, value)
     for c in machine.layout.cylinders:
-        _check_rod(where, c, values[f"cylinders.{c}.bore"], values[f"cylinders.{c}.rod"])
+        check_rod(where, c, values[f"cylinders.{c}.bore"], values[f"cylinders.{c}.rod"])
     if values["supply.pump_pressure"] <= values["supply.tank_pressure"]:
         raise CraneError(
             f"{where}: supply.pump_pressure = {values['supply.pump_pressure']:g} Pa is not above the tank's "
@@ -201,15 +201,15 @@ def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> N
 
 
 @cache
-def _range_of(name: str) -> tuple[float, bool, Mapping[float, str]]:
+def range_of(name: str) -> tuple[float, bool, Mapping[float, str]]:
     """Return the smallest value of a parameter, whether it may be that itself; its only values where they are few."""
     last = name.rsplit(".", 1)[-1]
     least, allowed = (0.0, True) if name == "payload.mass" else _LIMITS.get(last, (-math.inf, False))
     return least, allowed, _CHOICES.get(last, {})
 
 
-def _check_one(where: str, name: str, value: float) -> None:
-    least, allowed, choices = _range_of(name)
+def check_value(where: str, name: str, value: float) -> None:
+    least, allowed, choices = range_of(name)
     if least < value < math.inf and not choices:
         return
     if not math.isfinite(value):
@@ -224,7 +224,7 @@ def _check_one(where: str, name: str, value: float) -> None:
         )
 
 
-def _check_rod(where: str, cylinder: str, bore: float, rod: float) -> None:
+def check_rod(where: str, cylinder: str, bore: float, rod: float) -> None:
     if not rod < bore:
         raise CraneError(
             f"{where}: cylinders.{cylinder}.rod = {rod:g} m is not thinner than the bore of {bore:g} m. Swap or mend "
@@ -247,141 +247,3 @@ def check_effect(where: str, layout: Layout, acting: Acting) -> None:
             )
     if effect.curve is not None:
         effect.curve.check(f"{where}: effect {acting.key!r}", acting.parameters)
-
-
-# -- what may differ from row to row ---------------------------------------------------------------------------------
-
-
-#: so many numbers are looked at faster one by one than by numpy
-_FEW = 50
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """Where some parameters stand, and what they may be.
-
-    Attributes:
-        places: (number of the table among P, E and w, column) of each.
-        limits: (table, column, what it is above) of nominal parameters and of effects.
-        arrays: the same by table: (table, columns (k,), what they are above (k,)).
-        rods: (column of the bore, of the rod) in P of cylinders of which one of these differs.
-    """
-
-    names: tuple[str, ...]
-    places: tuple[tuple[int, int], ...]
-    limits: tuple[tuple[int, int, float], ...]
-    arrays: tuple[tuple[int, np.ndarray, np.ndarray], ...]
-    rods: tuple[tuple[int, int], ...]
-
-    def possible(self, tables: tuple[np.ndarray, ...]) -> bool:
-        """Whether no row of the tables breaks a limit; what is not a number does."""
-        if len(tables[0]) * len(self.limits) <= _FEW:
-            for table, column, least in self.limits:
-                if [v for v in tables[table][:, column].tolist() if not least < v < math.inf]:
-                    return False
-        else:
-            for table, columns, limits in self.arrays:
-                values = tables[table][:, columns]
-                if not ((values > limits) & (values < math.inf)).all():
-                    return False
-        return all((tables[0][:, bore] > tables[0][:, rod]).all() for bore, rod in self.rods)
-
-
-class RowValues:
-    """What differs from row to row of a batch: it is put where compiled code looks for it, and must be possible.
-
-    Effects are bounded from below only, as a filter's sigma points are: beyond its range one is odd, not impossible.
-    """
-
-    def __init__(self, crane: Description) -> None:
-        self._crane = crane
-        self._plans: dict[tuple[str, ...], _Plan] = {}  # the names are the same step after step
-
-    def fill(self, parameters: Mapping[str, np.ndarray], P: np.ndarray, E: np.ndarray, w: np.ndarray) -> None:
-        """Write values (n,) by name into P (n, .), E (n, .) and, disturbances, w (2, n, .).
-
-        Raises:
-            CraneError: an unknown name, not one number a row, or a row that no crane can have.
-        """
-        names, tables = tuple(parameters), (P, E, w)
-        plan = self._plans.get(names)
-        if plan is None:
-            plan = self._plans[names] = self._plan(names)
-        for (name, values), (table, column) in zip(parameters.items(), plan.places, strict=True):
-            try:
-                if np.ndim(values) > 1:
-                    raise ValueError
-                tables[table][..., column] = values
-            except (TypeError, ValueError):
-                raise CraneError(
-                    f"parameters: {name!r} has the shape {np.shape(values)}, expected ({len(P)},) numbers in SI. Give "
-                    "one for each row of the states."
-                ) from None
-        if not plan.possible(tables):
-            self._refuse(plan, tables)
-
-    def _plan(self, names: tuple[str, ...]) -> _Plan:
-        places, index = tuple(map(self._place, names)), self._crane.machine.index
-        limits = [(t, column, self._below(n)) for n, (t, column) in zip(names, places, strict=True) if t < 2]
-        arrays = []
-        for table in {t for t, _, _ in limits}:
-            columns, least = zip(*((c, least) for t, c, least in limits if t == table), strict=True)
-            arrays.append((table, np.array(columns), np.array(least)))
-        ends = [(f"cylinders.{c}.bore", f"cylinders.{c}.rod") for c in self._crane.layout.cylinders]
-        rods = tuple((index[bore], index[rod]) for bore, rod in ends if bore in names or rod in names)
-        return _Plan(names, places, tuple(limits), tuple(arrays), rods)
-
-    def _place(self, name: str) -> tuple[int, int]:
-        layout, index = self._crane.layout, self._crane.machine.index
-        if name in index:
-            return 0, index[name]
-        if name in layout.disturbances:
-            return 2, layout.all_inputs.index(name)
-        return 1, _effect_column(self._crane, name)
-
-    def _below(self, name: str) -> float:
-        """Return what a parameter must be above; infinite where it has a few choices, at which `_refuse` looks."""
-        if name in self._crane.machine.index:
-            least, allowed, choices = _range_of(name)
-            return math.inf if choices else math.nextafter(least, -math.inf) if allowed else least
-        return math.nextafter(self._least_of(name), -math.inf)
-
-    def _least_of(self, name: str) -> float:
-        key, _, last = name.rpartition(".")
-        effect, _ = registry.split_key(key, self._crane.layout)
-        return next(float(p.lower) for p in effect.parameters if p.name == last)
-
-    def _refuse(self, plan: _Plan, tables: tuple[np.ndarray, ...]) -> None:
-        """Raise CraneError for the first row that is impossible."""
-        of = self._crane.machine.index
-        for row, values in enumerate(tables[0].tolist()):
-            where = f"parameters, row {row}"
-            for name, (table, column) in zip(plan.names, plan.places, strict=True):
-                if table == 0:
-                    _check_one(where, name, values[column])
-                elif table == 1:
-                    value, least = float(tables[1][row, column]), self._least_of(name)
-                    if not least <= value < math.inf:
-                        raise CraneError(
-                            f"{where}: {name} = {value:g} is impossible: it must be finite and >= {least:g}. Keep "
-                            "every row there."
-                        )
-            for c in self._crane.layout.cylinders:
-                _check_rod(where, c, values[of[f"cylinders.{c}.bore"]], values[of[f"cylinders.{c}.rod"]])
-
-
-def _effect_column(crane: Description, name: str) -> int:
-    """Return where in E the parameter "effect@place.parameter" stands.
-
-    Raises:
-        CraneError: there is no such parameter, neither of an effect nor of the crane.
-    """
-    key, _, parameter = name.rpartition(".")
-    if not key or key.split("@")[0] not in [e.name for e in registry.known()]:
-        known = [*crane.machine.names, *crane.layout.disturbances]
-        raise CraneError(f"parameters: there is no {name!r}.{nearest(name, known)}")
-    effect, place = registry.split_key(key, crane.layout)
-    names = [p.name for p in effect.parameters]
-    if parameter not in names:
-        raise CraneError(f"parameters: effect {key!r} has no parameter {parameter!r}.{nearest(parameter, names)}")
-    return registry.slot(effect.name, place, crane.layout) + names.index(parameter)

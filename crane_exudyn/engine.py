@@ -11,10 +11,10 @@ import numpy as np
 
 from . import faulty_laws, geometry, mechanism, reduction, statics, trapezoidal
 from .crane import Crane, checked_crane
-from .description import RowValues
 from .effects import hooks
 from .errors import CraneError
 from .item_values import ItemValues
+from .row_values import RowValues
 from .static_start import static_start
 from .step_control import MOST_HALVINGS, enough_to_grow, limit, next_level
 

@@ -12,14 +12,12 @@ from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
 from . import trapezoidal
+from .channels import FULLY_OPEN
 from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
 from .geometry import LENGTH, RATE
 from .machine import BODIES
-
-#: a spool may stand a little beyond fully open, as recorded commands do (`assembly`); more than this is another unit
-SPOOL_LIMIT = 1.05
 
 
 class Reduction(NamedTuple):
@@ -83,15 +81,15 @@ def checked_state(crane: Crane, state: np.ndarray) -> np.ndarray:
 
 def check_spools(valves: Sequence[str], w: np.ndarray, *, step: bool) -> None:
     """Raise CraneError for a spool position in w, whose first columns are the `valves`, that is missing or beyond
-    ±`SPOOL_LIMIT`; w is (2, m) or (2, n, m) at the start and the end of a step, or of a run (N, m).
+    ±`channels.FULLY_OPEN`; w is (2, m) or (2, n, m) at the start and the end of a step, or of a run (N, m).
     """
     n = len(valves)
     if step and w.ndim == 2:  # a filter's step, a thousand times a second: on so few, plain Python is faster
         start, end = w.tolist()
-        if not [u for u in start[:n] + end[:n] if not -SPOOL_LIMIT <= u <= SPOOL_LIMIT]:
+        if not [u for u in start[:n] + end[:n] if not -FULLY_OPEN <= u <= FULLY_OPEN]:
             return
     spools = w[..., :n]
-    bad = np.argwhere(~(np.abs(spools) <= SPOOL_LIMIT))
+    bad = np.argwhere(~(np.abs(spools) <= FULLY_OPEN))
     if bad.size:
         at, *row, valve = bad[0].tolist()
         of_row = f" of row {row[0]}" if row else ""

@@ -36,19 +36,15 @@ class Bounds:
         lower[columns], upper[columns] = -np.inf, np.inf
         return Bounds(lower, upper)
 
-    def outside(self, points: np.ndarray) -> bool:
-        """Whether some of the points (m, n) are outside."""
-        return bool(_outside(points, self.lower, self.upper))
-
     def split(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the physical points (m, n) and the excess (m, n), or None where all points are physical."""
-        if not self.outside(points):
+        if not _outside(points, self.lower, self.upper):
             return points, None
         return _clipped(points, self.lower, self.upper)
 
     def broken(self, mean: np.ndarray) -> bool:
         """Whether a mean (n,) is outside."""
-        return self.outside(mean.reshape(1, -1))
+        return bool(_outside(mean.reshape(1, -1), self.lower, self.upper))
 
     def project(self, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Return the mean (n,) moved inside along the covariance (n, n); the same array where it is inside."""

@@ -209,14 +209,18 @@ class Estimate:
         return np.asarray(np.sqrt((used**2).sum(axis=0) / np.maximum((self.flags == USED).sum(axis=0), 1)))
 
     @cached_property
+    def _recorded_noise(self) -> np.ndarray:
+        """Noise (k,) that the recording shows; where it has none, what looks like it."""
+        return np.array([noise_std(y[np.isfinite(y)]) for y in self.measured.T])
+
+    @cached_property
     def _noise(self) -> np.ndarray:
         """Noise (k,) of the sensors: what the filter takes it to be, or what the recording shows where that is less,
         but a quarter of it at least; 0 where it is not known.
         """
         if self.sensor_std is None:
             return np.zeros(len(self.channel_names))
-        shown = np.array([noise_std(y[np.isfinite(y)]) for y in self.measured.T])
-        return np.asarray(np.clip(shown, _NO_NOISE * self.sensor_std, self.sensor_std))
+        return np.asarray(np.clip(self._recorded_noise, _NO_NOISE * self.sensor_std, self.sensor_std))
 
     @cached_property
     def noiseless(self) -> bool:
@@ -225,9 +229,11 @@ class Estimate:
         """
         if self.sensor_std is None or not (self._size < _NO_NOISE * self.sensor_std).all():
             return False
-        known = [(y[np.isfinite(y)], size) for y, size in zip(self.measured.T, self._size, strict=True)]
-        # innovations are never less than noise: what looks like more of it is motion
-        return all(is_noise_free(y) or np.ptp(y) == 0.0 or size < _SMALL * noise_std(y) for y, size in known if y.size)
+        moves = (
+            self._size < _SMALL * self._recorded_noise
+        )  # innovations are never less than noise: what looks like more of it
+        known = [y[np.isfinite(y)] for y in self.measured.T[~moves]]
+        return all(is_noise_free(y) or np.ptp(y) == 0.0 for y in known if y.size)
 
     @property
     def overstated(self) -> tuple[str, ...]:

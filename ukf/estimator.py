@@ -29,7 +29,7 @@ from .filter import Belief, FilterError
 from .methods import method_of
 from .monitor import ABSENT, FASTEST, OUTLIER, USED, Doubt, Monitor, leaps
 from .noise import ProcessNoise, added_by, measurement_noise
-from .process import Process, engine_of
+from .process import EngineMisfit, Process, engine_of
 from .recorder import REJECTED, Recorder
 from .revisit import Beginning, Revisit, Step
 from .samples import command_of, first_stamp, impossible, number, readings_of
@@ -71,29 +71,6 @@ class Now:
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} {self.mean[i]:.4g} ± {1.96 * self.std[i]:.2g}" for i, n in enumerate(self.names))
         return f"<t = {self.time:.3f} s: {shown}>"
-
-
-class _Misfit(CraneError):
-    """An engine that does not do what engines do: no failure of one step, after which the filter could go on."""
-
-
-class _Watched:
-    """An engine whose answers are looked at: what has another shape than the states would be taken apart in silence."""
-
-    def __init__(self, engine: Any) -> None:
-        self._engine = engine
-
-    def propagate(
-        self, states: np.ndarray, inputs: np.ndarray, dt: float, time: float, **parameters: Any
-    ) -> np.ndarray:
-        """Return what the engine returns. Raises CraneError where that are no states."""
-        out: np.ndarray = self._engine.propagate(states, inputs, dt, time, **parameters)
-        if np.shape(out) != states.shape:
-            raise _Misfit(
-                f"The engine {type(self._engine).__name__} returned the shape {np.shape(out)} for states of shape "
-                f"{states.shape}. Mend its method propagate: a state in, a state out."
-            )
-        return out
 
 
 class Estimator:
@@ -162,9 +139,10 @@ class Estimator:
         self._channels = Channels(crane, list(self.std_of), self._engine_states, self.extras)
         self._bounds = self._all_bounds(partial(cylinder_lengths, crane) if strokes else None)
         self._limits = self._bounds.without(crane.layout.positions)
-        self._process = self._again = self._process_on(self.engine)
+        self._process = self._again = Process(self.engine, self._channels, self.extras, self._bounds)
         if revisit is not None and revisit.engine is not None:
-            self._again = self._process_on(of_this_crane(engine_of(revisit.engine, crane), crane))
+            engine = of_this_crane(engine_of(revisit.engine, crane), crane)
+            self._again = Process(engine, self._channels, self.extras, self._bounds)
         self._method_name = method
         constants = [k for k, e in enumerate(self.extras, self.size - len(self.extras)) if e.memory == np.inf]
         self._held = constants if revisit is not None else []
@@ -189,11 +167,6 @@ class Estimator:
         sensors = ", ".join(f"{n} ± {std:.2g}" for n, std in self.std_of.items())
         kind, names = type(self.engine).__name__, " ".join(self.state_names)
         return f"<Estimator of {self.crane.name} by {self._method_name} on {kind}: {names} from sensors {sensors}>"
-
-    def _process_on(self, engine: Any) -> Process:
-        process = Process(engine, self._channels, self.extras, self._bounds)
-        process.engine = _Watched(engine)
-        return process
 
     def _check_start(self) -> None:
         """Raise CraneError for a start that is no belief in the engine's states."""
@@ -445,7 +418,7 @@ class Estimator:
         """
         try:
             result = self._predict_and_correct(times, inputs, values, recorder)
-        except _Misfit:
+        except EngineMisfit:
             raise
         except _FAILURES as problem:
             self._restart(float(times[-1]), str(problem))
@@ -777,7 +750,7 @@ class Estimator:
             return
         try:
             found = beginning.again(self._limits.project)
-        except _Misfit:
+        except EngineMisfit:
             raise
         except _FAILURES as problem:
             self.events.append((time, "filter", f"the beginning could not be gone through again: {problem}"))

@@ -21,6 +21,10 @@ from .linear_algebra import all_finite
 _LEAST_SHARE = 0.05
 
 
+class EngineMisfit(CraneError):
+    """An engine that does not do what engines do: no failure of one step, after which a filter could go on."""
+
+
 class Process:
     """The transition of [engine states, lagged readings, extra states] over one sampling interval."""
 
@@ -53,14 +57,13 @@ class Process:
         the mean and the farthest possible point between, or on the other side of it, goes on: with its parameter cut
         off the mean of all would be shifted, although the machine does nothing.
         """
-        if not self._columns or not self._bounds.outside(points):
-            return self._carried(points, inputs, times)
+        inside, excess = self._bounds.split(points)
+        if excess is None or not excess[:, list(self._columns.values())].any():
+            return self._carried(inside, excess, inputs, times)
         middle = points.mean(axis=0)
         share = self._possible(points, middle)
-        cut = share != 1.0
-        if not cut.any():
-            return self._carried(points, inputs, times)
-        out = self._carried(np.vstack([middle + share[:, None] * (points - middle), middle]), inputs, times)
+        near = np.vstack([middle + share[:, None] * (points - middle), middle])
+        out, cut = self._carried(*self._bounds.split(near), inputs, times), share != 1.0
         out[:-1][cut] = out[-1] + (out[:-1][cut] - out[-1]) / share[cut, None]
         return out[:-1]
 
@@ -76,15 +79,22 @@ class Process:
         share = np.where(ahead >= behind, ahead, -behind)
         return np.where(np.abs(share) < _LEAST_SHARE, 1.0, share)
 
-    def _carried(self, points: np.ndarray, inputs: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Return points (m, n) carried along; what is beyond limits is carried through as it is."""
-        inside, excess = self._bounds.split(points)
+    def _carried(
+        self, inside: np.ndarray, excess: np.ndarray | None, inputs: np.ndarray, times: np.ndarray
+    ) -> np.ndarray:
+        """Return points (m, n) carried along from inside the limits, what was beyond them carried through as it is."""
         states = np.ascontiguousarray(inside[:, : self.nx])
         keyword = {"parameters": {n: inside[:, c] for n, c in self._columns.items()}} if self._columns else {}
+        shape = states.shape
         for k in range(len(times) - 1):
             states = self.engine.propagate(
                 states, inputs[k : k + 2], times[k + 1] - times[k], float(times[k]), **keyword
             )
+            if np.shape(states) != shape:  # it would be taken apart in silence
+                raise EngineMisfit(
+                    f"The engine {type(self.engine).__name__} returned the shape {np.shape(states)} for states of "
+                    f"shape {shape}. Mend its method propagate: a state in, a state out."
+                )
         if not all_finite(states):
             raise ArithmeticError("the engine returned states that are not finite")
         return self._assemble(inside, states, excess, float(times[-1] - times[0]))

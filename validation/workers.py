@@ -97,7 +97,7 @@ def own_processes(tasks: Sequence[Task]) -> Iterator[Callable[[], bool]]:
 
 def in_parallel(jobs: int, tasks: Sequence[Task]) -> list[Any]:
     """Return the results of tasks in their order; this process does what no other would do sooner."""
-    if (jobs == 1 and not _schedulers) or len(tasks) < 2:
+    if len(tasks) < 2:
         return [function(*arguments) for function, *arguments in tasks]
     return list(results_of(tasks, min(jobs, len(tasks))))
 

@@ -10,10 +10,10 @@ import numpy as np
 from crane_exudyn import faulty_laws
 from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane, checked_crane
-from crane_exudyn.description import RowValues
 from crane_exudyn.effects import hooks
 from crane_exudyn.errors import CraneError, listed
 from crane_exudyn.machine import Joint, Machine
+from crane_exudyn.row_values import RowValues
 from crane_exudyn.statics import check_spools, checked_inputs, checked_state
 from crane_exudyn.step_control import MOST_HALVINGS
 
