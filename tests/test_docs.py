@@ -6,6 +6,7 @@ import ast
 import contextlib
 import io
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -23,6 +24,9 @@ PAGES = sorted(p for p in DOCS.rglob("*.md"))
 FENCE = re.compile(r"^```(?P<kind>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
 #: fences that are shown and not run, such as equations
 SHOWN = ("text",)
+#: commands that share a search among processes, which start for seconds; here each core has tests of its own, and
+#: `patu demo` searches in processes in tests/test_cli_runs.py
+SEARCHES = ("diagnose", "improve", "learn")
 
 
 class Block(NamedTuple):
@@ -82,14 +86,17 @@ def call(words: list[str]) -> tuple[int, str]:
     """Return exit status and output of a command; a new process only where an effect of one's own has to be compiled
     in.
     """
-    if words[0] == "python" or "--effects" in words:
-        module = ["-m", "patu"] if words[0] == "patu" else []
-        done = subprocess.run([sys.executable, *module, *words[1:]], capture_output=True, text=True, check=False)
+    if "--effects" in words:
+        command = [sys.executable, "-m", *words]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         return done.returncode, done.stdout + done.stderr
-    assert words[0] == "patu", f"{words[0]} is not known to this test"
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), pytest.raises(SystemExit) as leaving:
-        run(words[1:])
+        if words[0] == "python":
+            runpy.run_path(*words[1:], run_name="__main__")
+            sys.exit()
+        assert words[0] == "patu", f"{words[0]} is not known to this test"
+        run([*words[1:], *(("--jobs", "1") if words[1] in SEARCHES else ())])
     return leaving.value.code or 0, said.getvalue()
 
 

@@ -4,6 +4,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -199,11 +200,15 @@ def test_a_law_that_does_not_fit_is_refused_in_one_line(tmp_path, text, words):
 
 def test_a_law_that_does_not_return_is_refused_in_time(tmp_path, monkeypatch):
     file = tmp_path / "slow.py"
-    law = "k = 0.0\n        while k < 1e9:\n            k += 1.0\n        return -c * v * abs(v) * k / 1e9"
+    law = "k = 0.0\n        while k < 5e8:\n            k += 1.0\n        return -c * v * abs(v) * k / 5e8"
     file.write_text(_spoilt("return -c * v * abs(v)", law), encoding="utf-8")
     monkeypatch.setattr(checks, "_LONGEST", 0.1)
+    running = set(threading.enumerate())
     with pytest.raises(CraneError, match=r"slow\.py.*cylinder_force has not returned after 0.1 s, at c = .*loop"):
         registry.load_effects(file)
+    for left in set(threading.enumerate()) - running:  # it goes on to no other values, which took a core for minutes
+        left.join(20.0)
+        assert not left.is_alive()
 
 
 @pytest.mark.parametrize(

@@ -187,16 +187,20 @@ def _results(
 ) -> list[tuple[Any, ...]]:
     """Return what the compiled hook gives for each set of numbers that it is tried with, as many numbers as it must.
 
-    It is tried in a thread that can be left behind: compiled code that never ends hears no signal.
+    It is tried in a thread that can be left behind: compiled code that never ends hears no signal. A thread that was
+    left ends with the call that it is in.
     """
     import numba
 
     found: list[Any] = []
     failed: list[Exception] = []
+    left = threading.Event()
 
     def run() -> None:
         try:
             for given in tried:
+                if left.is_set():
+                    return
                 found.append(compiled(*given))
         except Exception as problem:  # whatever the law says, it is the law that must be mended
             failed.append(problem)
@@ -210,6 +214,7 @@ def _results(
     thread.start()
     thread.join(_LONGEST)
     if thread.is_alive():
+        left.set()
         at = _at(function, tried[len(found)])
         raise CraneError(f"{where}: hook {name} has not returned after {_LONGEST:g} s, at {at}. Mend its loop.")
     if failed:
