@@ -6,11 +6,13 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import crane_exudyn
 from crane_exudyn import Crane, Recording
 from crane_exudyn.drive import spool_on
 from crane_exudyn.effects import registry
@@ -197,7 +199,7 @@ def _recorded(name, crane, seed, seconds=5.0):
     for sensor, y in zip(crane.layout.sensors, shown.T, strict=True):
         if sensor in NOISE:
             channels[sensor] = y[::4] + NOISE[sensor] * rng.standard_normal(len(time[::4]))
-    return Recording.from_arrays(name, time[::4], channels)
+    return Recording.from_arrays(name, time[::4], channels, layout=crane.layout)
 
 
 NOISE = {"z1": 1e-3, "z4": 1e-3, **dict.fromkeys(("p1", "p2", "p3", "p4"), 0.3e5)}
@@ -248,6 +250,23 @@ def test_a_screen_needs_nothing_that_moves():
     fit = staged(CRANE, data, (), np.zeros(0), first_knots(CRANE, data), (LOOSE,))
     assert screen(fit, starts(CRANE, data), 1.0)[0].start.key == "internal_leakage@lift"
     assert screened(fit, possible_laws(fit), 1.0)[0].law.key == "learned_leakage@lift"
+
+
+def test_laws_are_looked_for_in_cranes_whose_cylinders_lengths_have_names_of_their_own(tmp_path):
+    text = (Path(crane_exudyn.__file__).parent / "data" / "patu655.toml").read_text(encoding="utf-8")
+    (tmp_path / "named.toml").write_text(
+        text.replace("[cylinders.lift]", '[cylinders.lift]\nlength = "way"').replace(
+            "[cylinders.tilt]", '[cylinders.tilt]\nlength = "reach"'
+        ),
+        encoding="utf-8",
+    )
+    crane = replace(Crane.load(tmp_path / "named.toml"), sensors=NOISE)
+    assert crane.layout.lengths == ("way", "reach")
+    data = FitData.of(_recorded("learn", crane, 1, seconds=3.0), crane)
+    fit = staged(crane, data, (), np.zeros(0), first_knots(crane, data), (LOOSE,))
+    assert {law.key for law in possible_laws(fit) if law.over.name == "stroke"} == {
+        "learned_force@lift", "learned_force@tilt",
+    }  # fmt: skip
 
 
 def test_a_soft_mount_is_seen_where_it_is():

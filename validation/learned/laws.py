@@ -244,7 +244,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], tuple[np.ndarray, tuple[f
         met("learned_opening", place, "spool", U, opened)
         met("learned_opening", place, "pressure_drop", drops, np.tile(opened, 2) & (drops > 0.0))
         met("learned_force", place, "speed", np.abs(v), moves)
-        met("learned_force", place, "stroke", t[f"s{c + 1}"])
+        met("learned_force", place, "stroke", t[lay.lengths[c]])
         met("learned_force", place, "pressure_drop", np.abs(p[:, 0] - p[:, 1]), moves)
         met("learned_leakage", place, "pressure_drop", np.abs(p[:, 0] - p[:, 1]))
         for side, chamber in enumerate(lay.sides[c]):
