@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -72,6 +74,8 @@ def command(
             f"{document['error_after']:.4g} after, {document['error_without']:.4g} then without the effect, in units "
             "of the sensors' noise." + ("" if anyway else " Nothing was written; --anyway writes it all the same.")
         )
+    else:
+        Printer(json).line(_fit_told(chosen, result, effect, document))
     _write(result if better or anyway else None, output, json, {"effect": effect, **document, "helped": better})
     raise typer.Exit(0 if better else 1)
 
@@ -83,10 +87,59 @@ def remove(
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Take an effect out of a crane file; what moved when it was added goes back to where it was."""
+    """Take an effect out of a crane file; what moved when it was added goes back to where it was, unless another effect
+    that came with it stays.
+    """
     from validation.history import removed
 
-    _write(removed(load_crane(crane, effects), effect), output, json, {"effect": effect})
+    before = load_crane(crane, effects)
+    after = removed(before, effect)
+    moved = _moved(before, after)
+    with_it = [e.key for e in after.effects if after.history and e.key in after.history[-1]["added"]]
+    if moved:
+        Printer(json).line(f"Back to where they were: {moved}.")
+    elif with_it and len(after.history) == len(before.history):
+        Printer(json).line(
+            f"What was added in the same step stays ({', '.join(with_it)}), and with it the parameters where they "
+            "are; they go back when that is taken out as well."
+        )
+    _write(after, output, json, {"effect": effect})
+
+
+def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]) -> str:
+    """Return in words what a fit found: the effect's parameters, the errors, and what else moved."""
+    from crane_exudyn.crane_toml import unit_at
+    from crane_exudyn.display import engineering, rounded
+    from crane_exudyn.effects import registry
+
+    (effect, place), found = registry.split_key(key, before.layout), []
+    for p in effect.parameters:
+        if p.name in document["parameters"]:
+            unit, one = engineering(unit_at(p.unit, place, before.layout))
+            fitted = document["parameters"][p.name]
+            spread = math.nan if fitted["std"] is None else fitted["std"] / one
+            found.append(f"{p.name} = {rounded(fitted['value'] / one, spread)}" + (f" {unit}" if unit else ""))
+    moved = _moved(before, after)
+    return (
+        f"{key}: {', '.join(found)}; open-loop error {document['error_before']:.3g} -> {document['error_after']:.3g} "
+        "noise units." + (f" With it moved {moved}." if moved else "")
+    )
+
+
+def _moved(before: Crane, after: Crane) -> str:
+    """Return in words which parameters differ between two cranes, by more than a little of their uncertainty."""
+    from crane_exudyn.display import engineering
+    from crane_exudyn.parameters import unit_of
+    from validation.selection.criteria import CRITERIA
+
+    told = []
+    for name, value in after.values.items():
+        known = before.uncertainty.get(name)
+        little = CRITERIA.moved * known.std if known and math.isfinite(known.std) else 0.0
+        if abs(value - before.values[name]) > little:
+            unit, one = engineering(unit_of(name))
+            told.append(f"{name} {before.values[name] / one:.4g} -> {value / one:.4g} {unit}")
+    return ", ".join(told)
 
 
 def _parse(crane: Crane, key: str, entries: list[str]) -> dict[str, float]:

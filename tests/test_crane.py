@@ -164,6 +164,20 @@ def test_adding_and_removing_is_exact(crane):
     assert removed(more, "dead_band@lift") == known
 
 
+def test_of_two_effects_that_came_together_one_is_removed_alone(crane, tmp_path):
+    """The other one went with it, and nothing was said."""
+    from validation.history import added, removed
+
+    both = crane.with_parameters({"payload.mass": 61.0}).with_effect("pump_droop", {"R": 1e9})
+    both = added(crane, both.with_effect("dead_band@lift", {"upper": 0.04}), recording="lift.csv")
+    removed(both, "dead_band@lift").save(tmp_path / "one.toml")
+    one = Crane.load(tmp_path / "one.toml")
+    assert [e.key for e in one.effects] == ["pump_droop"] and one["payload.mass"] == 61.0
+    assert one.history[-1]["removed"] == ["dead_band@lift"]
+    assert removed(one, "pump_droop") == crane
+    assert removed(removed(both, "pump_droop"), "dead_band@lift") == crane
+
+
 def test_what_was_undone_is_gone_from_the_file(crane, tmp_path):
     """It stayed there, and the next time the parameters moved back once more."""
     from validation.history import added, removed

@@ -19,6 +19,7 @@ from crane_exudyn.errors import CraneError
 from patu import calls, main, outputs
 from patu.output import Printer
 from validation import diagnosis, sample
+from validation.history import added
 from validation.selection import fitted as fitting
 
 GOOD = "time[s],u1,u2,z1[deg],z4[deg]\n" + "".join(f"{0.01 * k:.2f},0,0,10,-40\n" for k in range(21))
@@ -286,9 +287,11 @@ def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
     helped: bool,
 ) -> None:
     errors = {"error_before": 2.0, "error_after": after, "error_without": without, "samples": 1000}
+    found = {"parameters": {"lower": {"value": 0.1, "std": 0.02}}, "evidence": evidence}
 
     def fitted(crane: Crane, key: str, *_: object) -> tuple[Crane, dict[str, object]]:
-        return crane.with_effect(key, {"lower": 0.1}), {"evidence": evidence, **errors}
+        loaded = crane.with_parameters({"payload.mass": 61.0})
+        return added(crane, loaded.with_effect(key, {"lower": 0.1})), found | errors
 
     monkeypatch.setattr(fitting, "fitted_effect", fitted)
     words = ("add", "dead_band@tilt", "--fit", "l.csv", "-o", "new.toml", "--json", "new.json")
@@ -296,7 +299,13 @@ def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
     assert done.status == (0 if helped else 1)
     assert Path("new.toml").exists() == helped
     assert json.loads(Path("new.json").read_text())["helped"] is helped
-    if not helped:
+    if helped:
+        assert "dead_band@tilt: lower = 0.100 ± 0.020; open-loop error 2 -> " in done.out
+        assert "With it moved payload.mass 25 -> 61 kg" in done.out
+        assert "Back to where they were: payload.mass 61 -> 25 kg" in patu(
+            "remove", "dead_band@tilt", "--crane", "new.toml", "-o", "old.toml"
+        ).out  # fmt: skip
+    else:
         assert "did not help: error 2 before" in done.out and "--anyway" in done.out
         assert patu(*words[:4]).out.count("[[effect]]") == 0
         assert patu(*words, "--anyway").status == 1

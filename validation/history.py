@@ -11,6 +11,7 @@ from crane_exudyn.crane_toml import as_given
 from crane_exudyn.description import GaussMarkov
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.frozen import frozen
 
 
 def added(before: Crane, after: Crane, **evidence: Any) -> Crane:
@@ -29,18 +30,22 @@ def added(before: Crane, after: Crane, **evidence: Any) -> Crane:
 
 
 def removed(crane: Crane, key: str) -> Crane:
-    """Return the crane without what the history says was added under that name, exactly as it was before.
+    """Return the crane without an effect; exactly as it was before the last step of its history, if that added nothing
+    else that is still there.
 
-    Only the last entry of the history can be undone together with the parameters that moved with it; an effect from
-    further back is taken out alone.
+    What else the last step added stays, and the parameters as they were fitted with it. An effect from further back is
+    taken out alone.
 
     Raises:
         CraneError: the crane has no such effect.
     """
     keys = [e.key for e in crane.effects]
     last = crane.history[-1] if crane.history else {}
-    if key in last.get("added", []):
-        return _undone(crane, last)
+    if key in (added := last.get("added", [])):
+        if not set(added) & set(keys) - {key}:
+            return _undone(crane, last)
+        entry = {**last, "added": [k for k in added if k != key], "removed": [*last.get("removed", []), key]}
+        return replace(crane.without_effect(key), model_error={}, history=(*crane.history[:-1], frozen(entry)))
     if key not in keys:
         raise CraneError(f"{crane.name} has no effect {key!r}.{nearest(key, keys) if keys else ' It has none at all.'}")
     return replace(crane.without_effect(key), model_error={})
@@ -64,9 +69,12 @@ def learned(crane: Crane) -> tuple[str, ...]:
 
 
 def without_learned(crane: Crane) -> Crane:
-    """Return the crane without the laws that were learned, what moved with the last of them as it was before."""
+    """Return the crane without the laws that were learned; what came and moved with the last of them as it was
+    before.
+    """
     while keys := learned(crane):
-        crane = removed(crane, keys[-1])
+        last = crane.history[-1]
+        crane = _undone(crane, last) if keys[-1] in last.get("added", ()) else removed(crane, keys[-1])
     return crane
 
 
