@@ -40,17 +40,19 @@ def wanted(mapping: Mapping[str, Column], layout: Layout) -> set[str]:
 
 
 def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column], layout: Layout) -> dict[str, Any]:
-    """Return name, channels, source, notes, columns and layout of the recording that a file's columns make.
+    """Return name, channels, source, notes, columns, those ignored, and layout of the recording that a file's columns
+    make.
 
     Names, units and clocks are judged, missing samples dropped.
     """
     units = channel_names.of(layout)
-    named, notes = _name_columns(path, table, mapping, layout)
+    named, notes, ignored = _name_columns(path, table, mapping, layout)
     clock = named.pop("time", None)
     if not named:
         raise CraneError(
             f"{path}: found no known channel among the columns {_headers(table)}. Expected some of "
-            f"{', '.join(n for n in units if n not in layout.added)}; give other names with --map {example(layout)}."
+            f"{', '.join(n for n in units if n not in layout.added)}; give other names with --map {example(layout)}, "
+            "or the crane that was recorded with --crane FILE (in Python: layout=crane.layout)."
         )
     notes = [*table.notes, *notes]
     shared = {} if clock is None or all(c.clock for c, _ in named.values()) else {"time": clock}
@@ -88,15 +90,15 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column], layout:
     }
     return {
         "name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes),
-        "columns": read_from,
+        "columns": read_from, "ignored": tuple(ignored),
         "layout": layout,
     }  # fmt: skip
 
 
 def _name_columns(
     path: Path, table: RawTable, mapping: Mapping[str, Column], layout: Layout
-) -> tuple[dict[str, tuple[RawColumn, str | None]], list[str]]:
-    """Return {channel: (column, unit)} and remarks on columns that were left alone.
+) -> tuple[dict[str, tuple[RawColumn, str | None]], list[str], list[str]]:
+    """Return {channel: (column, unit)}, remarks on columns that were left alone, and those that are of no channel.
 
     A column that merely has the name of something unseen, without a unit, is somebody's own.
     """
@@ -124,7 +126,7 @@ def _name_columns(
                 f"Delete or rename one, or choose with --map {name}=…"
             )
         named[name] = (column, unit)
-    return named, notes + remarks("column", ignored, "was ignored")
+    return named, notes + remarks("column", ignored, "was ignored"), ignored
 
 
 def _headers(table: RawTable) -> str:

@@ -168,9 +168,11 @@ class Figures:
     def held(self, c: int, side: int, length: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return how much oil (m³) a cylinder's chamber holds at its lengths (N,) and pressures (N,), and how much a
         pressure presses into it (m³/Pa).
+
+        NaN where no number is large enough: pressures in a wrong unit press any oil in.
         """
         held, slopes = held_amounts(self.parameters, self.effects, c, bool(side), length, pressure)
-        return np.asarray(held), np.asarray(slopes)
+        return np.where(np.isfinite(held), held, np.nan), np.asarray(slopes)
 
     def lengths(self, z: np.ndarray) -> np.ndarray:
         """Return pin-to-pin lengths (N, cylinders) in m at coordinates z (N, n); NaN out of reach."""

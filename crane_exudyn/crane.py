@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import textwrap
 import tomllib
@@ -22,8 +23,31 @@ from .errors import CraneError, nearest
 from .files import write_text
 from .frozen import frozen
 from .parameters import unit_of
+from .plausible import implausible
+from .toml_reading import why_no_toml
 
 _DATA = "crane_exudyn.data"
+#: how people come to a crane file
+_BEGIN = 'begin with one that is there, Crane.load("patu655").save("my-crane.toml").'
+
+
+@dataclass(frozen=True)
+class _Adding:
+    """A function that adds objects of one's own; what goes wrong in it is told as its, not the program's."""
+
+    function: Callable[..., None]
+
+    def __call__(self, mbs: Any, plant: Any, number: int) -> None:
+        try:
+            self.function(mbs, plant, number)
+        except CraneError:
+            raise
+        except Exception as problem:
+            name = getattr(self.function, "__name__", repr(self.function))
+            raise CraneError(
+                f"{plant.crane.name}: the function {name} of with_objects, which adds objects of one's own, fails for "
+                f"machine {number}: {type(problem).__name__}: {problem}"
+            ) from problem
 
 
 @dataclass(frozen=True)
@@ -44,6 +68,8 @@ class Crane(Description):
     def load(cls, name_or_path: str | Path) -> Crane:
         """Return a built-in crane ("patu655", "patu655-lab") or one from a TOML file.
 
+        Numbers that no machine is likely to have, as where a unit was left out, are told by the logger "crane_exudyn".
+
         Raises:
             CraneError: no such crane, bad TOML, an unknown key, a wrong unit or an impossible value.
         """
@@ -51,10 +77,15 @@ class Crane(Description):
         try:
             document = tomllib.loads(text)
         except tomllib.TOMLDecodeError as problem:
-            raise CraneError(f"{where}: not a whole TOML file: {problem}.") from problem
+            raise CraneError(f"{where}: not a whole TOML file: {why_no_toml(problem, text)}") from problem
         except RecursionError:
             raise CraneError(f"{where}: not a crane file: its lists or tables are nested too deep.") from None
-        return cls.from_document(document, where, text)
+        if not document:
+            raise CraneError(f"{where}: there is nothing in this file. A machine is one TOML file; {_BEGIN}")
+        crane = cls.from_document(document, where, text)
+        for remark in implausible(crane):
+            logging.getLogger(__package__).warning("%s: %s", where, remark)
+        return crane
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str, text: str = "") -> Crane:
@@ -160,7 +191,7 @@ class Crane(Description):
         They are part of every Exudyn system of the crane, also of a batch; `plant.marker("E", number)` gives a marker
         at a named point. No crane file holds them: `save` refuses such a crane.
         """
-        return replace(self, objects=(*self.objects, *functions))
+        return replace(self, objects=(*self.objects, *map(_Adding, functions)))
 
     def without_objects(self) -> Crane:
         """Return a copy without objects of one's own."""

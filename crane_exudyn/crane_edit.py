@@ -158,7 +158,9 @@ def _inline(values: Mapping[str, Any]) -> Any:
 
 
 def _append(document: Any, key: str, entries: list[dict[str, Any]]) -> None:
-    """Add tables [[key]] at the end of the list of those."""
+    """Add tables [[key]] at the end of the list of those, the first behind an empty line."""
+    if entries and key not in document and not tomlkit.dumps(document).endswith("\n\n"):
+        document.add(tomlkit.nl())
     tables: AoT = document.setdefault(key, tomlkit.aot()) if entries else tomlkit.aot()
     for entry in entries:
         table: Table = tomlkit.table()

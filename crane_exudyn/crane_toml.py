@@ -188,7 +188,7 @@ def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty
     unit = parameters.unit_of(name)
     std = entry.get("std", math.inf)
     if isinstance(std, str) and std.strip().endswith("%"):
-        std = to_si(std, "", where) * abs(value)
+        std = float(f"{to_si(std, '', where) * abs(value):.12g}")  # 4 % of 70 kg are 2.8, not 2.8000000000000003
     std = to_si(std, unit, where)
     if not std > 0:
         raise CraneError(

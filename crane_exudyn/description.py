@@ -166,6 +166,11 @@ _LIMITS = {
     "pump_pressure": (0.0, False), "tank_pressure": (0.0, True), "gravity": (0.0, True),
     **dict.fromkeys(parameters.EDGES, (0.0, False)),
 }  # fmt: skip
+#: last part of a name -> what its limit comes from
+_REASONS = dict.fromkeys(
+    ("vapour_pressure", "air_pressure"),
+    " It is absolute in every crane file, also where all other pressures are gauge pressures.",
+)
 #: last part of a name -> the only values that it may have, with what they stand for
 _CHOICES = {"pressure_reference": {0.0: "absolute", 1.0: "gauge"}}
 
@@ -186,9 +191,8 @@ def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> N
     refuse_unknown(where, values, machine.index, "parameter")
     missing = [n for n in machine.names if n not in values]
     if missing:
-        raise CraneError(
-            f"{where}: {missing[0]} is missing ({len(missing)} in all). Give it, in {parameters.unit_of(missing[0])}."
-        )
+        more = f" ({len(missing)} in all)" if len(missing) > 1 else ""
+        raise CraneError(f"{where}: {missing[0]} is missing{more}. Give it, in {parameters.unit_of(missing[0])}.")
     for name, value in values.items():
         check_value(where, name, value)
     for c in machine.layout.cylinders:
@@ -221,6 +225,7 @@ def check_value(where: str, name: str, value: float) -> None:
         sign = ">=" if allowed else ">"
         raise CraneError(
             f"{where}: {name} = {value:g} {parameters.unit_of(name)} is impossible: it must be {sign} {least:g}."
+            f"{_REASONS.get(name.rsplit('.', 1)[-1], '')}"
         )
 
 

@@ -249,7 +249,8 @@ class ExudynEngine:
         return x, level
 
     def _told(self, state: np.ndarray) -> str:
-        return ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.state_names, state, strict=True))
+        shown = statics.visible(self.crane, state)
+        return ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.state_names, shown, strict=True))
 
     def _stroke_end(self, state: np.ndarray, time: float) -> CraneError:
         return CraneError(

@@ -1,4 +1,5 @@
-"""Which effect's law gives no number where a run has failed.
+"""Why a run has failed, where the crane itself says so: an effect's law that gives no number, or a number that no
+machine has.
 
 A law is tried when its file is loaded, but not at every state that a crane may come to. Steps do not look for NaN in
 each of its results; only when a run has failed are the effects tried one by one at the state of the failure.
@@ -16,6 +17,7 @@ import numpy as np
 from .crane import Crane
 from .effects import registry
 from .errors import CraneError, listed
+from .plausible import implausible
 from .statics import size_of_state, terms
 
 #: parts of the failing step at which to look: an engine has halved it so often, or its iterates went beyond its end
@@ -23,11 +25,19 @@ _FRACTIONS = (0.0, *(2.0**k for k in range(-14, 3)))
 
 
 def where_run_failed(crane: Crane, state: np.ndarray, w: np.ndarray, time: float, h: float) -> CraneError | None:
-    """Return the error that names the effects of which a law gives no number, or None where all of them do.
+    """Return the error that names the effects of which a law gives no number, or the numbers of the crane that are
+    implausible; None where there is neither.
 
     Args:
         state: (nx,) the last good state;  w: [U1 U2 pp pt, …] there;  time in s;  h: the step that failed, in s.
     """
+    law = _law(crane, state, w, time, h)
+    if law is None and (remarks := implausible(crane)):
+        return CraneError(f"{crane.name}: the run cannot go on at t = {time:.6g} s. {' '.join(remarks)}")
+    return law
+
+
+def _law(crane: Crane, state: np.ndarray, w: np.ndarray, time: float, h: float) -> CraneError | None:
     if not crane.effects:
         return None
     for x, t in _onwards(crane, np.asarray(state, dtype=float), w, time, h):

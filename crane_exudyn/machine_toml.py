@@ -30,11 +30,13 @@ def machine_of(document: Mapping[str, Any], where: str) -> Machine:
         CraneError: field, what was found, what is possible, and how to mend it.
     """
     if "joint" not in document:
-        return _earlier()
+        return _described_by_none(document, where)
     tables = document["joint"]
     if not isinstance(tables, list) or not all(isinstance(t, Mapping) for t in tables):
         raise CraneError(f"{where}: joint = {str(tables)[:60]} should be tables, each headed by [[joint]].")
     bodies = tuple(_section(document, "bodies", where))
+    if GROUND in bodies:
+        raise CraneError(f"{where}: a body is named {GROUND!r}, which stands for the ground itself. Name it otherwise.")
     joints = [_joint(table, bodies, where) for table in tables]
     _refuse_repeated(where, "joint", [j.name for j in joints])
     _refuse_repeated(where, "coordinate", [j.coordinate for j in joints if not j.closes])
@@ -45,6 +47,7 @@ def machine_of(document: Mapping[str, Any], where: str) -> Machine:
     joints = [*(carriers[b] for b in ordered), *(j for j in joints if j.closes)]
     cylinders, points = _cylinders(document, bodies, joints, where)
     payload = _payload(document, bodies, points, where)
+    _check_points(document, joints, points, where)
     machine = Machine(
         bodies=ordered,
         joints=tuple(joints),
@@ -55,6 +58,17 @@ def machine_of(document: Mapping[str, Any], where: str) -> Machine:
     )
     _check_drives(machine, where)
     return machine
+
+
+def _described_by_none(document: Mapping[str, Any], where: str) -> Machine:
+    """Return the machine of a file without joints, which must have the bodies of that one."""
+    bodies = document.get("bodies", {})
+    if isinstance(bodies, Mapping) and not (bodies and set(bodies) <= set(_earlier().bodies)):
+        raise CraneError(
+            f"{where}: there is no [[joint]], so nothing says how a machine hangs together. Give one for each body, "
+            "with its name, bodies and coordinate."
+        )
+    return _earlier()
 
 
 @cache
@@ -118,6 +132,11 @@ def _joint(table: Mapping[str, Any], bodies: Sequence[str], where: str) -> Joint
             f"{place} has no coordinate, so it closes a loop: it must be {REVOLUTE}, with its pin on both bodies (at "
             "and on)."
         )
+    if joint.closes and joint.pin == own and "at" not in table:
+        raise CraneError(
+            f"{place} closes a loop, so its pin is a point on both bodies: on = {table['on']!r} is that on {body}. "
+            f"Give at, too, a point of its own on {carrier}."
+        )
     return joint
 
 
@@ -159,17 +178,38 @@ def _independent(document: Mapping[str, Any], joints: Sequence[Joint], where: st
     for name in stated:
         _known(f"{where}: independent", name, names)
     loops = sum(j.closes for j in joints)
+    if len(set(stated)) == len(stated) < len(names) - 2 * loops:
+        raise _open_chain(stated, joints, where)
     if len(stated) != len(names) - 2 * loops or len(set(stated)) != len(stated):
+        each = {0: "no loop makes any", 1: "the loop makes two"}.get(loops, f"each of the {loops} loops makes two")
         raise CraneError(
             f"{where}: independent = {stated} should be {len(names) - 2 * loops} of the coordinates "
-            f"{', '.join(names)}: "
-            f"each of the {loops} loops makes two of them depend on the others."
+            f"{', '.join(names)}: {each} of them depend on the others."
         )
     if len(stated) > MOST_COORDINATES:
         raise CraneError(
             f"{where}: there are {len(stated)} independent coordinates, at most {MOST_COORDINATES} are possible."
         )
     return tuple(n for n in names if n in stated)
+
+
+def _open_chain(independent: Sequence[str], joints: Sequence[Joint], where: str) -> CraneError:
+    """Return the error that says which coordinates nothing holds: neither are they independent, nor does a loop close
+    over their bodies.
+    """
+    left = {j.body: j for j in joints if not j.closes and j.coordinate not in independent}
+    for ends in ((j.carrier, j.body) for j in joints if j.closes):
+        second = next((b for b in ends if b in left and left[b].carrier in left), None)
+        if second:  # both bodies of this loop are held
+            del left[left.pop(second).carrier]
+    free, several = " and ".join(left), len(left) > 1
+    return CraneError(
+        f"{where}: {free} {'form an open chain' if several else 'hangs freely'}: "
+        f"{', '.join(j.coordinate for j in left.values())} {'are' if several else 'is'} not independent (those are "
+        f"{', '.join(independent)}), and no joint closes a loop there, which would make two coordinates depend on the "
+        "others. Give that [[joint]], with bodies, at and on but no coordinate, or state the coordinate"
+        f"{'s' * several} in independent, too."
+    )
 
 
 def _turned(joint: Joint, carriers: Mapping[str, Joint], independent: Sequence[str], where: str) -> Joint:
@@ -285,6 +325,33 @@ def _payload(document: Mapping[str, Any], bodies: Sequence[str], points: dict[st
     if points.setdefault(point, body) != body:
         raise CraneError(f"{where}: payload.at = {table.get('at')!r} is a point of {points[point]}, not of {body}.")
     return body, point
+
+
+def _check_points(document: Mapping[str, Any], joints: Sequence[Joint], points: Mapping[str, str], where: str) -> None:
+    """Refuse points that are named but not given in [joints], and those given there that nothing is at."""
+    given = document.get("joints", {})
+    if not isinstance(given, Mapping):  # told where its numbers are read
+        return
+    named = [p.removeprefix("joints.") for p in points if p.startswith("joints.")]
+    idle = [name for name in given if name not in named]
+    for name in (n for n in named if n not in given):
+        like = nearest(name, idle) if idle else f' Give it, such as {name} = ["1.2 m", "0 m"].'
+        raise CraneError(f"{where}: {_asks_for(name, document, joints)}, but [joints] has no point {name!r}.{like}")
+    if idle:
+        raise CraneError(
+            f"{where}: joints.{idle[0]} is a point that nothing is at, so nobody knows which body it is on. A point is "
+            "the pin of a joint (of its name, or its at or on), the end of a cylinder or the payload's at. Leave it "
+            "out, or name it there."
+        )
+
+
+def _asks_for(name: str, document: Mapping[str, Any], joints: Sequence[Joint]) -> str:
+    """Return which key of a file names a point."""
+    for joint in joints:
+        if f"joints.{name}" in (joint.pin, joint.own_pin):
+            own = joint.name == name and f"joints.{name}" == joint.pin
+            return f"joint {joint.name!r} {'has its pin at the point of its name' if own else f'names {name!r}'}"
+    return f"payload.at = {name!r}"
 
 
 def _check_drives(machine: Machine, where: str) -> None:

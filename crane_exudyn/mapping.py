@@ -17,6 +17,7 @@ from . import channels
 from .errors import CraneError, nearest, refuse_unknown
 from .layout import Layout
 from .tables import split_header
+from .toml_reading import why_no_toml
 from .units import factor_to_si, to_si
 
 _KEYS = ("column", "unit", "sign", "scale", "offset", "late", "drift")
@@ -122,11 +123,13 @@ def load_map(path: Path, layout: Layout) -> dict[str, Column]:
     Raises:
         CraneError: names the file, the table and the key, what was found, what was expected and how to mend it.
     """
+    text = ""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        document = tomllib.loads(text := path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        why = why_no_toml(problem, text) if isinstance(problem, tomllib.TOMLDecodeError) else f"{problem}."
         raise CraneError(
-            f'{path}: not a TOML file: {problem}. Expected tables such as [z1] with column = "BoomAngle".'
+            f'{path}: not a TOML file: {why} Expected tables such as [z1] with column = "BoomAngle".'
         ) from problem
     return {name: _column(f"{path}, [{name}]", name, table, layout) for name, table in document.items()}
 

@@ -40,6 +40,7 @@ class Recording:
         notes: what was left out or changed while reading, in words.
         layout: of the machine that was recorded.
         columns: what each channel was read from, where that is known.
+        ignored: columns of the file that are no channel of the layout.
         vouched: whether its contents have been looked at, or are to be used anyway (`vetting`).
     """
 
@@ -49,6 +50,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     layout: Layout = field(default_factory=usual_layout, repr=False)
     columns: Mapping[str, Column] = field(default_factory=dict)
+    ignored: tuple[str, ...] = field(default=(), repr=False)
     vouched: bool = False
 
     def __post_init__(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import textwrap
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from .crane import Crane, checked_crane
 from .engines import engine_class
 from .errors import CraneError, nearest
 from .recording import Recording
+from .strokes import run_while_possible, within_strokes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -132,7 +134,7 @@ class Simulation:
 
 def simulate(
     crane: Crane | str | Path = "patu655",
-    inputs: Recording | None = None,
+    inputs: Recording | str | Path | None = None,
     *,
     start: np.ndarray | None = None,
     engine: Any = None,
@@ -142,10 +144,12 @@ def simulate(
 
     Args:
         crane: the crane, or the name of a built-in one, or a file.
-        inputs: a recording whose commands (and supply pressures, if measured) drive the crane; the result has its
-            instants. Without one, the crane goes through the paper's 25 s working cycle (`inputs.paper_cycle`), with a
-            result every 1 ms.
-        start: (nx,) state at the first instant; by default the crane file's initial rule.
+        inputs: a recording, or its file, whose commands (and supply pressures, if measured) drive the crane; the
+            result has its instants. Without one, the crane goes through the paper's 25 s working cycle
+            (`inputs.paper_cycle`), with a result every 1 ms; a lever that would drive its cylinder to the end of its
+            stroke is let go in time.
+        start: (nx,) state at the first instant; by default the crane file's initial rule. What the pump cannot lift
+            there is told by the logger "crane_exudyn".
         engine: "exudyn", "semi-recursive", or an engine object with this crane; by default a new ExudynEngine.
         step: largest time step in s.
 
@@ -153,20 +157,75 @@ def simulate(
         CraneError: a recording without commands, an engine of another crane, a step that is not positive, a payload of
             negative mass, or a run that leaves what the crane can do.
     """
+    return simulate_while_possible(crane, inputs, start=start, engine=engine, step=step, whole=True)[0]
+
+
+def simulate_while_possible(
+    crane: Crane | str | Path = "patu655",
+    inputs: Recording | str | Path | None = None,
+    *,
+    start: np.ndarray | None = None,
+    engine: Any = None,
+    step: float = 1e-3,
+    whole: bool = False,
+) -> tuple[Simulation, CraneError | None]:
+    """Return a run as `simulate` does, as far as it goes, and why it ended early: None where it did not.
+
+    Args:
+        crane, inputs, start, engine, step: as in `simulate`.
+        whole: whether a run that ends early is of no use; why it did is raised then.
+
+    Raises:
+        CraneError: what `simulate` raises before it runs, or where not even two instants can be had.
+    """
     crane = checked_crane(Crane.load(crane) if isinstance(crane, str | Path) else crane, "simulate")
     if engine is None:
         from .engine import ExudynEngine
 
         engine = ExudynEngine(crane)
     engine = engine_class(engine)(crane) if isinstance(engine, str) else of_this_crane(engine, crane)
+    inputs = Recording.load(inputs, layout=crane.layout) if isinstance(inputs, str | Path) else inputs
+    if not isinstance(inputs, Recording | None):
+        found = textwrap.shorten(repr(inputs), 60)
+        raise CraneError(f"simulate: found {found} instead of a recording. Give a Recording, or the name of its file.")
     time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
     grid, rows = inner_grid(time, step)
     commands, w = _driven(crane, inputs, grid)
     _check_payload(crane, grid)
-    x0 = initial_state(crane, engine) if start is None else np.asarray(start, dtype=float)
-    states = engine.simulate(x0, grid, w, step=step)
+    x0 = _start_told(crane, engine) if start is None else np.asarray(start, dtype=float)
+    halved = getattr(engine, "halved", 0)
+    states, ended = _run(engine, x0, grid, w, step, whole=whole or inputs is None)
+    if ended is not None and inputs is None:
+        from .drive import with_steps  # imports compiled code, of which the effects must be part
+        from .inputs import paper_cycle
+
+        fitted = within_strokes(crane, time, paper_cycle(time, len(crane.layout.cylinders)), x0)
+        if fitted is not None:
+            commands, w = _on_grid(crane, grid, *with_steps(time, fitted))
+        if fitted is not None or not whole:
+            engine.halved = halved  # those of the run that is given count, not those of the one that failed
+            states, ended = _run(engine, x0, grid, w, step, whole=whole)
+    rows = rows[rows < len(states)]
+    if ended is not None and (whole or len(rows) < 2):
+        raise ended
+    grid = grid[: len(states)]
     readings = sensed(crane, states, grid)[rows]
-    return Simulation(crane, time, tuple(engine.state_names), states[rows], commands[rows], w[rows], readings)
+    names = tuple(engine.state_names)
+    return Simulation(crane, grid[rows], names, states[rows], commands[rows], w[rows], readings), ended
+
+
+def _run(
+    engine: Any, x0: np.ndarray, grid: np.ndarray, w: np.ndarray, step: float, *, whole: bool
+) -> tuple[np.ndarray, CraneError | None]:
+    """Return the states (k, nx) of a run, and why it ended early; where only a `whole` one is of use, no more than the
+    start of one that did.
+    """
+    if not whole:
+        return run_while_possible(engine, x0, grid, w, step)
+    try:
+        return engine.simulate(x0, grid, w, step=step), None
+    except CraneError as problem:
+        return x0[None], problem
 
 
 def of_this_crane(engine: Any, crane: Crane) -> Any:
@@ -256,6 +315,16 @@ def initial_state(crane: Crane, engine: Any) -> np.ndarray:
     return np.asarray(engine.static_start(*rule.pose, less_loaded=rule.less_loaded_pressure))
 
 
+def _start_told(crane: Crane, engine: Any) -> np.ndarray:
+    """Return the crane file's start (nx,); what its pump cannot lift there is told by the logger of this package."""
+    from .static_start import beyond_pump
+
+    state = initial_state(crane, engine)
+    if remark := beyond_pump(crane, state):
+        logging.getLogger(__package__).warning("%s: %s", crane.name, remark)
+    return state
+
+
 def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a grid with even steps of at most `step` between the instants of `time`, and where those stand in it.
 
@@ -281,14 +350,23 @@ def _driven(crane: Crane, inputs: Recording | None, grid: np.ndarray) -> tuple[n
     """Return commands (n, valves) and w (n, valves + 2) on the grid: spool positions behind the lag (16), supply
     pressures.
     """
-    from .drive import spool_on, with_steps
+    from .drive import with_steps
     from .inputs import paper_cycle
 
     if inputs is None:  # its steps are steps here as they are to whoever reads the run back
-        cycle = paper_cycle(grid, len(crane.layout.cylinders))
-        (time, given), supply = with_steps(grid, cycle), np.full((len(grid), 2), math.nan)
-    else:
-        (time, given), supply = inputs.commands(crane), inputs.supply(grid)
+        return _on_grid(crane, grid, *with_steps(grid, paper_cycle(grid, len(crane.layout.cylinders))))
+    return _on_grid(crane, grid, *inputs.commands(crane), inputs.supply(grid))
+
+
+def _on_grid(
+    crane: Crane, grid: np.ndarray, time: np.ndarray, given: np.ndarray, supply: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands (n, valves) and w (n, valves + 2) on the grid, of commands `given` (m, valves) at `time` (m,);
+    supply: pressures (n, 2) in Pa, by default the crane's own.
+    """
+    from .drive import spool_on
+
     commands = np.column_stack([np.interp(grid, time, u) for u in given.T])
+    supply = np.full((len(grid), 2), math.nan) if supply is None else supply
     spool = spool_on(crane, grid, time, given)
     return commands, np.ascontiguousarray(np.column_stack([spool, supply]))

@@ -15,7 +15,7 @@ from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
 from .geometry import LENGTH
-from .statics import Reduction, reduced, size_of_state, vapour_pressure
+from .statics import Reduction, check_less_loaded, reduced, size_of_state, visible
 
 
 def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e5) -> np.ndarray:
@@ -43,12 +43,7 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e
     state[lay.positions] = pose
     state[lay.extra][:1] = math.atan2(gx, -gy)
     low = np.broadcast_to(np.asarray(less_loaded, dtype=float), len(lay.cylinders))
-    floor = vapour_pressure(crane)
-    if not np.all(low >= floor):
-        raise CraneError(
-            f"{crane.name}: the less loaded chamber cannot be at {low.min():g} Pa, below vapour pressure ({floor:g} "
-            "Pa)."
-        )
+    check_less_loaded(crane, low, "the pressure")
     r = reduced(crane, state, 0.0)
     forces = _holding_forces(crane, r, state)
     for c, force in enumerate(forces):
@@ -59,6 +54,28 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e
             "the forces there are not finite. Look for numbers of the crane that are out of proportion."
         )
     return state
+
+
+def beyond_pump(crane: Crane, state: np.ndarray) -> str:
+    """Return which cylinders the pump cannot move against what they hold in a static start (nx,), and what to look at;
+    "" where there is none.
+
+    To lift, the pump presses on the loaded chamber while the other one empties into the tank.
+    """
+    lay, found = crane.layout, []
+    pump, tank = crane["supply.pump_pressure"], crane["supply.tank_pressure"]
+    for c, cylinder in enumerate(lay.cylinders):
+        pressures, areas = visible(crane, state)[lay.pressures_of(c)], crane.areas(cylinder)
+        needed = pressures + (tank - pressures[::-1]) * np.divide(areas[::-1], areas)
+        loaded = int(np.argmax(needed))
+        if needed[loaded] > pump:
+            found.append(f"{cylinder} needs {needed[loaded] / 1e5:.4g} bar in {lay.sides[c][loaded]}")
+    if not found:
+        return ""
+    return (
+        f"at {geo.told(lay, state)}: {' and '.join(found)} to lift the load, and the pump gives {pump / 1e5:.4g} bar: "
+        "look at masses, com, payload, bore and pump_pressure, and at the lever arm that the pins leave there."
+    )
 
 
 def _holding_forces(crane: Crane, r: Reduction, state: np.ndarray) -> np.ndarray:

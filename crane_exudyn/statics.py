@@ -159,8 +159,25 @@ def stroke_message(crane: Crane, state: np.ndarray) -> str:
     )
 
 
+def check_less_loaded(crane: Crane, pressures: np.ndarray, where: str) -> None:
+    """Raise CraneError where the pressure of a cylinder's less loaded chamber (cylinders,), which `where` gives, is one
+    that no chamber can have.
+    """
+    floor = vapour_pressure(crane)
+    for cylinder, p in zip(crane.layout.cylinders, pressures, strict=True):
+        if not p >= floor:
+            raise CraneError(
+                f"{crane.name}: {where} of {p / 1e5:g} bar for the {cylinder} cylinder's less loaded chamber is below "
+                f"vapour pressure, here {floor / 1e5:g} bar. No chamber can be at that; give a higher one."
+            )
+
+
 def check_start(crane: Crane) -> None:
-    """Raise CraneError where a cylinder cannot be as long as the crane file's start has it."""
+    """Raise CraneError where a cylinder cannot be as long as the crane file's start has it, or a chamber not at its
+    pressure.
+    """
+    lowest = np.broadcast_to(crane.initial.less_loaded_pressure, len(crane.layout.cylinders))
+    check_less_loaded(crane, lowest, "initial.less_loaded_pressure")
     state = np.zeros(size_of_state(crane))
     state[crane.layout.positions] = crane.initial.pose
     cylinder, _, length = stroke_end(crane, state)

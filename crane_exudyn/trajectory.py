@@ -26,6 +26,7 @@ class Trajectory:
         positions: (n, coordinates) independent coordinates in the order of the layout, rad or m.
         pressures: channel -> (n,) Pa, for those chambers where they are known.
         theta: (n,) rad, angle of the payload's pendulum against straight down; None where it is not known.
+        timed: whether its time is that of a run, and not of a machine that just stands.
     """
 
     label: str
@@ -33,6 +34,7 @@ class Trajectory:
     positions: np.ndarray
     pressures: dict[str, np.ndarray] = field(default_factory=dict)
     theta: np.ndarray | None = None
+    timed: bool = True
 
     @classmethod
     def from_states(cls, label: str, time: np.ndarray, states: np.ndarray, layout: Layout) -> Trajectory:
@@ -54,11 +56,11 @@ class Trajectory:
         layout = recording.layout
         shown = [next((n for n in (name, f"{name}_abs") if recording.has(n)), "") for name in layout.coordinates]
         if not all(shown):
-            lacking = " and ".join(name for name, found in zip(layout.coordinates, shown, strict=True) if not found)
+            lacking = [name for name, found in zip(layout.coordinates, shown, strict=True) if not found]
             raise CraneError(
                 f"{recording.source or recording.name}: a picture needs {' and '.join(layout.coordinates)} (or one of "
-                "them with _abs, "
-                f"against the ground); {lacking} is missing, found only {', '.join(recording.channels)}. "
+                f"them with _abs, against the ground); {' and '.join(lacking)} {'are' if len(lacking) > 1 else 'is'} "
+                f"missing, found only {', '.join(recording.channels)}. "
                 "Estimate them first: patu estimate REC -o states.csv."
             )
         time = recording[shown[0]].time
@@ -74,7 +76,7 @@ class Trajectory:
     @classmethod
     def at_rest(cls, crane: Crane) -> Trajectory:
         """Return the crane standing still at the start that its file gives, for one second."""
-        return cls("start", np.array([0.0, 1.0]), np.tile(crane.initial.pose, (2, 1)))
+        return cls("start", np.array([0.0, 1.0]), np.tile(crane.initial.pose, (2, 1)), timed=False)
 
     def at(self, time: float) -> np.ndarray:
         """Return the coordinates at a time, linear between samples, held outside."""

@@ -65,8 +65,9 @@ _CUT, _KEPT = 0.01, 0.2
 _COARSE = 0.01
 #: a spool command above this opens a valve enough to be felt
 OPEN = 0.05
-#: s in which a machine does not ring; correlation of neighbouring samples from which noise is not white
-_RING, _ALIKE = 0.1, 0.5
+#: s in which a machine does not ring; correlation of neighbouring samples from which noise is not white; share of it
+#: that must be seen where no machine rings
+_RING, _ALIKE, _FALLS = 0.1, 0.5, 0.3
 #: s at the beginning, and the s after them, in which nothing should move faster than so many rad/s, and so many times
 #: more than its samples scatter
 _FIRST, _MOVES, _MOVED = 0.3, 0.04, 6.0
@@ -85,6 +86,16 @@ _MISTAKEN = {
     "m": ((1e-3, "mm", "m"), (1e3, "m", "mm"), (1e-2, "cm", "m")),
     "m/s": ((1e-3, "mm/s", "m/s"), (1e3, "m/s", "mm/s")),
 }
+#: units that a column is likely to be in, whatever it says
+_WRITTEN = {
+    "Pa": ("bar", "MPa", "Pa", "kPa", "psi"),
+    "rad": ("deg", "rad", "mrad"),
+    "rad/s": ("deg/s", "rad/s"),
+    "m": ("mm", "m", "cm"),
+    "m/s": ("mm/s", "m/s"),
+}
+#: names that a message tells of many
+_NAMED = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +132,19 @@ def contents(recording: Recording, crane: Crane) -> list[Finding]:
 
 
 def _looks(recording: Recording, crane: Crane) -> list[Finding]:
-    looks = (_pressures, _supply, _motion, _lengths, _poses, _clock, _saturation, _steps, _noise, _start)
+    looks = (
+        _of_another_crane,
+        _pressures,
+        _supply,
+        _motion,
+        _lengths,
+        _poses,
+        _clock,
+        _saturation,
+        _steps,
+        _noise,
+        _start,
+    )
     found: list[Finding] = []
     for finding in (f for look in looks for f in look(recording, crane)):
         wrong = {n for f in found if f.severity == "error" for n in f.channels}
@@ -437,10 +460,31 @@ def _usual(channel: Channel) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _mistaken(name: str, unit: str, value: float, low: float, high: float) -> str:
+def _of_another_crane(recording: Recording, crane: Crane) -> Iterator[Finding]:
+    """Find files of which most columns are no channels of the crane, and none shows how it stands: by chance some have
+    the names of its own.
+    """
+    lay, ignored = crane.layout, recording.ignored
+    poses = (*lay.coordinates, *(f"{n}_abs" for n in lay.coordinates), *lay.lengths)
+    if len(ignored) > len(recording.channels) and not any(map(recording.has, poses)):
+        named = ", ".join(ignored[:_NAMED]) + ", …" * (len(ignored) > _NAMED)
+        text = (
+            f"{len(ignored)} of {len(ignored) + len(recording.channels)} columns ({named}) are no channels of "
+            f"{crane.name}, and none of {', '.join(lay.coordinates)} is there"
+        )
+        yield Finding("pose", (), "warning", text, "Is it another crane? Then give its file with --crane.")
+
+
+def _mistaken(recording: Recording, name: str, value: float, low: float, high: float) -> str:
     """Return the mend of a channel one of whose values would lie between low and high in another unit, or the advice to
     leave it out.
     """
+    unit = units_of(recording.layout)[name]
+    given = (recording.columns[name].unit if name in recording.columns else None) or unit
+    one = factor_to_si(given, unit)
+    for was in _WRITTEN[unit]:
+        if was != given and low < factor_to_si(was, unit) / one * value < high:
+            return f"The values look like {was} given as {given}: write the unit as {name}[{was}]."
     for factor, was, given in _MISTAKEN[unit]:
         if low < factor * value < high:
             return f"The values look like {was} given as {given}: write the unit as {name}[{was}]."
@@ -466,8 +510,8 @@ def _pressures(recording: Recording, crane: Crane) -> Iterator[Finding]:
         low, high = _usual(recording[name])
         if _is_constant(recording[name]) and high == 0.0:  # a sensor that is not connected, told elsewhere
             continue
-        # a noisy sensor of a boiling chamber reads below nothing
-        if low < floor + _VACUUM - 3.0 * noise_std(recording[name].values):
+        # a noisy sensor of a boiling chamber reads below nothing; in a wrong unit, by any number
+        if high < _HIGH and low < floor + _VACUUM - 3.0 * noise_std(recording[name].values):
             text = f"{name} falls to {low / 1e5:.3g} bar, expected {expected}"
             severity: Severity = "error" if np.median(recording[name].values) < floor else "warning"
             yield Finding(
@@ -479,7 +523,7 @@ def _pressures(recording: Recording, crane: Crane) -> Iterator[Finding]:
                 f"{name} {limit} {high / 1e5:.3g} bar, expected a pressure of a crane whose pump gives "
                 f"{crane['supply.pump_pressure'] / 1e5:.3g} bar"
             )
-            mend = _mistaken(name, "Pa", high, 10.0 * _LOW, 4.0 * crane["supply.pump_pressure"])
+            mend = _mistaken(recording, name, high, 10.0 * _LOW, 4.0 * crane["supply.pump_pressure"])
             yield Finding("scale", (name,), "error", text, mend)
 
 
@@ -505,7 +549,7 @@ def _motion(recording: Recording, crane: Crane) -> Iterator[Finding]:
             text = (
                 f"{name} reaches {factor * most:.3g} {people}, expected less than {factor * BEYOND[unit]:.3g} {people}"
             )
-            yield Finding("scale", (name,), "error", text, _mistaken(name, unit, most, *_LIKELY[unit]))
+            yield Finding("scale", (name,), "error", text, _mistaken(recording, name, most, *_LIKELY[unit]))
 
 
 def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
@@ -522,7 +566,7 @@ def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
             if low > -PLAY and high < longest - shortest + PLAY:
                 mend = f"Is it the stroke? Then add the empty length, {shortest:.4g} m."
             else:
-                mend = _mistaken(name, "m", 0.5 * (low + high), shortest, longest)
+                mend = _mistaken(recording, name, 0.5 * (low + high), shortest, longest)
             yield Finding("scale", (name,), "error", text, mend)
 
 
@@ -633,7 +677,7 @@ def _steps(recording: Recording, crane: Crane) -> Iterator[Finding]:
 
 def _noise(recording: Recording, crane: Crane) -> Iterator[Finding]:
     """Find sensors whose noise is not white: neighbouring samples err alike, as those of loggers that smooth do, or of
-    hum.
+    hum; also above all that a machine rings with.
     """
     free = recording.noise_free()
     for name in (n for n in recording.sensors if n not in free):
@@ -642,7 +686,7 @@ def _noise(recording: Recording, crane: Crane) -> Iterator[Finding]:
         if wide < 6 or len(channel) < 10 * wide:
             continue
         alike = _alike(channel.values, wide)
-        if alike > _ALIKE:
+        if alike > _ALIKE and _falls(channel.values, sampling_rate(channel.time)) > _FALLS:
             text = f"the noise of {name} is not white: neighbouring samples are correlated by {alike:.2g}"
             mend = "Switch smoothing in the logger off, or write the sensor's noise into [sensors] of the crane file."
             yield Finding("noise", (name,), "note", text, mend)
@@ -656,6 +700,25 @@ def _alike(values: np.ndarray, wide: int) -> float:
     parts = [p for p in np.array_split(fast, max(4, len(fast) // (4 * wide))) if p.std() > 0.0]
     quiet = sorted(parts, key=lambda p: float(p.std()))[: max(1, len(parts) // 4)]
     return float(np.median([p[1:] @ p[:-1] / (p @ p) for p in quiet])) if quiet else 0.0
+
+
+def _falls(values: np.ndarray, rate: float) -> float:
+    """Return how far the power of what a channel shows falls above all frequencies that a machine rings with: 0 where
+    it is even, as that of white noise; 1 where nothing is left but at the lowest of them; 0 where samples are too rare.
+
+    Power is that of a second, in the quietest quarter of them.
+    """
+    n = 2 * max(16, round(0.5 * rate))
+    frequency = np.fft.rfftfreq(n, 1.0 / rate)
+    chosen = (frequency >= 1.0 / _RING) & (frequency < 0.499 * rate)
+    if chosen.sum() < 4 or len(values) < 4 * n:
+        return 0.0
+    parts = np.lib.stride_tricks.sliding_window_view(values, n)[:: n // 2]
+    time = np.arange(n) - 0.5 * (n - 1)
+    parts = parts - parts.mean(axis=1, keepdims=True) - np.outer(parts @ time / (time @ time), time)
+    power = np.quantile(np.abs(np.fft.rfft(parts * np.hanning(n), axis=1)) ** 2, 0.25, axis=0)[chosen]
+    turns = np.cos(2.0 * np.pi * frequency[chosen] / rate)  # what a sample has of the one before
+    return float((power @ turns / max(power.sum(), 1e-300) - turns.mean()) / (turns.max() - turns.mean()))
 
 
 def _start(recording: Recording, crane: Crane) -> Iterator[Finding]:

@@ -46,6 +46,7 @@ def command(
 
     printer, told, notes = Printer(json), list[dict[str, Any]](), list[dict[str, str]]()
     columns: dict[str, Column] = {}
+    printer.line(f"Checked against the crane {chosen.name}:")
     for path in recordings:
         recording = load_recording(path, chosen, mapping, map_file)
         findings = examine(recording, chosen)

@@ -297,6 +297,47 @@ def test_check_notes_what_was_left_out_of_the_file(patu: Callable[..., SimpleNam
     assert "log.csv: note: column 'temp' was ignored.\n" in said and "log.csv: nothing to complain of." in said
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_pressures_that_press_in_more_oil_than_there_is_are_told_without_a_warning() -> None:
+    """No number is large enough for what a chamber would hold at values of Pa given as MPa."""
+    clean, _ = with_the_package()
+    first, *_ = vet(changed(clean, p1=1e6 * clean["p1"].values), CRANE)
+    assert first.channels == ("p1",) and first.severity == "error"
+
+
+def digger() -> Recording:
+    """Return a recording of an excavator, some of whose channels have the names of a log crane's."""
+    time = 0.01 * np.arange(400)
+    values = dict.fromkeys(("u1", "u2", "u3"), 0.0 * time) | dict.fromkeys(("boom", "arm", "bucket"), 0.1 + 0.0 * time)
+    values |= {n: 60e5 + 1e4 * np.random.default_rng(1).standard_normal(400) for n in ("p1", "p3", "p5")}
+    return Recording.from_arrays("dig", time, values, layout=Crane.load("excavator").layout)
+
+
+def test_check_says_which_crane_and_asks_whether_it_is_that(
+    patu: Callable[..., SimpleNamespace], tmp_path: Path
+) -> None:
+    file = tmp_path / "dig.csv"
+    digger().save(file)
+    done = patu("check", str(file))
+    assert done.out.startswith("Checked against the crane patu655:\n") and "warning: 5 of 9 columns" in done.out
+    assert "are no channels of patu655, and none of z1, z4 is there" in done.out and "with --crane." in done.out
+    right = patu("check", str(file), "--crane", "excavator")
+    assert right.out.startswith("Checked against the crane excavator:\n") and "no channels" not in right.out
+    assert digger().ignored == ()
+
+
+def test_columns_of_a_loggers_own_make_no_other_crane(tmp_path: Path) -> None:
+    """Its pose is there: the many others are the logger's."""
+    clean, _ = with_the_package()
+    time, columns = clean.aligned()
+    table = {"time[s]": time} | {
+        f"{n}[{clean[n].unit or '-'}]": c for n, c in zip(clean.channels, columns.T, strict=True)
+    }
+    write_table(tmp_path / "log.csv", table | {f"temp{k}": 40.0 + 0.0 * time for k in range(20)})
+    logged = Recording.load(tmp_path / "log.csv")
+    assert len(logged.ignored) == 20 and not [f for f in vet(logged, CRANE) if f.kind == "pose"]
+
+
 def test_samples_are_what_they_say(patu: Callable[..., SimpleNamespace], tmp_path: Path) -> None:
     assert patu("sample", str(tmp_path)).status == 0
     files = {f.name for f in tmp_path.iterdir()}

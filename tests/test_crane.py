@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 from dataclasses import replace
 from fnmatch import fnmatchcase
 
@@ -11,6 +12,8 @@ import pytest
 from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.crane import built_in
 from crane_exudyn.description import GaussMarkov
+from crane_exudyn.plausible import implausible
+from crane_exudyn.statics import vapour_pressure
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +138,101 @@ def test_bad_files_get_one_message_with_the_mend(tmp_path, old, new, words):
     assert all(word in str(refusal.value) for word in [*words, "bad.toml"])
 
 
+def _text(name="patu655"):
+    from importlib import resources
+
+    return resources.files("crane_exudyn.data").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('mass = "25 kg"', "mass = 25 kg # payload", ["line", "mass = 25 kg", 'in quotes, as mass = "25 kg"']),
+        ('mass = "25 kg"', "mass = 25,5", ["Write a decimal point: mass = 25.5."]),
+        ('bore = "100 mm"', "bore = [100 mm, 0]", ["Unclosed array", "a value with a unit, or a name, in quotes"]),
+        ('mass = "25 kg"', "mass = 25 == 3", ["mass = 25 == 3", "Expected newline"]),
+        ("[supply]", "[fluid]", ["the table [fluid] stands twice"]),
+        ('z1 = "10 deg"', 'z1 = "10 deg"\nz1 = "11 deg"', ["z1 stands twice in [initial]"]),
+        ('name = "patu655"', 'name = "patu655"\nname = "b"', ["name stands twice. Remove one."]),
+    ],
+)
+def test_what_is_no_toml_is_told_with_line_and_mend(tmp_path, old, new, words):
+    text = _text()
+    assert old in text
+    (tmp_path / "bad.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(CraneError) as refusal:
+        Crane.load(tmp_path / "bad.toml")
+    assert all(word in str(refusal.value) for word in [*words, "bad.toml", "line"])
+    assert "(at line" not in str(refusal.value) and "('" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("text", ["", "# a comment\n"])
+def test_an_empty_file_is_called_empty(tmp_path, text):
+    (tmp_path / "empty.toml").write_text(text)
+    with pytest.raises(CraneError, match=r"empty\.toml: there is nothing in this file.*save\(\"my-crane"):
+        Crane.load(tmp_path / "empty.toml")
+
+
+def test_only_several_missing_numbers_are_counted(crane):
+    one = {n: v for n, v in crane.values.items() if n != "payload.mass"}
+    with pytest.raises(CraneError, match=r"payload\.mass is missing\. Give it, in kg"):
+        replace(crane, values=one)
+    with pytest.raises(CraneError, match=r"\(2 in all\)"):
+        replace(crane, values={n: v for n, v in one.items() if n != "payload.width"})
+
+
+# -- units that were left out ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('bore = "100 mm"', "bore = 100", 'cylinders.lift.bore = 100 m is implausible.*such as "100 mm"'),
+        ('oil_bulk_modulus = "1.65e9 Pa"', "oil_bulk_modulus = 1500", 'oil_bulk_modulus = 1500 Pa .*"1500 MPa"'),
+        ('oil_bulk_modulus = "1.65e9 Pa"', "oil_bulk_modulus = 1.5", '"1.5 GPa"'),
+        ('z1 = "10 deg"', "z1 = 10", r'initial\.z1 = 10 rad .*"10 deg"'),
+        ('less_loaded_pressure = "20 bar"', "less_loaded_pressure = 20", 'less_loaded_pressure = 20 Pa .*"20 bar"'),
+        ('inertia = "67.053707 kg*m^2"', "inertia = 67e9", r"inertia = 6\.7e\+10 kg\*m\^2 is implausible: expected at"),
+    ],
+)
+def test_numbers_that_hardly_any_machine_has_are_told_with_the_unit_that_was_meant(tmp_path, caplog, old, new, told):
+    text = _text()
+    assert old in text
+    (tmp_path / "own.toml").write_text(text.replace(old, new, 1), encoding="utf-8")
+    Crane.load(tmp_path / "own.toml")
+    [record] = caplog.records
+    assert re.search(told, record.getMessage()) and "own.toml: " in record.getMessage()
+
+
+def test_of_many_implausible_numbers_the_first_are_told(tmp_path, caplog):
+    points = re.sub(r'"(-?[\d.]+) m"', lambda m: str(1e3 * float(m[1])), _text("loader"))  # everything in mm
+    (tmp_path / "own.toml").write_text(points, encoding="utf-8")
+    Crane.load(tmp_path / "own.toml")
+    assert len(caplog.records) == 4 and re.search(r"\d+ more numbers are as far", caplog.messages[-1])
+
+
+@pytest.mark.parametrize("name", built_in())
+def test_nothing_is_implausible_in_a_built_in_crane(name, caplog):
+    assert implausible(Crane.load(name)) == [] and not caplog.records
+
+
+def test_vapour_pressure_is_absolute_also_among_gauge_pressures(crane):
+    """A gauge shows that less the air's pressure; a negative one is refused with that reason."""
+    gauge = {"supply.pressure_reference": 1.0, "supply.air_pressure": 1e5, "fluid.vapour_pressure": 2e3}
+    assert vapour_pressure(crane.with_parameters(gauge)) == 2e3 - 1e5
+    with pytest.raises(CraneError, match=r"vapour_pressure = -101300 Pa .*absolute in every crane file, also where"):
+        crane.with_parameters(gauge | {"fluid.vapour_pressure": -101300.0})
+
+
+def test_shares_of_a_value_are_saved_with_few_digits(tmp_path):
+    text = _text().replace('mass = "25 kg"', 'mass = "70 kg"', 1)
+    text = re.sub(r'"payload.mass" = .*', '"payload.mass" = "4 %"', text)
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    crane = Crane.load(tmp_path / "own.toml")
+    assert crane.uncertainty["payload.mass"].std == 2.8
+    assert '"payload.mass" = { std = 2.8 }' in replace(crane, text="").to_toml()
+
+
 def test_an_unknown_crane_is_answered_with_the_nearest():
     with pytest.raises(CraneError, match="patu655"):
         Crane.load("patu65")
@@ -176,6 +274,15 @@ def test_of_two_effects_that_came_together_one_is_removed_alone(crane, tmp_path)
     assert one.history[-1]["removed"] == ["dead_band@lift"]
     assert removed(one, "pump_droop") == crane
     assert removed(removed(both, "pump_droop"), "dead_band@lift") == crane
+
+
+def test_what_is_added_to_a_file_begins_behind_an_empty_line(crane, tmp_path):
+    (tmp_path / "own.toml").write_text(Crane.load("patu655").to_toml().rstrip("\n") + "\n", encoding="utf-8")
+    Crane.load(tmp_path / "own.toml").with_effect("pump_droop", {"R": 1e9}).save(tmp_path / "one.toml")
+    text = (tmp_path / "one.toml").read_text(encoding="utf-8")
+    assert "\n\n[[effect]]\n" in text and "\n\n\n[[effect]]" not in text
+    Crane.load(tmp_path / "one.toml").with_effect("dead_band@lift", {"upper": 0.1}).save(tmp_path / "two.toml")
+    assert (tmp_path / "two.toml").read_text(encoding="utf-8").count("\n\n[[effect]]\n") == 2
 
 
 def test_what_was_undone_is_gone_from_the_file(crane, tmp_path):

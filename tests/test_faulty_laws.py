@@ -89,3 +89,13 @@ def test_it_is_found_where_the_failing_step_leads(monkeypatch: pytest.MonkeyPatc
 def test_two_laws_that_fail_only_together_are_both_named() -> None:
     crane = Crane.load("patu655").with_effect(SOUND, {"k": 1e-13}).with_effect("seal_friction@lift", {"dFc": 100.0})
     assert faulty_laws.without_numbers(crane, lambda tried: len(tried.effects) < 2) == [SOUND, "seal_friction@lift"]
+
+
+@pytest.mark.parametrize("engine", [ExudynEngine, SemiRecursiveEngine])
+def test_a_run_that_fails_names_the_number_that_no_machine_has(engine: Callable[[Crane], Any]) -> None:
+    """The state of the failure says nothing to who left a unit out."""
+    crane, time = Crane.load("patu655").with_parameters({"fluid.oil_bulk_modulus": 1650.0}), 0.01 * np.arange(5)
+    inputs = Recording.from_arrays("r", time, {"u1": 0.0 * time + 0.2, "u2": 0.0 * time + 0.1})
+    with pytest.raises(CraneError, match=r"cannot go on at t = .*oil_bulk_modulus = 1650 Pa .*\"1650 MPa\"") as refusal:
+        simulate(crane, inputs, engine=engine(crane))
+    assert "p1" not in str(refusal.value)

@@ -1,7 +1,9 @@
 """Machines as data: both engines agree on built-in and random ones, and what is impossible is refused with its mend."""
 
 import copy
+import re
 import tomllib
+from dataclasses import replace
 from importlib import resources
 
 import numpy as np
@@ -11,7 +13,9 @@ from random_machine import random_machine
 from crane_exudyn.crane import Crane, built_in
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
-from crane_exudyn.simulation import initial_state
+from crane_exudyn.recording import Recording
+from crane_exudyn.simulation import initial_state, simulate
+from crane_exudyn.static_start import beyond_pump, static_start
 from validation import crosscheck as cc
 from validation import crosscheck_cases as cases
 from validation.semi_recursive import SemiRecursiveEngine
@@ -109,6 +113,30 @@ REFUSED = {
         "cylinders.bucket.rod_end = 'K' is no point of rocker",
     ),
     "payload nowhere": (lambda f: f["payload"].update(body="bukcet"), "payload.body = 'bukcet' is not known.*bucket"),
+    "a body like the ground": (lambda f: f["bodies"].update(ground=f["bodies"]["boom"]), "a body is named 'ground'"),
+    "no joint": (lambda f: f.pop("joint"), r"there is no \[\[joint\]\], so nothing says how"),
+    "loop not closed": (
+        _drop("K"),
+        "rocker and link form an open chain: rocker, link are not independent .*no joint closes a loop",
+    ),
+    "too few independent": (lambda f: f["independent"].remove("bucket"), "bucket hangs freely: bucket is not indep"),
+    "loop without at": (
+        lambda f: next(j for j in f["joint"] if j["name"] == "K").pop("at"),
+        "joint 'K' closes a loop.* on = 'K' is that on bucket. Give at, too, a point of its own on link",
+    ),
+    "point of a typo": (
+        lambda f: f["payload"].update(at="siol"),
+        r"payload\.at = 'siol', but \[joints\] has no point 'siol'\. Did you mean \"soil\"",
+    ),
+    "pin of a typo": (_change("K", on="K_"), r"joint 'K' names 'K_', but \[joints\] has no point 'K_'"),
+    "pin left out": (
+        lambda f: f["joints"].pop("A"),
+        r"joint 'A' has its pin at the point of its name, but \[joints\] has no point 'A'\. Give it",
+    ),
+    "point of nothing": (
+        lambda f: f["joints"].update(tooth=[0.1, 0.2]),
+        r"joints\.tooth is a point that nothing is at.*end of a cylinder or the payload's at",
+    ),
     "same channel twice": (lambda f: f["cylinders"]["arm"].update(length="s1"), "two things are named channel 's1'"),
 }
 
@@ -141,3 +169,40 @@ def test_a_start_in_which_a_cylinder_cannot_be_that_long_is_refused_with_its_lim
     assert f"cylinders.lift.empty_length and chamber_range let it be {crane['cylinders.lift.empty_length']:.4f}" in str(
         found.value
     )
+
+
+@pytest.mark.parametrize("make", [ExudynEngine, SemiRecursiveEngine])
+def test_a_start_below_vapour_pressure_names_key_and_cylinder(make):
+    loader = Crane.load("loader")
+    crane = replace(loader, initial=replace(loader.initial, less_loaded_pressure=(-12e5,)))
+    with pytest.raises(CraneError, match=r"initial\.less_loaded_pressure of -12 bar for the lift cylinder.*here 0 bar"):
+        initial_state(crane, make(crane))
+
+
+STILL = {"u1": np.zeros(3)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "needed"),
+    [
+        ({"supply.pump_pressure": 20e5}, r"lift needs \d+\.?\d* bar in p1 .* the pump gives 20 bar"),
+        ({"payload.mass": 8000.0}, "bar in p1 to lift the load, and the pump gives 180 bar: look at masses"),
+        ({"bodies.boom.com.x": 40.0}, "boom = -5.00 deg: lift needs"),
+        ({}, ""),
+    ],
+)
+def test_a_load_that_the_pump_cannot_lift_is_told_before_the_run(changes, needed, caplog):
+    crane = Crane.load("loader").with_parameters(changes)
+    still = Recording.from_arrays("still", np.array([0.0, 0.01, 0.02]), STILL, layout=crane.layout)
+    simulate(crane, still, engine="semi-recursive")
+    assert len(caplog.records) == bool(needed)
+    assert not needed or re.search(needed, caplog.messages[0])
+
+
+def test_what_a_pump_can_lift_does_not_hang_on_the_pressure_behind_the_piston():
+    """The less loaded chamber empties into the tank first."""
+    crane = Crane.load("loader")
+    for low in (1e5, 150e5):
+        start = static_start(crane, *crane.initial.pose, less_loaded=low)
+        assert beyond_pump(crane, start) == ""
+    assert start[crane.layout.pressures].max() > crane["supply.pump_pressure"]

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import time as clock
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,6 +67,33 @@ def test_what_cannot_be_true_is_found_with_its_mend(
     assert [f.kind for f in findings] == [kind]
     assert findings[0].channels == channels and findings[0].severity == "error"
     assert text in findings[0].text and mend in findings[0].mend
+
+
+def test_a_unit_is_told_as_the_file_has_it(tmp_path: Path) -> None:
+    """All pressures of it alike, also the one that its noise would bring below a vacuum."""
+    recording = recorded(p3=of(6 * BAR, 6 * BAR) + 0.3 * BAR * np.random.default_rng(2).standard_normal(2000))
+    recording.save(tmp_path / "r.csv")
+    text = (tmp_path / "r.csv").read_text().replace("p1[Pa]", "p1[kPa]").replace("p3[Pa]", "p3[kPa]")
+    (tmp_path / "r.csv").write_text(text)
+    found = contents(Recording.load(tmp_path / "r.csv"), Crane.load("patu655"))
+    assert [(f.kind, f.severity, f.mend) for f in found] == [
+        ("scale", "error", f"The values look like Pa given as kPa: write the unit as {n}[Pa].") for n in ("p1", "p3")
+    ]
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0])
+def test_a_machine_that_rings_has_no_coloured_noise(rate: float) -> None:
+    """Its ring stands in all of the recording, and a short mean does not take it out."""
+    time, random = np.arange(0.0, 40.0, 1.0 / rate), np.random.default_rng(5)
+    ring = sum(np.exp(-0.1 * (time - t)) * np.sin(2 * np.pi * 5.0 * (time - t)) * (time >= t) for t in range(0, 40, 4))
+    noise = 0.4 * random.standard_normal(len(time))
+    rung = recorded(len(time), 1.0 / rate, p1=BAR * (60 + 10 * np.sin(0.5 * time) + 4.0 * ring + noise))
+    assert [f for f in contents(rung, Crane.load("patu655")) if f.kind == "noise"] == []
+    if rate > 100.0:
+        smoothed = np.convolve(noise, np.full(5, 0.2), "same") + 0.02 * ring
+        slow = recorded(len(time), 1.0 / rate, p1=BAR * (60 + 10 * np.sin(0.5 * time) + smoothed))
+        [found] = [f for f in contents(slow, Crane.load("patu655")) if f.kind == "noise"]
+        assert "the noise of p1 is not white" in found.text
 
 
 @pytest.mark.parametrize(("step", "mend"), [(5.0, r"time\[ms\]"), (5e-6, r"time\[s\]")])

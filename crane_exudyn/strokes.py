@@ -1,0 +1,148 @@
+"""Runs that a stroke's end cuts short, and commands that keep off it: a driver who lets go of a lever in time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .crane import Crane
+from .engines import engine_class
+from .errors import CraneError
+
+#: samples that are run at once where a run has ended early; so many times fewer, each time that they do not all go
+_PIECE, _FINER = 512, 8
+#: share of a stroke that a driver leaves at its end, and as much again each time that the cylinder still comes to its
+#: end; where less is left before he begins he uses half of it
+_LEFT = 0.1
+#: share of a stroke within which a run that ends has come to the stroke's end
+_AT_END = 0.02
+#: s: a driver lets go of a lever at whole multiples of it, so that what engines differ by makes no other commands
+_BEAT = 0.05
+#: at most so many times commands are changed; each of them has a few stretches
+_MOST = 60
+
+
+def run_while_possible(
+    engine: Any, x0: np.ndarray, time: np.ndarray, w: np.ndarray, step: float
+) -> tuple[np.ndarray, CraneError | None]:
+    """Return the states (k, nx) of an engine at the first k of the instants `time` (n,), and why it went no further;
+    None where it went to the end.
+
+    Args:
+        x0: (nx,) state at time[0].
+        time, w: as `simulate` of the engine takes them.
+        step: largest time step in s.
+    """
+    try:
+        return engine.simulate(x0, time, w, step=step), None
+    except CraneError as problem:
+        ended = problem
+    done, at, size = [np.asarray(x0, dtype=float)[None]], 0, _PIECE
+    while size and at < len(time) - 1:
+        part = slice(at, at + size + 1)
+        try:
+            piece = engine.simulate(done[-1][-1], time[part], w[part], step=step)
+        except CraneError as problem:
+            ended, size = problem, size // _FINER
+            continue
+        done.append(piece[1:])
+        at += len(piece) - 1
+    return np.concatenate(done), ended
+
+
+def within_strokes(crane: Crane, time: np.ndarray, commands: np.ndarray, start: np.ndarray) -> np.ndarray | None:
+    """Return commands (n, valves) with which no cylinder comes to an end of its stroke: as they are given, but a lever
+    that drives its cylinder there is let go in time, until it is to go the other way.
+
+    Args:
+        crane: what is driven; objects of one's own count for nothing.
+        time: (n,) s;  commands: (n, valves), linear between, steps staying steps.
+        start: (nx,) state at time[0].
+
+    Returns:
+        None where no such commands are found: a closed valve does not hold the cylinder, or the run ends for another
+        reason.
+    """
+    crane = crane.without_objects() if crane.objects else crane
+    engine, given = engine_class("semi-recursive")(crane), np.array(commands, dtype=float)
+    let_go: dict[tuple[int, int], int] = {}
+    for _ in range(_MOST):
+        w = spools_on(crane, time, given)
+        states, ended = run_while_possible(engine, start, time, w, float(np.min(np.diff(time))))
+        if ended is None:
+            return given
+        cut = _letting_go(crane, time, commands, given, states, let_go)
+        if cut is None:
+            return None
+        lever, first, after = cut
+        given[first:after, lever] = 0.0
+    return None
+
+
+def spools_on(crane: Crane, time: np.ndarray, commands: np.ndarray) -> np.ndarray:
+    """Return the inputs w (n, valves + 2) of engines for commands (n, valves) at `time` (n,) whose steps stay steps;
+    supply pressures are the crane's own.
+    """
+    from .drive import spool_on, with_steps  # compiled code, of which the effects must be part
+
+    spools = spool_on(crane, time, *with_steps(time, commands))
+    return np.column_stack([spools, np.full((len(time), 2), np.nan)])
+
+
+def _letting_go(
+    crane: Crane,
+    time: np.ndarray,
+    commands: np.ndarray,
+    given: np.ndarray,
+    states: np.ndarray,
+    let_go: dict[tuple[int, int], int],
+) -> tuple[int, int, int] | None:
+    """Return the lever that brought a cylinder to its end, and from which sample to before which it is let go; None
+    where none did.
+
+    Args:
+        commands: as they were at first;  given: as they were in the run of `states`, which ended early.
+        let_go: by lever and first sample of a stretch of one sign, how often it was shortened; one is added.
+    """
+    position = positions_in_strokes(crane, states)
+    lever = int(np.argmax(np.abs(position[-1] - 0.5)))
+    if abs(position[-1, lever] - 0.5) < 0.5 - _AT_END:
+        return None
+    way = np.sign(position[-1, lever] - 0.5)
+    toward = np.flatnonzero(np.sign(commands[: len(states), lever]) == way)
+    if not toward.size:
+        return None
+    last = int(toward[-1])
+    others = np.flatnonzero(np.sign(commands[:, lever]) != way)
+    before, behind = others[others < last], others[others > last]
+    first = int(before[-1]) + 1 if before.size else 0
+    after = int(behind[0]) if behind.size else len(time)
+    if not given[first:after, lever].any():
+        return None
+    let_go[lever, first] = tries = let_go.get((lever, first), 0) + 1
+    room = 0.5 + way * (0.5 - position[:, lever])  # share of the stroke that is left
+    leaves = min(tries * _LEFT, room[first] * tries / (tries + 1.0))  # a cylinder may begin near its end
+    near = np.flatnonzero(room[first:] < leaves)
+    cut = first + int(near[0]) if near.size else len(states) - 1
+    beat = time[0] + _BEAT * np.floor((time[cut] - time[0]) / _BEAT)
+    return lever, max(first, int(np.searchsorted(time, beat - 1e-9))), after
+
+
+def positions_in_strokes(crane: Crane, states: np.ndarray) -> np.ndarray:
+    """Return where the cylinders stand at states (n, nx), from 0, fully retracted, to 1, fully extended: (n,
+    cylinders).
+    """
+    from .geometry import cylinder_lengths
+
+    lengths = cylinder_lengths(crane, states[:, crane.layout.positions])
+    empty, stroke = (
+        np.array([crane[f"cylinders.{c}.{n}"] for c in crane.layout.cylinders])
+        for n in ("empty_length", "chamber_range")
+    )
+    return np.asarray((lengths - empty) / stroke)
+
+
+def levers_let_go(crane: Crane, given: np.ndarray, driven: np.ndarray) -> tuple[str, ...]:
+    """Return the cylinders whose commands were `driven` (n, valves) and not as `given`."""
+    return tuple(c for c, same in zip(crane.layout.cylinders, (given == driven).all(axis=0), strict=True) if not same)
