@@ -23,6 +23,7 @@ from .machine_toml import usual_layout
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 
@@ -214,6 +215,22 @@ def name_axes(axes: Axes, what: Shown) -> None:
     with style():
         axes.set_title(what.words, loc="left", fontsize=9, color="#444444", pad=3.0)
         axes.set_ylabel(what.axis)
+
+
+#: digits and signs of an exponent
+_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+def plain_powers(axis: Axis) -> None:
+    """Label a logarithmic axis with powers of ten in plain signs: matplotlib's own labels are formulas, which this
+    style takes for text.
+    """
+    axis.set_major_formatter(lambda value, _: _power(value))
+    axis.set_minor_formatter(lambda value, _: "")
+
+
+def _power(value: float) -> str:
+    return "10" + str(round(math.log10(value))).translate(_RAISED) if value > 0.0 else ""
 
 
 def thin(time: np.ndarray, *columns: np.ndarray, most: int = 4000) -> tuple[np.ndarray, ...]:

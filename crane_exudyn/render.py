@@ -17,6 +17,7 @@ import contextlib
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -186,7 +187,9 @@ class Scene:
 
     def _paints(self) -> list[shapes.Paint]:
         if len(self.trajectories) == 1 or self.colour is not None:
-            main = shapes.Paint(barrels=self.colour is None)
+            usual = shapes.Paint()
+            # what has no residual of its own is grey: among residuals, a beam's orange would be one
+            main = replace(usual, barrels=self.colour is None, beam=usual.link if self._recoloured() else usual.beam)
         else:
             main = shapes.Paint.single(self.ghost_color(0))
         return [main, *(shapes.Paint.single(self.ghost_color(i)) for i in range(1, len(self.trajectories)))]
@@ -393,7 +396,7 @@ class Scene:
         shown = layout.chambers if self.colour == "pressure" else (*layout.chambers, *layout.coordinates)
         return Texts(
             title=self.title or self.crane.name,
-            time=time,
+            time=time if self.trajectories[0].timed else None,
             pose={
                 name: (float(value), layout.unit_of(name))
                 for name, value in zip(layout.coordinates, self.trajectories[0].at(time), strict=True)

@@ -54,6 +54,8 @@ _GRAPPLE = 0.12
 _SHORTEST, _MOST_BENT = 0.05, 0.35
 #: share of a sliding body's beam that its sheath covers when it is drawn in
 _SHEATHED = 0.75
+#: m from a payload's point within which pins are those of the bucket
+_BUCKET = 0.6
 #: a body of two pins that is shorter than this share of the longest body is a link
 _SHORT = 0.35
 
@@ -266,19 +268,21 @@ def _behind(body: _Body, end: np.ndarray) -> list[np.ndarray]:
 
 
 def body_shape(crane: Crane, name: str, paint: Paint, color: Color | None = None) -> list[Graphics]:
-    """Return the graphics of a body in its own frame; color: of a beam, if it is not the paint's."""
+    """Return the graphics of a body in its own frame; color: of its steel but the pins, if not the paint's."""
     body, unit = _body(crane, name), size(crane)
     links = [b for b in crane.machine.bodies if _is_link(crane, _body(crane, b))]
     if name in links:
-        return _link(body, unit, links.index(name) % 2, paint)
+        return _link(body, unit, links.index(name) % 2, paint, color or paint.link)
     half = unit * (_BEAM - _NARROWER * (len(crane.machine.path(name)) - 1) - (0.02 if body.slides else 0.0))
     half = max(half, 0.5 * unit * _BEAM)
-    made = _beam(body, unit, half, paint, color or paint.beam)
     bucket = _bucket(crane, name)
-    if bucket is not None:
-        near = [(*p, 2.0 * _PIN * unit) for p in body.pins if math.dist(p, body.pins[-1]) < 0.6]
-        made += _cheeks(hull([*bucket, *near]), _load_half(crane), _load_half(crane) + 0.02, paint.link, paint)
-    return made
+    if bucket is None:
+        return _beam(body, unit, half, paint, color or paint.beam)
+    near = [p for p in body.pins if math.dist(p, body.pins[-1]) < _BUCKET]
+    whole = math.dist(body.root, body.pins[-1]) < _BUCKET  # the body is the bucket, with no boom before it
+    made = _beam(body, unit, half, paint, color or (paint.link if whole else paint.beam))
+    outline = hull([*bucket, *((*p, 2.0 * _PIN * unit) for p in near)])
+    return made + _cheeks(outline, _load_half(crane), _load_half(crane) + 0.02, color or paint.link, paint)
 
 
 def _is_link(crane: Crane, body: _Body) -> bool:
@@ -289,13 +293,13 @@ def _is_link(crane: Crane, body: _Body) -> bool:
     return two and not body.slides and body.length < _SHORT * longest and body.sheath is None
 
 
-def _link(body: _Body, unit: float, lane: int, paint: Paint) -> list[Graphics]:
+def _link(body: _Body, unit: float, lane: int, paint: Paint, color: Color) -> list[Graphics]:
     """Return two plates from pin to pin; lanes keep links of one loop beside each other."""
     near, far = (unit * (s + _LANE * lane) for s in _LINK)
     start, end = body.pins
     outline = hull([(*start, 0.05 * unit), (*(0.5 * (start + end)), 0.055 * unit), (*end, 0.05 * unit)])
     return [
-        *_cheeks(outline, near, far, paint.link, paint),
+        *_cheeks(outline, near, far, color, paint),
         *(_across(p, 0.16 * unit, _PIN * unit, paint.pin, paint) for p in body.pins),
     ]
 

@@ -15,6 +15,8 @@ from .outputs import Writes, saving
 from .reading import load_crane
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from validation.crosscheck import CrossCheck, Quantity
 
 _COLUMNS = ("quantity", "unit", "largest difference", "relative", "tolerance", "ok", "where; why that much")
@@ -33,12 +35,17 @@ def command(
     ] = None,
     report: ReportOption = None,
     effects: EffectsOption = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT", help="Effect to leave out, such as end_stop or end_stop@lift; repeatable."),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Compare the Exudyn engine with the semi-recursive one: every quantity, the static start, every effect,
     trajectories.
 
-    Exit status 1 if anything is out of its tolerance; the first such line is nearest to the cause.
+    Exit status 1 if anything is out of its tolerance, or could not be run; the first line out of tolerance is nearest
+    to the cause.
     """
     chosen = load_crane(crane, effects)
     from validation.crosscheck import crosscheck, save_figures
@@ -47,7 +54,7 @@ def command(
         states, seconds = min(states, 50), min(seconds, 6.0)
     compile_for("exudyn", "semi-recursive")
     with progress("Comparing the engines") as step:
-        result = crosscheck(chosen, states=states, seconds=seconds, seed=seed, progress=step)
+        result = crosscheck(chosen, states=states, seconds=seconds, seed=seed, without=without or (), progress=step)
     printer = Printer(json)
     printer.table(
         f"Cross-check of {chosen.name}: Exudyn and semi-recursive", _COLUMNS, [_row(q) for q in result.quantities]
@@ -61,19 +68,26 @@ def command(
 
 
 def verdict(result: CrossCheck) -> str:
-    """Return the answer in one or two sentences."""
-    count = len(result.quantities)
-    if result.ok:
-        return f"The engines agree in all {count} quantities."
-    names = ", ".join(q.name for q in result.failures[:5]) + (", …" if len(result.failures) > 5 else "")
-    return (
-        f"The engines differ in {len(result.failures)} of {count} quantities, first in {result.failures[0].name}: "
-        f"{names}."
-    )
+    """Return the answer in one to three sentences."""
+    count, unknown = len(result.quantities) - len(result.not_run), result.not_run
+    said = [f"The engines agree in all {count} quantities{' that could be compared' * bool(unknown)}."]
+    if result.failures:
+        first = result.failures[0].name
+        said = [f"The engines differ in {len(result.failures)} of {count} quantities, first in {first}: "
+                f"{_names(result.failures)}."]  # fmt: skip
+    if unknown:
+        said.append(f"{len(unknown)} could not be run, so that nothing is known of them: {_names(unknown)}.")
+    return " ".join(said)
+
+
+def _names(quantities: Sequence[Quantity]) -> str:
+    return "; ".join(q.name for q in quantities[:5]) + ("; …" if len(quantities) > 5 else "")
 
 
 def _row(q: Quantity) -> tuple[object, ...]:
     why = f"{q.place}; {q.reason}" if q.place else q.reason
+    if q.refused:
+        return q.name, q.unit, "-", "-", "-", "not run", why
     return q.name, q.unit, f"{q.max_abs:.2e}", f"{q.relative:.1e}", f"{q.tolerance:.0e}", q.ok, why
 
 

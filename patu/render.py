@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from crane_exudyn.render import Scene
     from crane_exudyn.trajectory import Trajectory
 
-#: what a --ghost without a name is called, in order
+#: what a --ghost without a name is called, in order, where it is not seen to be a simulation
 _GHOST_NAMES = ("simulated", "estimated", "third", "fourth")
 
 
@@ -179,15 +179,50 @@ def _runs(
     if recording is None:
         return [Trajectory.at_rest(crane)]
     main = read(recording)
-    noisy = set(main.sensors) - set(main.noise_free())
-    runs = [Trajectory.from_recording(main, label or ("measured" if noisy else "simulated"))]
-    names = [name for name in _GHOST_NAMES if name != runs[0].label]
-    for entry, default in zip(ghosts, names, strict=False):
+    runs = [Trajectory.from_recording(main, label or ("simulated" if _is_simulated(main, crane) else "measured"))]
+    if len(ghosts) >= len(_GHOST_NAMES):
+        raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(_GHOST_NAMES) - 1}.")
+    for entry in ghosts:
         name, path = ghost_of(entry)
-        runs.append(Trajectory.from_recording(read(Path(path)), name or default))
-    if len(ghosts) > len(names):
-        raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(names)}.")
+        ghost = read(Path(path))
+        taken = {run.label for run in runs}
+        free = (n for n in _GHOST_NAMES if n not in taken)
+        if not name and _is_simulated(ghost, crane):
+            name = "simulated" if "simulated" not in taken else ghost.name
+        runs.append(Trajectory.from_recording(ghost, name or next(free)))
     return runs
+
+
+#: how far readings that follow from each other are apart at most in a simulation, rad or m: what files are rounded to
+_ROUNDED = 1e-6
+
+
+def _is_simulated(recording: Recording, crane: Crane) -> bool:
+    """Whether a run is one that `patu simulate` writes: it holds every coordinate, rate, length and pressure, and what
+    follows from the coordinates does so exactly, which no sensors do. Noise does not tell it, since oil rings.
+
+    Any other run is simulated if none of its sensors has noise.
+    """
+    return _exact(recording, crane) or set(recording.sensors) == set(recording.noise_free())
+
+
+def _exact(recording: Recording, crane: Crane) -> bool:
+    """Whether a recording holds everything, and that without contradiction."""
+    import numpy as np
+
+    from crane_exudyn.geometry import cylinder_lengths
+
+    layout = recording.layout
+    if not recording.has(*layout.states, *layout.sensors):
+        return False
+    time = recording[layout.coordinates[0]].time
+    shown = {name: recording[name].held(time) for name in (*layout.coordinates, *layout.sensors)}
+    turned = [name for name in layout.coordinates if f"{name}_abs" in shown]
+    apart = [shown[f"{name}_abs"] - sum(shown[n] for n in layout.absolute(name)) for name in turned]
+    if not apart:  # its only coordinate is against the ground
+        z, s = (np.column_stack([shown[n] for n in names]) for names in (layout.coordinates, layout.lengths))
+        apart = [cylinder_lengths(crane, z) - s]
+    return all(bool((np.abs(a) < _ROUNDED).all()) for a in apart)
 
 
 def _size(text: str) -> tuple[int, int]:

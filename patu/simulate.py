@@ -51,9 +51,12 @@ def command(
 ) -> None:
     """Run the crane open loop.
 
-    Commands come from a recording, or are the paper's 25 s working cycle. The crane starts as its file says: given
-    angles, at rest, valves closed. The result has the instants of the recording (1 ms for the cycle), SI units, and is
-    itself a recording without noise.
+    Commands come from a recording, or are the paper's 25 s working cycle, in which a lever that would drive its
+    cylinder to the end of its stroke is let go in time. The crane starts as its file says: given angles, at rest,
+    valves closed. The result has the instants of the recording (1 ms for the cycle), SI units, and is itself a
+    recording without noise.
+
+    A run that cannot go on, as at the end of a stroke, is written as far as it went; the exit status is then 2.
     """
     if start_from_recording and inputs is None:
         raise CraneError("--start-from-recording wants a recording. Give one with --inputs REC.")
@@ -62,7 +65,7 @@ def command(
     chosen = load_crane(crane, effects)
     recording = None if inputs is None else load_recording(inputs, chosen, mapping, map_file).require(sensors=0)
     from crane_exudyn.engines import engine_class
-    from crane_exudyn.simulation import simulate
+    from crane_exudyn.simulation import simulate_while_possible
 
     compile_for("check", engine, "semi-recursive")
     holder = engine_class(engine)(chosen)
@@ -70,14 +73,24 @@ def command(
     _compile(chosen, holder)
     holder.halved = 0
     begin = perf_counter()
-    run = simulate(chosen, recording, start=start, engine=holder, step=step)
+    run, ended = simulate_while_possible(chosen, recording, start=start, engine=holder, step=step)
     seconds = perf_counter() - begin
     printer = Printer(json)
     tell(printer, run, recording, engine, seconds)
-    accuracy = {"halved": holder.halved} | tell_accuracy(printer, run, recording, step, holder.halved)
+    found = summary(run, engine, seconds) | {"halved": holder.halved, "ended": None if ended is None else str(ended)}
+    if ended is None:
+        found |= tell_accuracy(printer, run, recording, step, holder.halved)
     with saving(printer) as save:
         save(output, run.save)
-        save.json(json, summary(run, engine, seconds) | accuracy)
+        save.json(json, found)
+    if ended is not None:
+        raise CraneError(f"{ended} {_so_far(run, output)}")
+
+
+def _so_far(run: Simulation, output: Path | None) -> str:
+    """Return what there is of a run that ended early."""
+    went = f"The run went to t = {run.time[-1]:g} s"
+    return f"{went}; {output} holds it so far." if output is not None else f"{went}; -o FILE writes it so far."
 
 
 def _compile(crane: Crane, engine: Any) -> None:
@@ -122,7 +135,7 @@ def tell(printer: Printer, run: Simulation, recording: Recording | None, engine:
     """Print the range of each shown channel."""
     from crane_exudyn.plots import shown
 
-    driven = "the paper's working cycle" if recording is None else recording.name
+    driven = _cycle_told(run) if recording is None else recording.name
     printer.line(
         f"{run.crane.name} on {engine}, driven by {driven}: {run.time[-1] - run.time[0]:g} s in {seconds:.2f} s"
     )
@@ -163,6 +176,17 @@ def tell_accuracy(
             "that does not damp."
         )
     return {"step_error": {"position": found.position, "pressure": found.pressure, "since": found.since}}
+
+
+def _cycle_told(run: Simulation) -> str:
+    """Return in words what the working cycle was: the paper's, or with levers that were let go earlier."""
+    from crane_exudyn.inputs import paper_cycle
+    from crane_exudyn.strokes import levers_let_go
+
+    early = levers_let_go(run.crane, paper_cycle(run.time, len(run.crane.layout.cylinders)), run.commands)
+    if not early:
+        return "the paper's working cycle"
+    return f"the paper's working cycle, {' and '.join(early)} let go before the end of the stroke"
 
 
 _RANGE = (lambda v: v[0], lambda v: v[-1], lambda v: v.min(), lambda v: v.max())

@@ -425,12 +425,12 @@ def test_what_stands_still_has_no_order(engines):
     """The paper's cycle begins after two seconds."""
     time = np.arange(0.0, 0.2001, 1e-3)
     w = cc.cases.spool_inputs(CRANE, time, np.zeros((time.size, 2)))
-    quantities, runs = cc.compare_runs("still", *engines.values(), time, w, 1e-3, lambda fraction: None)
+    quantities, runs = cc.compare_runs("still", *engines.values(), time, w, 1e-3, lambda fraction, part: None)
     assert not [q.name for q in quantities if "order" in q.name] and len(runs) == 4
     assert {q.name for q in quantities} == {f"still: {n}" for n in ("z1", "z4", "p1", "p2", "p3", "p4")}
     assert all(q.ok for q in quantities)
     w[50:, 0] = 0.5
-    moving, _ = cc.compare_runs("lift", *engines.values(), time, w, 1e-3, lambda fraction: None)
+    moving, _ = cc.compare_runs("lift", *engines.values(), time, w, 1e-3, lambda fraction, part: None)
     assert [q.name for q in moving[:2]] == ["lift: order of positions", "lift: order of pressures"]
 
 
@@ -461,6 +461,51 @@ def test_objects_of_ones_own_are_shown_and_not_lost(tmp_path):
     assert not list(tmp_path.iterdir())
     own.without_objects().save(tmp_path / "crane.toml")
     assert Crane.load(tmp_path / "crane.toml") == CRANE == own.without_objects()
+
+
+def clumsy(mbs, plant, number):
+    """An object of one's own whose function has a mistake."""
+    plant.marker("bucket", {}["length"])
+
+
+def test_what_fails_in_a_function_of_ones_own_is_told_as_its():
+    with pytest.raises(CraneError, match=r"patu655: the function clumsy of with_objects.*KeyError: 'length'") as told:
+        ExudynEngine(CRANE.with_objects(clumsy))
+    assert isinstance(told.value.__cause__, KeyError)
+    assert CRANE.with_objects(clumsy) == CRANE.with_objects(clumsy) != CRANE.with_objects(push)
+
+
+def test_commands_of_a_run_may_be_a_file(engines, run, tmp_path):
+    STILL.save(tmp_path / "still.csv")
+    for commands in (tmp_path / "still.csv", str(tmp_path / "still.csv")):
+        again = simulate(CRANE, commands, engine=engines[SemiRecursiveEngine])
+        assert np.array_equal(again.states, run.states)
+    for wrong in (5, np.zeros((3, 2)), CRANE):
+        with pytest.raises(
+            CraneError, match=r"simulate: found .* instead of a recording\. Give a Recording, or the name"
+        ):
+            simulate(CRANE, wrong)
+
+
+def test_a_recording_of_another_machine_says_whose_names_it_was_read_with(tmp_path):
+    loader = Crane.load("loader")
+    time = np.arange(3.0)
+    Recording.from_arrays("r", time, {"boom": 0.1 * time}, layout=loader.layout).save(tmp_path / "r.csv")
+    with pytest.raises(CraneError, match=r"no known channel among the columns .*boom.*in Python: layout=crane\.layout"):
+        Recording.load(tmp_path / "r.csv")
+    assert Recording.load(tmp_path / "r.csv", layout=loader.layout).sensors == ("boom",)
+
+
+def test_a_void_is_told_as_a_gauge_shows_it(engines, start):
+    """A state of -60 bar is a void: no pressure is that low."""
+    length = engines[ExudynEngine].terms(start, CLOSED)["s1"]
+    short = CRANE.with_parameters(
+        {"cylinders.lift.chamber_range": length - CRANE["cylinders.lift.empty_length"] + 1e-4}
+    )
+    state = start.copy()
+    state[2], state[5] = 0.5, -60e5
+    with pytest.raises(CraneError, match=r"the lift cylinder is fully extended.* p2 = 0, p3 = "):
+        ExudynEngine(short).propagate(state[None], step(0.0), 1e-2)
 
 
 def test_names_can_be_looked_for():

@@ -17,6 +17,7 @@ import validation.semi_recursive.terms as terms_module
 from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
+from crane_exudyn.inputs import paper_cycle
 from patu import main
 from validation import crosscheck as cc
 from validation import crosscheck_cases as cases
@@ -101,9 +102,10 @@ def test_trajectories_agree_with_order_two(
     crane: Crane, exudyn: ExudynEngine, semi_recursive: SemiRecursiveEngine, manoeuvre: int
 ) -> None:
     rng = np.random.default_rng(SEED)
-    name, time, commands = cc.manoeuvres(crane, semi_recursive, 3.2, rng)[manoeuvre]
+    name, given = list(cc.manoeuvres(crane, semi_recursive, 3.2, rng).items())[manoeuvre]
+    time, commands = given()
     w = cases.spool_inputs(crane, time, commands)
-    quantities, runs = cc.compare_runs(name, exudyn, semi_recursive, time, w, 1e-4, lambda fraction: None)
+    quantities, runs = cc.compare_runs(name, exudyn, semi_recursive, time, w, 1e-4, lambda fraction, part: None)
     assert_ok(quantities)
     assert np.ptp(runs[-1].second[:, 0]) > 0.05  # the boom did move
 
@@ -125,9 +127,9 @@ def test_cranes_at_the_ends_of_the_ranges_agree(crane: Crane, name: str) -> None
     drawn = cases.random_states(odd, 20, rng)
     assert_ok([*cc.compare_terms(first, second, drawn), *cc.compare_static_starts(first, second, drawn)])
     assert len(cases.other_cranes(odd, rng)) == 2
-    manoeuvre, time, commands = cc.manoeuvres(odd, second, 2.0, rng)[1]
+    time, commands = cc.manoeuvres(odd, second, 2.0, rng)["random joystick"]()
     w = cases.spool_inputs(odd, time, commands)
-    assert_ok(cc.compare_runs(manoeuvre, first, second, time, w, 1e-3, lambda fraction: None)[0])
+    assert_ok(cc.compare_runs("joystick", first, second, time, w, 1e-3, lambda fraction, part: None)[0])
 
 
 def test_only_what_is_left_by_newtons_methods_has_no_order(crane: Crane) -> None:
@@ -139,9 +141,23 @@ def test_only_what_is_left_by_newtons_methods_has_no_order(crane: Crane) -> None
         ]
 
     assert_ok(cc.convergence_orders(crane.layout, runs([3e-10, 1e-10, 2e-10])))
+    assert_ok(cc.convergence_orders(crane.layout, runs([7e-10, 9e-10, 1.2e-9])))  # above 1e-9 rad and 1 Pa, no order
+    assert_ok(cc.convergence_orders(crane.layout, runs([16e-9, 4e-9, 1.7e-9])))  # only the last is of Newton's methods
     assert_ok(cc.convergence_orders(crane.layout, runs([16e-7, 4e-7, 1e-7])))
-    for sizes in ([16e-7, 8e-7, 4e-7], [1e-7, 1e-7, 1e-7], [1e-10, 1e-9, 1e-8], [0.0, 0.0, 0.0]):
-        assert not any(q.ok for q in cc.convergence_orders(crane.layout, runs(sizes)))
+    for sizes in ([16e-7, 8e-7, 4e-7], [16e-9, 8e-9, 1e-9], [1e-7, 1e-7, 1e-7], [1e-9, 1e-8, 1e-7], [0.0, 0.0, 0.0]):
+        assert not any(q.ok for q in cc.convergence_orders(crane.layout, runs(sizes))), sizes
+    assert not any(q.ok for q in cc.convergence_orders(crane.layout, runs([1e-6, 1e-6, math.nan])))
+
+
+def test_positions_that_drift_apart_alone_have_an_order_too(crane: Crane) -> None:
+    """Pressures that agree excuse no positions that do not."""
+    off = [np.array([size] * 4 + [1e-4] * 4) for size in (16e-7, 8e-7, 4e-7)]
+    runs = [
+        cc.Run("run", h, np.arange(3.0), np.tile(d, (3, 1)), np.zeros((3, 8)), 3)
+        for h, d in zip(cc.ORDER_STEPS, off, strict=True)
+    ]
+    positions, pressures = cc.convergence_orders(crane.layout, runs)
+    assert not positions.ok and "found 1.00" in positions.reason and pressures.ok
 
 
 def test_joystick_keeps_off_the_ends(crane: Crane, semi_recursive: SemiRecursiveEngine) -> None:
@@ -252,8 +268,33 @@ def test_a_faulty_trajectory_is_caught(crane: Crane, exudyn: ExudynEngine) -> No
     )
     time = np.arange(2401) * 1e-3
     w = cases.spool_inputs(crane, time, np.column_stack([0.3 * (time > 0.2), 0.0 * time]))
-    quantities, _ = cc.compare_runs("lift", exudyn, off, time, w, 1e-3, lambda fraction: None)
+    quantities, _ = cc.compare_runs("lift", exudyn, off, time, w, 1e-3, lambda fraction, part: None)
     assert {"lift: z1", "lift: p1", "lift: order of positions"} <= {q.name for q in quantities if not q.ok}
+
+
+class Coarse(SemiRecursiveEngine):
+    """An engine whose rule errs by so many rad (or 1e9 times as many Pa) at 1 ms, as the square of the step."""
+
+    size = 0.0
+
+    def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, **options: float) -> np.ndarray:
+        scale = self.size * (options["step"] / 1e-3) ** 2 * np.where(np.arange(len(x0)) < 4, 1.0, 1e9)
+        return super().simulate(x0, time, inputs, step=1e-3) + scale * (time[:, None] > 0.5)
+
+
+def test_two_forms_of_a_rule_need_not_be_closer_than_its_own_error(crane: Crane) -> None:
+    time = np.arange(1001) * 1e-3
+    w = cases.spool_inputs(crane, time, np.column_stack([0.3 * (time > 0.2), 0.0 * time]))
+
+    def failing(first: float, second: float, step: float = 1e-3) -> set[str]:
+        engines = Coarse(crane), Coarse(crane)
+        engines[0].size, engines[1].size = first, second
+        quantities, _ = cc.compare_runs("run", *engines, time, w, step, lambda fraction, part: None)
+        return {q.name for q in quantities if not q.ok}
+
+    assert not failing(8e-6, 5e-6)  # apart by 3e-6 rad, of 5e-6 rad
+    assert {"run: z1", "run: z4"} <= failing(8e-6, 1e-6)  # apart by more
+    assert {"run: z1", "run: z4"} <= failing(2e-4, 1.5e-4)  # more than an engine promises
 
 
 def test_what_is_not_a_number_is_never_ok() -> None:
@@ -270,6 +311,82 @@ def test_an_effect_without_influence_is_not_called_a_success(crane: Crane) -> No
 def test_an_effect_that_cannot_be_run_is_refused(crane: Crane) -> None:
     with pytest.raises(CraneError, match="internal_leakage@lift"):
         cc.crosscheck(crane, effects=["internal_leakage@lit"])
+
+
+# -- machines that the usual commands are too much for -----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def short(crane: Crane) -> Crane:
+    """A crane whose lift cylinder the paper's cycle would drive to its end at 3.9 s."""
+    return crane.with_parameters({"cylinders.lift.chamber_range": 0.6 * crane["cylinders.lift.chamber_range"]})
+
+
+def test_the_cycle_keeps_off_the_ends_of_any_machine(short: Crane) -> None:
+    engine, rng = SemiRecursiveEngine(short), np.random.default_rng(SEED)
+    time, commands = cc.manoeuvres(short, engine, 6.0, rng)["paper's cycle"]()
+    x0 = engine.static_start(*short.initial.pose)
+    with pytest.raises(CraneError, match="end of its stroke"):
+        engine.simulate(x0, time, cases.spool_inputs(short, time, paper_cycle(time)))
+    run = engine.simulate(x0, time, cases.spool_inputs(short, time, commands))
+    assert np.ptp(run[:, 0]) > 0.03  # it moves all the same
+    assert np.flatnonzero(commands[:, 0])[0] == np.flatnonzero(paper_cycle(time)[:, 0])[0]
+
+
+class Weak(SemiRecursiveEngine):
+    """An engine that does not get over a hard strike."""
+
+    def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, **options: float) -> np.ndarray:
+        if inputs[-1, 0] > 0.5:
+            raise CraneError("the step is not accurate")
+        return super().simulate(x0, time, inputs, **options)
+
+
+def test_a_stop_that_is_struck_too_hard_is_struck_gently(crane: Crane) -> None:
+    probe = cases.effect_probes(crane)["end_stop@lift"]
+    assert "gently" not in cc.run_effect("end_stop@lift", SemiRecursiveEngine(probe), SemiRecursiveEngine(probe)).reason
+    quantity = cc.run_effect("end_stop@lift", Weak(probe), SemiRecursiveEngine(probe))
+    assert quantity.ok and quantity.reason.endswith("driven gently")
+    whole = cases.without_short_strokes(probe)
+    engine = SemiRecursiveEngine(whole)
+    time, w = cases.exciting(whole, "lift", gently=True)
+    run = engine.simulate(engine.static_start(*whole.initial.pose), time, w)
+    assert cases.positions_in_strokes(whole, run)[:, 0].max() > 1.0  # the stop is struck
+
+
+class Stuck(SemiRecursiveEngine):
+    """An engine that cannot run a crane with one effect, nor the paper's cycle."""
+
+    def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, **options: float) -> np.ndarray:
+        if self.crane.effect("internal_leakage@lift") or (len(self.crane.effects) == 0 and inputs[:, 0].max() > 0.499):
+            raise CraneError(f"{self.crane.name}: too stiff")
+        return super().simulate(x0, time, inputs, **options)
+
+
+def test_what_cannot_be_run_is_a_line_of_its_own(crane: Crane) -> None:
+    told: list[str] = []
+    wanted = ["internal_leakage@lift", "internal_leakage@tilt"]
+    result = cc.crosscheck(
+        crane, states=10, seconds=2.4, step=1e-3, make_first=Stuck, effects=wanted,
+        progress=lambda fraction, part: told.append(part),
+    )  # fmt: skip
+    assert [q.name for q in result.not_run] == ["internal_leakage@lift, along 5 s", "paper's cycle"]
+    assert not result.ok and all("too stiff" in q.reason for q in result.not_run)
+    names = [q.name for q in result.quantities]
+    assert {"internal_leakage@lift", "internal_leakage@tilt, along 5 s", "random joystick: z1"} <= set(names)
+    assert not {"internal_leakage@lift, along 5 s"} & {q.name for q in result.failures}
+    assert result.to_dict()["quantities"]["paper's cycle"]["run"] is False and "2 could not be run" in repr(result)
+    assert told.index("other cranes") < told.index("internal_leakage@tilt") < told.index("paper's cycle")
+
+
+def test_effects_can_be_left_out(crane: Crane) -> None:
+    wanted = ["internal_leakage@tilt", "internal_leakage@lift", "end_stop@lift"]
+    left_out = ["end_stop", "internal_leakage@lift"]
+    result = cc.crosscheck(crane, states=10, seconds=0.5, step=1e-3, effects=wanted, without=left_out)
+    names = {q.name.partition(",")[0] for q in result.quantities}
+    assert names & set(wanted) == {"internal_leakage@tilt"}
+    with pytest.raises(CraneError, match=r'leave out. Did you mean "end_stop'):
+        cc.crosscheck(crane, without=["end_stopp"])
 
 
 # -- the whole, and what it leaves behind ------------------------------------------------------------------------------
@@ -292,7 +409,7 @@ def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -
         make_first=make,
         make_second=make,
         effects=["payload_swing"],
-        progress=seen.append,
+        progress=lambda fraction, part: seen.append(fraction),
     )
     assert {q.name for q in result.failures} == {
         f"{m}: order of {o}" for m in cc.by_name(result.runs) for o in ("positions", "pressures")
@@ -307,6 +424,31 @@ def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -
     pictures = cc.save_figures(result, tmp_path / "pictures")
     assert [p.name for p in pictures] == ["crosscheck-papers-cycle.png", "crosscheck-random-joystick.png"]
     assert all(p.stat().st_size > 10_000 for p in pictures)
+    figure = cc.figure_of(crane.layout, cc.by_name(result.runs)["paper's cycle"])
+    below = [label.get_text() for axes in figure.axes[1::2] for label in axes.get_yticklabels()]
+    assert "10⁻¹⁵" in below and not any("$" in text or "\\" in text for text in below)
+
+
+def test_the_command_tells_what_could_not_be_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [
+        cc.Quantity("s1", "m", 0.0, 0.0, 1e-9, "why"),
+        cc.Quantity.not_run("end_stop@lift, along 5 s", CraneError("too stiff")),
+    ]
+    given: dict[str, object] = {}
+
+    def crosscheck(crane: Crane, **options: object) -> cc.CrossCheck:
+        given.update(options)
+        return cc.CrossCheck(crane.name, crane.layout, lines)
+
+    monkeypatch.setattr(cc, "crosscheck", crosscheck)
+    with pytest.raises(SystemExit) as leaving:
+        main.run(["crosscheck", "--quick", "--without", "end_stop", "--without", "dead_band@lift"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert leaving.value.code == 1 and given["without"] == ["end_stop", "dead_band@lift"]
+    assert "not run" in said and "too stiff" in said and "agree in all 1 quantities that could be compared" in said
+    assert "1 could not be run, so that nothing is known of them: end_stop@lift, along 5 s" in said
 
 
 @pytest.mark.parametrize(("size", "status"), [(1e-12, 0), (1e-3, 1)])

@@ -11,7 +11,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from crane_exudyn import Crane, CraneError, Recording, film, mechanism, render, screen
+from crane_exudyn import Crane, CraneError, Recording, channels, film, mechanism, render, screen, simulate
 from crane_exudyn import render_shapes as shapes
 from crane_exudyn.geometry import pose
 from crane_exudyn.machine import GROUND
@@ -269,6 +269,42 @@ def test_residual_is_the_difference_between_the_runs():
     assert np.degrees(scene.scales["rad"]) == pytest.approx(6.0)
 
 
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_body_is_coloured_whole(name):
+    """Beams, lugs, links and buckets; only pins are bare."""
+    crane, paint, green = MACHINES[name], shapes.Paint(), (0.1, 0.9, 0.2, 1.0)
+    for body in crane.machine.bodies:
+        made = shapes.body_shape(crane, body, paint, green)
+        seen = {tuple(np.round(np.reshape(g["colors"], (-1, 4))[0], 6)) for g in made if "colors" in g}
+        assert seen == {green, paint.pin}, body
+
+
+def test_what_has_no_residual_of_its_own_is_grey():
+    """A beam's orange would be a residual."""
+    for name, crane in MACHINES.items():
+        scene = Scene(crane, [motion(crane=crane), motion("simulated", 3.0, crane)], colour="residual", size=SMALL)
+        beam = shapes.Paint().beam
+        for number in range(scene.mbs.systemData.NumberOfObjects()):
+            made = scene.mbs.GetObject(number, addGraphicsData=True).get("VgraphicsData") or []
+            seen = [tuple(np.round(np.reshape(g["colors"], (-1, 4))[0], 6)) for g in made if "colors" in g]
+            assert beam not in seen, name
+
+
+def test_a_bucket_is_seen_to_differ():
+    from matplotlib import colormaps
+
+    crane, apart = MACHINES["excavator"], 0.2
+    ghost = motion("simulated", crane=crane)
+    ghost.positions[:, crane.layout.index("bucket")] += apart
+    scene = Scene(crane, [motion(crane=crane), ghost], colour="residual", size=SMALL, view="side")
+    scene.show(2.0)
+    red = colormaps["YlOrRd"](apart / scene.scales["rad"])
+    drawn = [g for g in scene.moving_shapes(scene.mbs) if "points" in g]
+    load = pose(crane, *scene.trajectories[0].at(2.0)).points["soil"][0]
+    cheeks = [g for g in drawn if np.allclose(np.reshape(g["colors"], (-1, 4))[0], red) and covered([g], load)]
+    assert cheeks
+
+
 def test_residuals_of_ways_have_a_scale_of_their_own():
     crane = MACHINES["patu655-telescope"]
     scene = Scene(crane, [motion(crane=crane), motion("simulated", 3.0, crane)], colour="residual", size=SMALL)
@@ -304,6 +340,34 @@ def test_an_error_while_drawing_is_not_swallowed():
     scene.moving_shapes = lambda mbs: 1 / 0
     with pytest.raises(ZeroDivisionError):
         draw(scene)
+
+
+def test_a_name_is_clear_of_what_else_is_written():
+    """Under the heading, inside the picture, and not on another name or on what its arrow points at."""
+    from PIL import Image, ImageDraw
+
+    from crane_exudyn import render_text as text
+
+    draw_on, size = ImageDraw.Draw(Image.new("RGB", (700, 500))), (700, 500)
+    heading = (20.0, 15.0, 310.0, 55.0)
+    for tail, tip in (((283.0, 75.0), (283.0, 120.0)), ((5.0, 300.0), (60.0, 300.0)), ((400.0, 3.0), (400.0, 60.0))):
+        mark = text.Mark("a long name", np.array(tail), np.array(tip))
+        box = text.write_mark(draw_on, mark, 0.7, [heading], size)
+        again = text.write_mark(draw_on, mark, 0.7, [heading, box], size)
+        for left, top, right, bottom in (box, again):
+            assert left >= 0.0 and top >= 0.0 and right <= 700.0 and bottom <= 500.0
+            assert left >= heading[2] or right <= heading[0] or top >= heading[3] or bottom <= heading[1]
+            assert not (left < tip[0] < right and top < tip[1] < bottom)
+        assert box[0] >= again[2] or box[2] <= again[0] or box[1] >= again[3] or box[3] <= again[1]
+    free = text.Mark("J", np.array([350.0, 200.0]), np.array([350.0, 260.0]))
+    left, top, right, bottom = text.write_mark(draw_on, free, 0.7, [heading], size)
+    assert (left + right) / 2.0 == pytest.approx(350.0, abs=1.0) and 165.0 < bottom < 200.0  # at its arrow's tail
+
+
+def test_a_machine_at_its_start_has_no_time():
+    still, run_ = (Scene(CRANE, [t], size=SMALL) for t in (Trajectory.at_rest(CRANE), motion()))
+    assert still.texts(1.0).time is None and run_.texts(1.0).time == 1.0
+    draw(still, 1.0)
 
 
 # -- renderers ---------------------------------------------------------------------------------------------------------
@@ -398,6 +462,26 @@ def test_command_writes_picture_solution_and_json(recording, tmp_path, capsys):
     said = json.loads(capsys.readouterr().out)
     assert said["written"] == [str(picture), str(solution)] and said["runs"] == ["measured", "model"]
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_is_called_what_it_is(tmp_path, capsys):
+    """A simulation is one by holding everything without contradiction; its pressures may ring as noise does."""
+    time = np.arange(0.0, 2.0, 0.01)
+    given = Recording.from_arrays("given", time, {"u1": 0.5 * np.sign(np.sin(9 * time)) * (time > 0.2), "u2": 0 * time})
+    made = simulate(CRANE, given, engine="semi-recursive")
+    made.save(tmp_path / "run.csv")
+    run_ = Recording.load(tmp_path / "run.csv")
+    assert set(run_.noise_free()) != set(run_.sensors)  # the oil rings
+    noise = np.random.default_rng(1).standard_normal
+    values = {n: v + 1e-3 * np.ptp(v) * noise(len(v)) * (n[0] != "u") for n, v in made.channels().items()}
+    header = ",".join(["time[s]", *(f"{n}[{channels.of(CRANE.layout)[n] or '-'}]" for n in values)])
+    table = np.column_stack([made.time, *values.values()])
+    np.savetxt(tmp_path / "noisy.csv", table, delimiter=",", header=header, comments="")
+    runs = {"run": ["simulated", "run"], "noisy": ["measured", "simulated"]}
+    for name, expected in runs.items():
+        words = ["--ghost", tmp_path / "run.csv", "-o", tmp_path / "a.png", "--size", "320x180", "--json", "-"]
+        assert patu("render", tmp_path / f"{name}.csv", *words) == 0
+        assert json.loads(capsys.readouterr().out)["runs"] == expected
 
 
 def test_the_line_for_the_viewer_opens_the_same_scene(recording, tmp_path, capsys):

@@ -11,6 +11,7 @@ import copy
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -49,16 +50,30 @@ class Engine(Protocol):
 
 
 Make = Callable[[Crane], Engine]
-Progress = Callable[[float], None]
+#: gives time (n,) in s and commands (n, valves) of a manoeuvre
+Given = Callable[[], tuple[np.ndarray, np.ndarray]]
+#: takes the fraction done, and what is being done
+Progress = Callable[[float, str], None]
 
 #: inner step at which trajectories are judged, and the falling steps (of inputs sampled at the first) for the order
 FINE_STEP = 1e-4
 ORDER_STEPS = (4e-3, 2e-3, 1e-3)
-#: RMS differences, rad and Pa, of runs that differ by no more than what both Newton's methods leave: these do not fall
-#: with the step
+#: what moves by less than this, rad and Pa, stands still
 NOISE = (1e-9, 1.0)
-
-
+#: what Newton's methods leave of a pressure in a step, Pa (`trapezoidal.TOLERANCE`; the other engine leaves less). Over
+#: n steps it adds up as a random walk does, to √n times as much, and does not fall with the step. A difference is that
+#: of the rules where it is so many times larger
+LEFT, CLEARLY = 0.01, 4.0
+#: rad (or m): a larger difference of positions is none that Newton's methods leave
+MOST_LEFT = 1e-7
+#: work of an effect, and of a second of both manoeuvres, in seconds of run with steps of 1 ms
+_EFFECT, _MANOEUVRE = 12.0, 48.0
+#: largest accepted differences at the finest step: rad (or m), and share of a pressure's range, which is taken to be at
+#: least so many Pa
+FINE, _LEAST = (1e-6, 1e-4), 1e4
+#: largest accepted RMS differences of the engines along a run at their default accuracy, rad and Pa: what each promises
+#: of itself
+ALONG = (1e-5, 0.1e5)
 #: shortest run that is compared, s: some steps of the coarsest
 _SHORTEST = 0.1
 
@@ -149,6 +164,7 @@ class Quantity:
         tolerance, reason: how much is accepted, and why.
         place: where the difference is largest, in words.
         absolute: whether the tolerance is for max_abs.
+        refused: why it could not be run, so that nothing was compared; "" where it was.
     """
 
     name: str
@@ -159,6 +175,12 @@ class Quantity:
     reason: str
     place: str = ""
     absolute: bool = False
+    refused: str = ""
+
+    @classmethod
+    def not_run(cls, name: str, problem: CraneError) -> Quantity:
+        """Return the line of what could not be run."""
+        return cls(name, "-", math.nan, math.nan, math.nan, f"could not be run: {problem}", refused=str(problem))
 
     @property
     def ok(self) -> bool:
@@ -193,13 +215,18 @@ class CrossCheck:
 
     @property
     def ok(self) -> bool:
-        """Whether everything is within its tolerance."""
+        """Whether everything could be run and is within its tolerance."""
         return all(q.ok for q in self.quantities)
 
     @property
     def failures(self) -> list[Quantity]:
         """What is out of tolerance; the first is nearest to the cause."""
-        return [q for q in self.quantities if not q.ok]
+        return [q for q in self.quantities if not q.ok and not q.refused]
+
+    @property
+    def not_run(self) -> list[Quantity]:
+        """What could not be run; of it nothing is known."""
+        return [q for q in self.quantities if q.refused]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable result."""
@@ -207,15 +234,16 @@ class CrossCheck:
             "crane": self.crane,
             "quantities": {
                 q.name: {"max_abs": q.max_abs, "relative": q.relative, "tolerance": q.tolerance, "ok": q.ok,
-                         "unit": q.unit, "reason": q.reason}
+                         "unit": q.unit, "reason": q.reason, "run": not q.refused}
                 for q in self.quantities
             },
             "ok": self.ok,
         }  # fmt: skip
 
     def __repr__(self) -> str:
-        verdict = "agree" if self.ok else "differ first in " + self.failures[0].name
-        return f"<CrossCheck of {self.crane}: {len(self.quantities)} quantities, the engines {verdict}>"
+        verdict = "differ first in " + self.failures[0].name if self.failures else "agree"
+        unknown = f"; {len(self.not_run)} could not be run" if self.not_run else ""
+        return f"<CrossCheck of {self.crane}: {len(self.quantities)} quantities, the engines {verdict}{unknown}>"
 
 
 # -- quantities ------------------------------------------------------------------------------------------------------
@@ -291,7 +319,8 @@ def compare_runs(
     """Return quantities and runs of both engines from the static start of the crane file.
 
     The difference must fall with the square of the step, and at `step` be below 1e-6 rad and 1e-4 of the pressures'
-    ranges. What does not move has no order.
+    ranges, or below what the rule itself errs by at that step: two forms of it need not be closer. What does not move
+    has no order.
     """
     crane = first.crane
     x0 = initial_state(crane, second)
@@ -307,12 +336,16 @@ def compare_runs(
 
     coarse = round(ORDER_STEPS[0] / (time[1] - time[0]))
     runs = [run(time[::coarse], w[::coarse], h) for h in ORDER_STEPS]
-    progress(0.15)
+    progress(0.15, name)
     fine = run(time, w, step)
-    progress(1.0)
+    progress(1.0, name)
     moving = _moving(fine, crane.layout)
     orders = [q for q, moves in zip(convergence_orders(crane.layout, runs), moving, strict=True) if moves]
-    return [*orders, *_final_differences(fine, crane.layout)], [*runs, fine]
+    found = _final_differences(fine, crane.layout)
+    if not all(q.ok for q in found):  # a lively machine: the rule itself errs by more
+        twice = visible(crane, second.simulate(x0, time, w, step=2.0 * step))
+        found = _final_differences(fine, crane.layout, np.abs(twice - fine.second) / 3.0)  # of order two
+    return [*orders, *found], [*runs, fine]
 
 
 def _moving(run: Run, layout: Layout) -> list[bool]:
@@ -333,26 +366,53 @@ def convergence_orders(layout: Layout, runs: Sequence[Run]) -> list[Quantity]:
     """Return how far the order of the difference in the step is below 2, for positions and pressures: two forms of one
     rule.
 
-    A difference that ends in the noise has no order; one that is nothing at all is not that of two engines.
+    The order is that between the coarsest and the finest step at which the difference is clearly more than what
+    Newton's methods leave; where there are no two such steps, none can be told. A difference that is nothing at all is
+    not that of two engines.
     """
-    out = []
-    for text, columns, noise in (("positions", layout.positions, NOISE[0]), ("pressures", layout.pressures, NOISE[1])):
-        sizes = [float(np.sqrt(np.mean((r.first - r.second)[:, columns] ** 2))) for r in runs]
-        order = math.log(sizes[0] / sizes[-1]) / math.log(runs[0].step / runs[-1].step) if sizes[-1] > 0.0 else math.nan
-        reason = f"found {order:.2f}; kinks of the laws leave some room"
-        off = max(2.0 - order, 0.0) if order == order else math.nan
-        if 0.0 < sizes[-1] <= noise:
-            off, reason = 0.0, f"{sizes[-1]:.1e} is what Newton's methods leave"
-        name = f"{runs[0].name}: order of {text}"
-        out.append(Quantity(name, "-", off, off / 2.0, 0.2, reason, absolute=True))
-    return out
+    parts = (("positions", layout.positions), ("pressures", layout.pressures))
+    sizes = {
+        text: np.array([math.sqrt(np.mean((r.first - r.second)[:, columns] ** 2)) for r in runs])
+        for text, columns in parts
+    }
+    steps, spans = np.array([r.step for r in runs]), np.array([r.time[-1] - r.time[0] for r in runs])
+    left = CLEARLY * LEFT * np.sqrt(spans / steps)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = left * sizes["positions"] / sizes["pressures"]  # positions drift with the pressures, in this motion
+    floors = {"positions": np.fmin(moved, MOST_LEFT), "pressures": left}
+    return [
+        Quantity(f"{runs[0].name}: order of {text}", "-", off, off / 2.0, 0.2, reason, absolute=True)
+        for text, _ in parts
+        for off, reason in [_order_below_two(steps, sizes[text], floors[text])]
+    ]
 
 
-def _final_differences(run: Run, layout: Layout) -> list[Quantity]:
+def _order_below_two(steps: np.ndarray, sizes: np.ndarray, floors: np.ndarray) -> tuple[float, str]:
+    """Return how far the order of differences (n,) at falling steps (n,) is below 2, and what there is to say of it;
+    what is no more than its floor (n,) says nothing.
+    """
+    if not (sizes > 0.0).all():
+        return math.nan, "there is no difference, as if it were one engine"
+    clear = np.flatnonzero(~(sizes <= floors))
+    if clear.size < 2:
+        return 0.0, f"{sizes[0]:.1e} to {sizes[-1]:.1e} is about what Newton's methods leave"
+    first, last = clear[0], clear[-1]
+    order = math.log(sizes[first] / sizes[last]) / math.log(steps[first] / steps[last])
+    between = f"from {1e3 * steps[first]:g} to {1e3 * steps[last]:g} ms"
+    return max(2.0 - order, 0.0), f"found {order:.2f} {between}; kinks of the laws leave some room"
+
+
+def _final_differences(run: Run, layout: Layout, own: np.ndarray | None = None) -> list[Quantity]:
     """Return the largest differences of positions (absolute) and pressures (relative to their range) along a run; of a
     pressure that hardly moves, as much is accepted as Newton's methods leave.
+
+    Args:
+        run: at the finest step.
+        layout: of the machine.
+        own: (n, nx) errors of the rule itself at that step, where they are known: the largest of a state is accepted,
+            up to what an engine promises of itself.
     """
-    out, tolerance = [], 1e-4
+    out = []
     difference = np.abs(run.first - run.second)
     reach = np.ptp(run.second, axis=0)
     for i, name in enumerate(layout.all_states[: difference.shape[1]]):
@@ -360,15 +420,17 @@ def _final_differences(run: Run, layout: Layout) -> list[Quantity]:
         if unit.endswith("/s"):
             continue
         worst = int(np.argmax(np.where(np.isnan(difference[:, i]), np.inf, difference[:, i])))
-        least = NOISE[1] / tolerance if unit == "Pa" else 1e-12
-        size, range_ = float(difference[worst, i]), max(float(reach[i]), least)
+        size, range_ = float(difference[worst, i]), max(float(reach[i]), _LEAST if unit == "Pa" else 1e-12)
         reason = f"two forms of one rule, steps of {1e3 * run.step:g} ms"
-        place = f"t = {run.time[worst]:.2f} s"
-        out.append(
-            Quantity(f"{run.name}: {name}", unit, size, size / range_, 1e-6, reason, place, absolute=True)
-            if unit != "Pa"
-            else Quantity(f"{run.name}: {name}", "Pa", size, size / range_, tolerance, reason + ", of the range", place)
-        )
+        usual = FINE[1] * range_ if unit == "Pa" else FINE[0]
+        errs = 0.0 if own is None else min(float(np.max(own[:, i])), ALONG[unit == "Pa"])
+        if errs > usual:
+            reason += f", with which it errs by {errs:.1e} {unit} itself"
+        tolerance, place = max(usual, errs), f"t = {run.time[worst]:.2f} s"
+        if unit == "Pa":
+            tolerance, reason = tolerance / range_, reason + ", of the range"
+        name = f"{run.name}: {name}"
+        out.append(Quantity(name, unit, size, size / range_, tolerance, reason, place, absolute=unit != "Pa"))
     return out
 
 
@@ -385,7 +447,8 @@ def crosscheck(
     make_first: Make | None = None,
     make_second: Make | None = None,
     effects: Collection[str] | None = None,
-    progress: Progress = lambda fraction: None,
+    without: Collection[str] = (),
+    progress: Progress = lambda fraction, part: None,
 ) -> CrossCheck:
     """Return the comparison of the Exudyn engine (first) with the semi-recursive one (second) on a crane and its kin.
 
@@ -398,7 +461,10 @@ def crosscheck(
         make_first, make_second: other engines.
         effects: those ("name@place") that are put into the crane one at a time and run in both engines, which takes
             most of the time; by default all that act inside an engine.
-        progress: is called with the fraction done.
+        without: those of them that are left out, at one place ("name@place") or at all ("name").
+        progress: is called with the fraction done and with what is being compared.
+
+    What cannot be run, such as a machine too stiff with an effect, is a line of the result that tells why.
 
     Raises:
         CraneError: no states or no time to compare in, or an effect that the crane cannot have, or that acts in no
@@ -415,34 +481,48 @@ def crosscheck(
             f"{_SHORTEST:g} s, and a positive step."
         )
     make_first, make_second = make_first or _exudyn, make_second or _semi_recursive
-    probes = _probes(crane.nominal(), effects)
+    probes = _probes(crane.nominal(), effects, without)
     rng = np.random.default_rng(seed)
     result = CrossCheck(crane.name, crane.layout)
     first, second = make_first(crane), make_second(crane)
+    progress(0.0, "quantities at random states")
     drawn = cases.random_states(crane, states, rng)
     skip = split_by_pendulum(crane) if len(second.state_names) > len(crane.layout.states) else ()
     result.quantities += compare_terms(first, second, drawn, skip=skip)
-    result.quantities += compare_static_starts(first, second, drawn)
-    progress(0.03)
+    result.quantities += _each("static start", lambda: compare_static_starts(first, second, drawn))
     fewer = max(40, states // 5)  # enough that every probe acts in some
-    for name, other in cases.other_cranes(crane.nominal(), rng).items():
-        result.quantities.append(_other(name, make_first(other), make_second(other), fewer, rng))
-    result.quantities += _effects(probes, make_first, make_second, fewer, rng, lambda f: progress(0.05 + 0.15 * f))
-    for k, (name, time, commands) in enumerate(manoeuvres(crane, second, seconds, rng)):
-        w = cases.spool_inputs(crane, time, commands)
-        part, begin = 0.4, 0.2 + 0.4 * k
-        found, runs = compare_runs(
-            name,
-            first,
-            second,
-            time,
-            w,
-            step,
-            lambda f, b=begin, p=part: progress(b + p * f),  # type: ignore[misc]
-        )
+    progress(0.03, "other cranes")
+    result.quantities += _each(
+        "other cranes", lambda: _others(cases.other_cranes(crane.nominal(), rng), make_first, make_second, fewer, rng)
+    )
+    work = _EFFECT * len(probes), _MANOEUVRE * seconds
+    until = 0.95 * work[0] / sum(work)
+    for k, (key, probe) in enumerate(probes.items()):
+        progress(0.05 + until * k / len(probes), key)
+        result.quantities += _effect(key, probe, make_first, make_second, fewer, rng)
+    known = manoeuvres(crane, second, seconds, rng)
+    share = (0.95 - until) / len(known)
+    for k, (name, given) in enumerate(known.items()):
+        begin = 0.05 + until + share * k
+        progress(begin, name)
+        found, runs = _manoeuvre(name, given, first, second, step, partial(_within, progress, begin, share))
         result.quantities += found
         result.runs += runs
+    progress(1.0, "")
     return result
+
+
+def _within(progress: Progress, begin: float, share: float, fraction: float, part: str) -> None:
+    """Tell the progress of a part of the work."""
+    progress(begin + share * fraction, part)
+
+
+def _each(name: str, compare: Callable[[], list[Quantity]]) -> list[Quantity]:
+    """Return what a comparison finds, or the one line that it could not be run, and why."""
+    try:
+        return compare()
+    except CraneError as problem:
+        return [Quantity.not_run(name, problem)]
 
 
 def _exudyn(crane: Crane) -> Engine:
@@ -457,35 +537,51 @@ def _semi_recursive(crane: Crane) -> Engine:
     return SemiRecursiveEngine(crane)
 
 
-def _other(name: str, first: Engine, second: Engine, count: int, rng: np.random.Generator) -> Quantity:
-    drawn = cases.random_states(second.crane, count, rng)
-    return worst_of(name, [*compare_terms(first, second, drawn), *compare_static_starts(first, second, drawn)])
+def _others(
+    others: Mapping[str, Crane], make_first: Make, make_second: Make, count: int, rng: np.random.Generator
+) -> list[Quantity]:
+    """Return the worst quantity of each of other cranes."""
+
+    def worst(name: str, other: Crane) -> list[Quantity]:
+        first, second = make_first(other), make_second(other)
+        drawn = cases.random_states(other, count, rng)
+        return [worst_of(name, [*compare_terms(first, second, drawn), *compare_static_starts(first, second, drawn)])]
+
+    return [quantity for name, other in others.items() for quantity in _each(name, partial(worst, name, other))]
 
 
-def _probes(crane: Crane, effects: Collection[str] | None) -> dict[str, Crane]:
-    """Return the cranes with the effects that were asked for, all of them for None."""
+def _probes(crane: Crane, effects: Collection[str] | None, without: Collection[str] = ()) -> dict[str, Crane]:
+    """Return the cranes with the effects that were asked for, all of them for None, without those left out."""
     known = cases.effect_probes(crane)
     for key in effects or ():
         if key not in known:
             raise CraneError(f"There is no effect {key!r} to run in the engines.{nearest(key, list(known))}")
-    return known if effects is None else {key: known[key] for key in known if key in effects}
+    names = dict.fromkeys(key.partition("@")[0] for key in known)
+    for key in without:
+        if key not in known and key not in names:
+            raise CraneError(f"There is no effect {key!r} to leave out.{nearest(key, [*names, *known])}")
+    wanted = known if effects is None else effects
+    return {k: known[k] for k in known if k in wanted and k not in without and k.partition("@")[0] not in without}
 
 
-def _effects(
-    probes: Mapping[str, Crane],
-    make_first: Make,
-    make_second: Make,
-    count: int,
-    rng: np.random.Generator,
-    progress: Progress,
+def _effect(
+    key: str, probe: Crane, make_first: Make, make_second: Make, count: int, rng: np.random.Generator
 ) -> list[Quantity]:
-    """Return the worst quantity of every crane with an effect; an effect that changes nothing is a failure."""
-    out = []
-    for k, (key, probe) in enumerate(probes.items()):
+    """Return the worst quantity of a crane with an effect, and how far a run comes apart; an effect that changes
+    nothing is a failure.
+    """
+    try:
         engines = make_first(probe), make_second(probe)
-        out += [check_effect(key, *engines, count, rng), run_effect(key, *engines)]
-        progress((k + 1) / len(probes))
-    return out
+    except CraneError as problem:
+        return [Quantity.not_run(key, problem)]
+    return [
+        *_each(key, lambda: [check_effect(key, *engines, count, rng)]),
+        *_each(_along(key), lambda: [run_effect(key, *engines)]),
+    ]
+
+
+def _along(key: str) -> str:
+    return f"{key}, along 5 s"
 
 
 def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.random.Generator) -> Quantity:
@@ -511,39 +607,64 @@ def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.ra
     return worst
 
 
-#: largest accepted RMS differences of the engines along a run at their default accuracy, rad and Pa: what each promises
-#: of itself
-ALONG = (1e-5, 0.1e5)
-
-
 def run_effect(key: str, first: Engine, second: Engine) -> Quantity:
     """Return how far two engines come apart along 5 s that excite the effect of their crane, at their default
     accuracy.
+
+    A machine for which the usual commands are too much, so that a cylinder comes to its end or strikes a stop too hard
+    to be computed, is driven gently.
+
+    Raises:
+        CraneError: an engine cannot run it even so.
     """
     crane = second.crane
     effect, place = registry.split_key(key)
     if effect.beyond_stroke:
         crane = cases.without_short_strokes(crane)
         first, second = type(first)(crane), type(second)(crane)  # type: ignore[call-arg]
-    time, w = cases.exciting(crane, place if effect.beyond_stroke else "")
     x0 = initial_state(crane, second)
-    apart = visible(crane, first.simulate(x0, time, w)) - visible(crane, second.simulate(x0, time, w))
+
+    def apart(*, gently: bool) -> np.ndarray:
+        time, w = cases.exciting(crane, place if effect.beyond_stroke else "", gently=gently)
+        return visible(crane, first.simulate(x0, time, w)) - visible(crane, second.simulate(x0, time, w))
+
+    try:
+        difference, how = apart(gently=False), ""
+    except CraneError:
+        difference, how = apart(gently=True), ", driven gently"
     angles, pressures = (
-        float(np.sqrt(np.mean(apart[:, c] ** 2))) for c in (crane.layout.positions, crane.layout.pressures)
+        float(np.sqrt(np.mean(difference[:, c] ** 2))) for c in (crane.layout.positions, crane.layout.pressures)
     )
     share = max(angles / ALONG[0], pressures / ALONG[1])
     reason = f"{angles:.1e} rad and {pressures / 1e5:.1e} bar (RMS) of {ALONG[0]:g} rad and {ALONG[1] / 1e5:g} bar"
-    return Quantity(f"{key}, along 5 s", "-", share, share, 1.0, reason)
+    return Quantity(_along(key), "-", share, share, 1.0, reason + how)
 
 
-def manoeuvres(
-    crane: Crane, engine: Engine, seconds: float, rng: np.random.Generator
-) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Return (name, time, commands) of the paper's cycle and of random joystick inputs."""
-    time = np.arange(round(seconds / cases.SAMPLE) + 1) * cases.SAMPLE
-    x0 = initial_state(crane, engine)
-    cycle = paper_cycle(time, len(crane.layout.cylinders))
-    return [("paper's cycle", time, cycle), ("random joystick", *cases.joystick(crane, x0, seconds, rng))]
+def manoeuvres(crane: Crane, engine: Engine, seconds: float, rng: np.random.Generator) -> dict[str, Given]:
+    """Return what gives time and commands of the paper's cycle, kept off the ends of the strokes, and of random
+    joystick inputs, by name.
+    """
+
+    def cycle() -> tuple[np.ndarray, np.ndarray]:
+        time = np.arange(round(seconds / cases.SAMPLE) + 1) * cases.SAMPLE
+        return time, cases.kept_off_ends(crane, time, paper_cycle(time, len(crane.layout.cylinders)))
+
+    def joystick() -> tuple[np.ndarray, np.ndarray]:
+        return cases.joystick(crane, initial_state(crane, engine), seconds, rng)
+
+    return {"paper's cycle": cycle, "random joystick": joystick}
+
+
+def _manoeuvre(
+    name: str, given: Given, first: Engine, second: Engine, step: float, progress: Progress
+) -> tuple[list[Quantity], list[Run]]:
+    """Return quantities and runs of a manoeuvre, or the one line that it could not be run."""
+    try:
+        time, commands = given()
+        w = cases.spool_inputs(first.crane, time, commands)
+        return compare_runs(name, first, second, time, w, step, progress)
+    except CraneError as problem:
+        return [Quantity.not_run(name, problem)], []
 
 
 # -- pictures --------------------------------------------------------------------------------------------------------
@@ -566,6 +687,7 @@ def figure_of(layout: Layout, runs: Sequence[Run]) -> Figure:
         for k, run in enumerate(runs):
             t, y = plots.thin(run.time, np.abs(run.first - run.second)[:, i] * what.factor)
             below.semilogy(t, np.maximum(y, 1e-16), label=f"difference, {1e3 * run.step:g} ms", **plots.look("", k))
+        plots.plain_powers(below.yaxis)
         plots.name_axes(below, what._replace(words=f"{what.words}: difference", symbol=f"|Δ{what.symbol}|"))
     if last.boils < len(last.time):
         for axes in made.axes:

@@ -14,6 +14,8 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import SpoolPath
+from crane_exudyn.simulation import initial_state
+from crane_exudyn.strokes import positions_in_strokes, run_while_possible, within_strokes
 
 from .semi_recursive import SemiRecursiveEngine
 
@@ -30,6 +32,8 @@ _KEPT = ("gravity", "fluid.vapour_pressure", "supply.pressure_reference")
 BEGIN = 2.5003
 #: where end stops begin, and how far they are apart, as shares of the stroke: both in the range of random poses
 _FIRST_STOP, _BETWEEN_STOPS = 0.35, 0.4
+#: where a cylinder that is to strike gently slows down, as a share of the stroke before its end, and its command then
+_NEAR, _GENTLY = 0.1, 0.3
 #: how far from the start's coordinates random poses are looked for
 _REACH = {"rad": 1.6, "m": 0.5}
 
@@ -199,9 +203,18 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
     return probes
 
 
-def exciting(crane: Crane, to_its_end: str = "") -> tuple[np.ndarray, np.ndarray]:
+def exciting(crane: Crane, to_its_end: str = "", *, gently: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Return time (n,) s and inputs w (n, .) of 5 s in which all cylinders go both ways, or one goes against the end of
     its stroke.
+
+    Args:
+        crane: what is driven.
+        to_its_end: the cylinder that goes there.
+        gently: for machines that the usual commands are too much for: no cylinder comes to its end unasked, and the one
+            that is to strikes slowly.
+
+    Raises:
+        CraneError: a machine that cannot be driven gently.
     """
     time, cylinders = np.arange(round(5.0 / SAMPLE) + 1) * SAMPLE, crane.layout.cylinders
     ways = [
@@ -210,9 +223,34 @@ def exciting(crane: Crane, to_its_end: str = "") -> tuple[np.ndarray, np.ndarray
     commands = np.column_stack([(0.4 - 0.05 * c) * way for c, way in enumerate(ways)])
     if to_its_end:
         # fast, and slower before it strikes, as a driver would: at full speed it bounces for a second in steps of 1 µs
-        way = np.where(time < 1.7, 1.0, 0.6) * (time > 0.2)
+        slows = _near_its_end(crane, time, to_its_end) if gently else 1.7
+        way = np.where(time < slows, 1.0, _GENTLY if gently else 0.6) * (time > 0.2)
         commands = np.column_stack([way * float(c == to_its_end) for c in cylinders])
+    elif gently:
+        commands = kept_off_ends(crane, time, commands)
     return time, spool_inputs(crane, time, commands)
+
+
+def _near_its_end(crane: Crane, time: np.ndarray, cylinder: str) -> float:
+    """Return when a cylinder that is driven out at full speed comes near the end of its stroke, s."""
+    engine, c = SemiRecursiveEngine(crane), crane.layout.cylinders.index(cylinder)
+    commands = np.column_stack([(time > 0.2) * float(n == cylinder) for n in crane.layout.cylinders])
+    x0 = initial_state(crane, engine)
+    states, _ = run_while_possible(engine, x0, time, spool_inputs(crane, time, commands), SAMPLE)
+    near = np.flatnonzero(positions_in_strokes(crane, states)[:, c] > 1.0 - _NEAR)
+    return float(time[near[0]]) if near.size else float(time[-1])
+
+
+def kept_off_ends(crane: Crane, time: np.ndarray, commands: np.ndarray) -> np.ndarray:
+    """Return commands (n, valves) with which no cylinder comes to its end: those given, with levers let go in time.
+
+    Raises:
+        CraneError: there are none.
+    """
+    fitted = within_strokes(crane, time, commands, initial_state(crane, SemiRecursiveEngine(crane)))
+    if fitted is None:
+        raise CraneError(f"{crane.name}: whatever lever is let go, the run ends early. Start elsewhere.")
+    return fitted
 
 
 def joystick(crane: Crane, x0: np.ndarray, seconds: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ from crane_exudyn.plots import (
     look,
     name_axes,
     over_time,
+    plain_powers,
     png,
     save,
     shown,
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LOOKS", "OTHERS", "WIDTH", "Look", "Shown", "draw_lines", "empty_figure", "figure", "legend_above", "look",
-    "mark_intervals", "name_axes", "over_time", "png", "save",
+    "mark_intervals", "name_axes", "over_time", "plain_powers", "png", "save",
     "shown", "style", "thin", "trajectories",
 ]  # fmt: skip
 
