@@ -53,7 +53,7 @@ class ExudynEngine:
     def __repr__(self) -> str:
         return f"<ExudynEngine of {self.crane!r}, states {' '.join(self.state_names)}>"
 
-    def static_start(self, *pose: Any, less_loaded: Any = 20e5) -> np.ndarray:
+    def static_start(self, *pose: Any, less_loaded: Any = None) -> np.ndarray:
         """Return the state (nx,) at rest with valves closed; see `static_start`."""
         return static_start(self.crane, *pose, less_loaded=less_loaded)
 

@@ -49,16 +49,20 @@ class RowValues:
         self._crane = crane
         self._plans: dict[tuple[str, ...], _Plan] = {}  # the names are the same step after step
 
+    def differing(self, names: tuple[str, ...]) -> set[int]:
+        """Return which of the tables P (0), E (1) and w (2) parameters of such names stand in. Raises CraneError for an
+        unknown one.
+        """
+        return {table for table, _ in self._planned(names).places}
+
     def fill(self, parameters: Mapping[str, np.ndarray], P: np.ndarray, E: np.ndarray, w: np.ndarray) -> None:
-        """Write values (n,) by name into P (n, .), E (n, .) and, disturbances, w (2, n, .).
+        """Write values (n,) by name into P (n, .), E (n, .) and, disturbances, w (2, n, .); what does not differ may
+        have one row.
 
         Raises:
             CraneError: an unknown name, not one number a row, or a row that no crane can have.
         """
-        names, tables = tuple(parameters), (P, E, w)
-        plan = self._plans.get(names)
-        if plan is None:
-            plan = self._plans[names] = self._plan(names)
+        plan, tables = self._planned(tuple(parameters)), (P, E, w)
         for (name, values), (table, column) in zip(parameters.items(), plan.places, strict=True):
             try:
                 if np.ndim(values) > 1:
@@ -66,11 +70,17 @@ class RowValues:
                 tables[table][..., column] = values
             except (TypeError, ValueError):
                 raise CraneError(
-                    f"parameters: {name!r} has the shape {np.shape(values)}, expected ({len(P)},) numbers in SI. Give "
-                    "one for each row of the states."
+                    f"parameters: {name!r} has the shape {np.shape(values)}, expected ({_rows(tables)},) numbers in "
+                    "SI. Give one for each row of the states."
                 ) from None
         if not plan.possible(tables):
             self._refuse(plan, tables)
+
+    def _planned(self, names: tuple[str, ...]) -> _Plan:
+        plan = self._plans.get(names)
+        if plan is None:
+            plan = self._plans[names] = self._plan(names)
+        return plan
 
     def _plan(self, names: tuple[str, ...]) -> _Plan:
         places, index = tuple(map(self._place, names)), self._crane.machine.index
@@ -106,14 +116,14 @@ class RowValues:
 
     def _refuse(self, plan: _Plan, tables: tuple[np.ndarray, ...]) -> None:
         """Raise CraneError for the first row that is impossible."""
-        of = self._crane.machine.index
-        for row, values in enumerate(tables[0].tolist()):
-            where = f"parameters, row {row}"
+        of, (P, E, _) = self._crane.machine.index, tables
+        for row in range(_rows(tables)):
+            where, values = f"parameters, row {row}", P[row % len(P)].tolist()
             for name, (table, column) in zip(plan.names, plan.places, strict=True):
                 if table == 0:
                     check_value(where, name, values[column])
                 elif table == 1:
-                    value, least = float(tables[1][row, column]), self._least_of(name)
+                    value, least = float(E[row % len(E), column]), self._least_of(name)
                     if not least <= value < math.inf:
                         raise CraneError(
                             f"{where}: {name} = {value:g} is impossible: it must be finite and >= {least:g}. Keep "
@@ -121,6 +131,10 @@ class RowValues:
                         )
             for c in self._crane.layout.cylinders:
                 check_rod(where, c, values[of[f"cylinders.{c}.bore"]], values[of[f"cylinders.{c}.rod"]])
+
+
+def _rows(tables: tuple[np.ndarray, ...]) -> int:
+    return max(table.shape[-2] for table in tables)
 
 
 def _effect_column(crane: Description, name: str) -> int:

@@ -18,7 +18,7 @@ from .geometry import LENGTH
 from .statics import Reduction, check_less_loaded, reduced, size_of_state, visible
 
 
-def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e5) -> np.ndarray:
+def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = None) -> np.ndarray:
     """Return the state (nx,) at rest with valves closed and forces in balance.
 
     In each cylinder the less loaded chamber has the given pressure, the other follows from the balance of forces. A
@@ -26,7 +26,8 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e
 
     Args:
         pose: independent coordinates, rad or m.
-        less_loaded: pressure in Pa, one number or one per cylinder; may stand behind the coordinates.
+        less_loaded: pressure in Pa, one number or one per cylinder, the crane file's by default; may stand behind the
+            coordinates.
 
     Raises:
         CraneError: the pose cannot be reached, a pressure below vapour pressure, or cylinders without leverage there.
@@ -42,6 +43,7 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = 20e
     state = np.zeros(size_of_state(crane))
     state[lay.positions] = pose
     state[lay.extra][:1] = math.atan2(gx, -gy)
+    less_loaded = crane.initial.less_loaded_pressure if less_loaded is None else less_loaded
     low = np.broadcast_to(np.asarray(less_loaded, dtype=float), len(lay.cylinders))
     check_less_loaded(crane, low, "the pressure")
     r = reduced(crane, state, 0.0)

@@ -206,3 +206,24 @@ def test_what_a_pump_can_lift_does_not_hang_on_the_pressure_behind_the_piston():
         start = static_start(crane, *crane.initial.pose, less_loaded=low)
         assert beyond_pump(crane, start) == ""
     assert start[crane.layout.pressures].max() > crane["supply.pump_pressure"]
+
+
+@pytest.mark.parametrize("make", [ExudynEngine, SemiRecursiveEngine])
+@pytest.mark.parametrize("name", ["loader", "excavator", "patu655-lab"])
+def test_the_less_loaded_chambers_begin_at_the_crane_files_pressure(make, name):
+    crane = Crane.load(name)
+    start = make(crane).static_start(*crane.initial.pose)
+    assert np.array_equal(start, initial_state(crane, make(crane)))
+    lowest = start[crane.layout.pressures].reshape(-1, 2).min(axis=1)
+    assert lowest == pytest.approx(np.broadcast_to(crane.initial.less_loaded_pressure, lowest.shape))
+
+
+@pytest.mark.parametrize("make", [ExudynEngine, SemiRecursiveEngine])
+def test_voids_are_told_as_a_gauge_shows_them(make):
+    """What a state remembers of a void is no pressure."""
+    crane = Crane.load("loader").with_parameters({"bodies.boom.mass": 24e3})
+    commands = {"u1": np.array([0.0, -1.0, -1.0])}
+    retracting = Recording.from_arrays("r", np.array([0.0, 0.5, 6.0]), commands, layout=crane.layout)
+    with pytest.raises(CraneError, match="stroke") as ended:
+        simulate(crane, retracting, engine=make(crane), step=4e-3)
+    assert not re.search(r"p[12] = -\d", str(ended.value))

@@ -14,7 +14,7 @@ from crane_exudyn.effects import hooks
 from crane_exudyn.errors import CraneError, listed
 from crane_exudyn.machine import Joint, Machine
 from crane_exudyn.row_values import RowValues
-from crane_exudyn.statics import check_spools, checked_inputs, checked_state
+from crane_exudyn.statics import check_less_loaded, check_spools, checked_inputs, checked_state, visible
 from crane_exudyn.step_control import MOST_HALVINGS
 
 from . import equations, kernel
@@ -104,12 +104,11 @@ class SemiRecursiveEngine:
         return f"<SemiRecursiveEngine of {self.crane!r}, states {' '.join(self.state_names)}>"
 
     def static_start(self, *pose: float, less_loaded: float | Sequence[float] | None = None) -> np.ndarray:
-        """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded` (20
-        bar).
+        """Return the state (nx,) at rest with closed valves; in each cylinder the lower pressure is `less_loaded`.
 
         Args:
             pose: the independent coordinates, rad or m; `less_loaded` may stand behind them.
-            less_loaded: Pa, one for all cylinders or one each.
+            less_loaded: Pa, one for all cylinders or one each; the crane file's by default.
 
         A measured pose may lie a little beyond the file's stroke: only a run from there is refused.
 
@@ -124,13 +123,9 @@ class SemiRecursiveEngine:
                 f"A static start wants {n} numbers, {', '.join(self._layout.coordinates)}, and the less loaded "
                 f"pressure; found {len(pose)}."
             )
-        low = np.broadcast_to(np.asarray(given[0] if given else 20e5, dtype=float), n).copy()
-        floor = float(self._P[equations.VAPOUR] - self._P[equations.REFERENCE] * self._P[equations.AIR])
-        if not np.all(low >= floor):
-            raise CraneError(
-                f"Semi-recursive engine: the less loaded chamber of {self.crane.name} cannot be at {low.min():g} Pa, "
-                f"below vapour pressure ({floor:g} Pa)."
-            )
+        chosen = given[0] if given else self.crane.initial.less_loaded_pressure
+        low = np.broadcast_to(np.asarray(chosen, dtype=float), n).copy()
+        check_less_loaded(self.crane, low, "the pressure")
         x[self._layout.positions] = pose[:n]
         load, units, lengths = _rest(x, self._P, self._E, self._topology)
         if np.isfinite(units).all() and np.linalg.svd(units, compute_uv=False)[-1] < _LEAST_LEVERAGE:
@@ -197,14 +192,20 @@ class SemiRecursiveEngine:
     def _by_row(
         self, rows: int, w: np.ndarray, parameters: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return inputs with disturbances (2, rows, .), P (rows, .) and E (rows, .) with what differs from row to
-        row.
+        """Return inputs (2, rows or 1, .), with disturbances where these differ, P (rows or 1, .) and E (rows or 1, .)
+        with what differs from row to row.
         """
-        wide = np.zeros((2, rows, len(self._layout.all_inputs)))
-        wide[:, :, self._layout.driving] = w
-        P, E = self._P[None].repeat(rows, 0), self._E[None].repeat(rows, 0)
-        self._row_values.fill(parameters, P, E, wide)
-        return wide, P, E
+        differ, P, E = self._row_values.differing(tuple(parameters)), self._P[None], self._E[None]
+        if 0 in differ:
+            P = P.repeat(rows, 0)
+        if 1 in differ:
+            E = E.repeat(rows, 0)
+        if 2 in differ:
+            wide = np.zeros((2, rows, len(self._layout.all_inputs)))
+            wide[:, :, self._layout.driving] = w
+            w = wide
+        self._row_values.fill(parameters, P, E, w)
+        return w, P, E
 
     def simulate(
         self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float | None = None
@@ -337,7 +338,8 @@ class SemiRecursiveEngine:
         lay = self._layout
         rates = zip(lay.rates, x[lay.velocities], strict=True)
         told = ", ".join(f"{name} = {value:.4g} {lay.unit_of(name)}" for name, value in rates)
-        return f"{self._pose(x, '.3f')}, {told}, {listed(lay.chambers, x[lay.pressures] / 1e5, '{:.2f} bar')}"
+        pressures = visible(self.crane, x)[lay.pressures] / 1e5
+        return f"{self._pose(x, '.3f')}, {told}, {listed(lay.chambers, pressures, '{:.2f} bar')}"
 
 
 def _around(machine: Machine, closing: Joint) -> str:

@@ -58,9 +58,9 @@ MOST_PARTS, IN_A_SECOND, LOOSELY, PARTS_BESIDE = 16.0, 13e3, 20.0, 1000.0
 #: amounts of oil are counted in this unit, m^3: about what 1 Pa more presses into a chamber
 AMOUNT = 1e-12
 #: Newton stops when no position moves by more than the step times this (rad/s), or by what it is rounded to (rad), and
-#: no amount by more
-#: than that (AMOUNT)
-RATE_TOLERANCE, ROUNDING, AMOUNT_TOLERANCE = 1e-10, 1e-15, 1e-4
+#: no amount by more than that (AMOUNT); in a batch of which a step may be off by more than an engine's, as a filter's
+#: by bars, as many times more, and ROUGHLY
+RATE_TOLERANCE, ROUNDING, AMOUNT_TOLERANCE, ROUGHLY = 1e-10, 1e-15, 1e-4, 10.0
 #: forward differences (25): large against rounding, small against the 2 bar and 2 mrad/s over which laws bend
 POSITION_EPSILON, AMOUNT_EPSILON = 1e-7, 1e2
 
@@ -83,7 +83,8 @@ class Work(NamedTuple):
     step size `made` for which it was made (0: there is none), and the contraction `rate` that Newton's method had with
     it. `said` holds how many steps were halved, the error of the last step in units of `step_control.*_ERROR`, how many
     of these are allowed, and the PATIENCE: after a step of more iterations the next one has a new tangent; how often
-    the next step is halved at once; and how many parts steps had in all.
+    the next step is halved at once; how many parts steps had in all; and how many times its usual tolerances Newton's
+    method may leave.
     """
 
     sheet: Sheet
@@ -100,7 +101,7 @@ class Work(NamedTuple):
     past: np.ndarray
 
 
-HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE, PARTS = range(8)
+HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE, PARTS, LOOSE = range(9)
 #: the patience of a run: a tangent costs as much as seven iterations, and serves for hundreds of steps
 PATIENT = 3.0
 
@@ -132,7 +133,7 @@ def workspace(topology, nx, n_inputs):
         sheet(topology), places, np.empty((levels, m, m)), np.empty((levels, m), np.int64), np.zeros(levels),
         np.ones(levels),
         np.empty((3, m)), point(nx, n), point(nx, n), np.empty((3, n_inputs)),
-        np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0, 0.0]),
+        np.array([0.0, 0.0, 1.0, MAX_ITERATIONS, 0.0, 1.0, 0.0, 0.0, 1.0]),
         np.zeros(nx),
     )  # fmt: skip
 
@@ -285,13 +286,13 @@ def predict(start, h, work):
 
 
 @part
-def change_size(n, r, h):
-    """Return the largest change, n of positions and then of amounts, in units of its tolerance in a step h; NaN if any
-    is not a number.
+def change_size(n, r, h, loosely):
+    """Return the largest change, n of positions and then of amounts, in units of its tolerance in a step h, which is so
+    many times the usual one; NaN if any is not a number.
     """
-    largest, tolerance = 0.0, max(RATE_TOLERANCE * h, ROUNDING)
+    largest, tolerance = 0.0, max(loosely * RATE_TOLERANCE * h, ROUNDING)
     for i in range(r.size):
-        size = abs(r[i]) / (tolerance if i < n else AMOUNT_TOLERANCE)
+        size = abs(r[i]) / (tolerance if i < n else loosely * AMOUNT_TOLERANCE)
         if not size <= largest:
             largest = size
         if math.isnan(size):
@@ -312,7 +313,7 @@ def newton(start, w1, t1, h, P, E, work, level):
         if not abs(made[level] - h) <= 1e-6 * h and not tangent(start, r, w1, t1, h, P, E, work, level):
             return False
         solve_factorised(work.A[level], work.pivot[level], r)
-        size = change_size(n, r, h)
+        size = change_size(n, r, h, work.said[LOOSE])
         if not size < 1e15:  # a pose that cannot be reached, or far out: smaller steps
             made[level] = 0.0
             return False
@@ -586,6 +587,8 @@ def propagate_batch(states, W0, W1, t0, dt, n, P, E, topology, allowed=1.0):
     out = np.empty_like(states)
     work, now = workspace(topology, nx, W0.shape[1]), point(nx, topology[0, CYLINDERS])
     work.said[ALLOWED] = allowed
+    if 1.0 < allowed < math.inf:  # without a limit steps are solved all the same
+        work.said[LOOSE] = ROUGHLY * allowed
     wa, wb = np.empty(W0.shape[1]), np.empty(W0.shape[1])
     h = dt / n
     for row in range(rows):
