@@ -101,6 +101,29 @@ def test_what_is_read_only_is_so_in_a_worker() -> None:
     assert not table.flags.writeable and in_parallel(2, [(writable, table)] * 2) == [False, False]
 
 
+OF_A_SCRIPT = """
+from dataclasses import dataclass
+from validation.workers import in_parallel
+
+@dataclass
+class Case:
+    number: int
+
+def doubled(case):
+    return Case(2 * case.number)
+
+if __name__ == "__main__":
+    print(in_parallel(2, [(doubled, Case(1)), (doubled, Case(2))]))
+"""
+
+
+def test_what_a_script_defines_itself_goes_along_with_its_tasks(tmp_path: Path) -> None:
+    """`python -m validation.study run` with two processes had ended with an AttributeError."""
+    (tmp_path / "own.py").write_text(OF_A_SCRIPT, encoding="utf-8")
+    done = subprocess.run([sys.executable, tmp_path / "own.py"], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "[Case(number=2), Case(number=4)]", done.stderr
+
+
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     code = (
         "import sys; sys.path.insert(0, sys.argv[2])\n"

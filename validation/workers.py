@@ -147,9 +147,13 @@ def _packed(task: Task) -> bytes:
     """Return a task as bytes: unpacking it imports what is compiled with all effects, and must wait until these are
     known.
 
-    The highest protocol keeps arrays read-only that are; compiled code exists for them as they are.
+    The highest protocol keeps arrays read-only that are; compiled code exists for them as they are. What a script
+    defines itself (`__main__`) goes along as it is: a worker cannot import it.
     """
-    return pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
+    import cloudpickle
+
+    packed: bytes = cloudpickle.dumps(task, pickle.HIGHEST_PROTOCOL)
+    return packed
 
 
 def _in_worker(parent: int | None, files: Sequence[Path], packed: bytes) -> Any:
