@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import textwrap
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,7 +18,7 @@ from .description import Description, complete, number
 from .effects import registry
 from .effects.base import Acting
 from .effects.curve import X, Y
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, shortened
 from .files import write_text
 from .frozen import frozen
 from .parameters import unit_of
@@ -220,8 +219,7 @@ def checked_crane(given: Any, whom: str) -> Crane:
     if isinstance(given, Crane):
         return given
     name = str(given) if isinstance(given, str | Path) else "patu655"
-    found = textwrap.shorten(repr(given), 60)
-    raise CraneError(f"{whom}: found {found} instead of a crane. Crane.load({name!r}) gives one.")
+    raise CraneError(f"{whom}: found {shortened(given)} instead of a crane. Crane.load({name!r}) gives one.")
 
 
 def built_in() -> list[str]:

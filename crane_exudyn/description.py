@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -14,7 +13,7 @@ import numpy as np
 from . import parameters
 from .effects import registry
 from .effects.base import Acting
-from .errors import CraneError, nearest, refuse_unknown
+from .errors import CraneError, nearest, refuse_unknown, shortened
 from .frozen import frozen
 from .layout import Layout
 from .machine import Machine
@@ -148,7 +147,7 @@ def number(value: Any, what: str, unit: str) -> float:
             return float(value)
     except (TypeError, ValueError):
         pass
-    found = textwrap.shorten(repr(value), 60)
+    found = shortened(value)
     raise CraneError(f"{what} = {found} is not a number. Give one number in SI, {f'in {unit}' if unit else 'no unit'}.")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from textwrap import shorten
 
 
 class CraneError(ValueError):
@@ -21,6 +22,11 @@ def doing(what: str) -> Iterator[None]:
     except Exception as problem:
         problem.add_note(what)
         raise
+
+
+def shortened(value: object, most: int = 60) -> str:
+    """Return what was given, as Python writes it, in one line of at most so many characters."""
+    return shorten(repr(value), most)
 
 
 def listed(names: Iterable[str], values: Iterable[float], form: str) -> str:

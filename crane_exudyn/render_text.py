@@ -25,6 +25,10 @@ _PER_LINE = 4
 _LENGTHS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 #: how far a label is moved to be legible, in tens of pixels of a picture 720 high, to a side; up and down less
 _FARTHEST = 30
+#: steps to a side and up or down by which a label is moved, the shortest way first
+_WAYS = sorted(
+    ((i, k) for i in range(-_FARTHEST, _FARTHEST + 1) for k in range(-9, 10)), key=lambda way: math.hypot(*way)
+)
 _QUANTITIES = {"Pa": "pressure", "rad": "angle", "m": "way"}
 _INK, _SOFT, _MARK = (25, 27, 30), (85, 90, 96), (176, 0, 98)
 
@@ -206,11 +210,7 @@ def _aside(box: Box, taken: Sequence[Box], size: tuple[int, int], unit: float) -
     """Return the shortest way in pixels that takes a box into the picture and clear of what is taken; none at all
     where there is no room.
     """
-    ways = sorted(
-        ((10 * unit * i, 10 * unit * k) for i in range(-_FARTHEST, _FARTHEST + 1) for k in range(-9, 10)),
-        key=lambda way: math.hypot(*way),
-    )
-    for dx, dy in ways:
+    for dx, dy in ((10 * unit * i, 10 * unit * k) for i, k in _WAYS):
         left, top, right, bottom = box[0] + dx, box[1] + dy, box[2] + dx, box[3] + dy
         inside = left >= 0.0 and top >= 0.0 and right <= size[0] and bottom <= size[1]
         if inside and not any(left < t[2] and right > t[0] and top < t[3] and bottom > t[1] for t in taken):

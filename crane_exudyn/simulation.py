@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import textwrap
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from . import channels
 from .crane import Crane, checked_crane
 from .engines import engine_class
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, shortened
 from .recording import Recording
 from .strokes import run_while_possible, within_strokes
 
@@ -186,8 +185,9 @@ def simulate_while_possible(
     engine = engine_class(engine)(crane) if isinstance(engine, str) else of_this_crane(engine, crane)
     inputs = Recording.load(inputs, layout=crane.layout) if isinstance(inputs, str | Path) else inputs
     if not isinstance(inputs, Recording | None):
-        found = textwrap.shorten(repr(inputs), 60)
-        raise CraneError(f"simulate: found {found} instead of a recording. Give a Recording, or the name of its file.")
+        raise CraneError(
+            f"simulate: found {shortened(inputs)} instead of a recording. Give a Recording, or the name of its file."
+        )
     time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
     grid, rows = inner_grid(time, step)
     commands, w = _driven(crane, inputs, grid)
@@ -237,8 +237,9 @@ def of_this_crane(engine: Any, crane: Crane) -> Any:
         CraneError: something else, or an engine of another crane.
     """
     if isinstance(engine, type) or not (hasattr(engine, "propagate") or hasattr(engine, "simulate")):
-        found = textwrap.shorten(repr(engine), 60)
-        raise CraneError(f'engine is {found}. Give a name, such as "exudyn", or an engine object, ExudynEngine(crane).')
+        raise CraneError(
+            f'engine is {shortened(engine)}. Give a name, such as "exudyn", or an engine object, ExudynEngine(crane).'
+        )
     own = getattr(engine, "crane", crane)
     if own is not crane and isinstance(own, Crane) and (apart := _apart(own, crane)):
         kind = type(engine).__name__

@@ -4,14 +4,13 @@ wrong.
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from crane_exudyn.channels import BEYOND
-from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.errors import CraneError, nearest, shortened
 
 
 def command_of(commands: Sequence[float] | Mapping[str, float], names: Sequence[str]) -> np.ndarray:
@@ -29,7 +28,7 @@ def command_of(commands: Sequence[float] | Mapping[str, float], names: Sequence[
     found = np.asarray(commands, object)
     if found.shape != (len(names),):
         raise CraneError(
-            f"commands: found {_shown(commands)}. Give {len(names)} numbers in [-1, 1], one for each valve: "
+            f"commands: found {shortened(commands, 80)}. Give {len(names)} numbers in [-1, 1], one for each valve: "
             f"({', '.join(names)})."
         )
     return np.array([number(value, f"commands: {name}") for name, value in zip(names, found, strict=True)])
@@ -43,7 +42,7 @@ def readings_of(measurements: Mapping[str, float], names: Sequence[str]) -> np.n
     """
     if not isinstance(measurements, Mapping):
         raise CraneError(
-            f"measurements: found {_shown(measurements)}. Give a mapping such as {{{names[0]!r}: 0.17}}, SI."
+            f"measurements: found {shortened(measurements, 80)}. Give a mapping such as {{{names[0]!r}: 0.17}}, SI."
         )
     for name in measurements:
         if name not in names:
@@ -56,11 +55,6 @@ def impossible(unit: str, readings: np.ndarray) -> np.ndarray:
     them.
     """
     return np.asarray(np.abs(readings) > BEYOND[unit])
-
-
-def _shown(value: Any) -> str:
-    """Return what was given in one line, shortened."""
-    return textwrap.shorten(repr(value), 80)
 
 
 def first_stamp(time: Any) -> float:
@@ -84,4 +78,4 @@ def number(value: Any, what: str) -> float:
             return float(value)
     except (TypeError, ValueError):
         pass
-    raise CraneError(f"{what} is {_shown(value)}. Give one number in SI, or leave it out.")
+    raise CraneError(f"{what} is {shortened(value, 80)}. Give one number in SI, or leave it out.")

@@ -471,15 +471,7 @@ def crosscheck(
             engine.
     """
     crane = checked_crane(crane, "crosscheck")
-    if not (states >= 1 and states == int(states)):
-        raise CraneError(
-            f"crosscheck: states = {states} compares nothing. Give a whole number of random states, such as 200."
-        )
-    if not (seconds >= _SHORTEST and step > 0.0):
-        raise CraneError(
-            f"crosscheck: runs of {seconds:g} s with steps of {step:g} s cannot be compared. Give at least "
-            f"{_SHORTEST:g} s, and a positive step."
-        )
+    _check_extent(states, seconds, step)
     make_first, make_second = make_first or _exudyn, make_second or _semi_recursive
     probes = _probes(crane.nominal(), effects, without)
     rng = np.random.default_rng(seed)
@@ -510,6 +502,19 @@ def crosscheck(
         result.runs += runs
     progress(1.0, "")
     return result
+
+
+def _check_extent(states: int, seconds: float, step: float) -> None:
+    """Raise CraneError where there is nothing to compare."""
+    if not (states >= 1 and states == int(states)):
+        raise CraneError(
+            f"crosscheck: states = {states} compares nothing. Give a whole number of random states, such as 200."
+        )
+    if not (seconds >= _SHORTEST and step > 0.0):
+        raise CraneError(
+            f"crosscheck: runs of {seconds:g} s with steps of {step:g} s cannot be compared. Give at least "
+            f"{_SHORTEST:g} s, and a positive step."
+        )
 
 
 def _within(progress: Progress, begin: float, share: float, fraction: float, part: str) -> None:
