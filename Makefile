@@ -5,7 +5,6 @@ VENV := .venv
 BIN := $(VENV)/bin
 OUT := out
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
-SOURCES := pyproject.toml README.md $(shell find crane_exudyn ukf validation patu -name '*.py' -o -name '*.toml' -o -name '*.j2' -o -name '*.gz')
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v $$p; break; }; done)
 
@@ -39,12 +38,13 @@ $(BIN)/python:
 	@rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/installed: $(BIN)/python $(SOURCES)
+# editable: what is changed in the checkout is what runs, and these need no repeating
+$(VENV)/installed: $(BIN)/python pyproject.toml
 	@echo "Installing into $(VENV), a minute or two"
-	@$(PIP) .
+	@$(PIP) -e .
 	@touch $@
 
-$(VENV)/installed-dev: $(BIN)/python $(SOURCES)
+$(VENV)/installed-dev: $(BIN)/python pyproject.toml
 	@echo "Installing with the development tools into $(VENV), a minute or two"
-	@$(PIP) '.[dev]'
+	@$(PIP) -e '.[dev]'
 	@touch $@ $(VENV)/installed
