@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -71,22 +72,7 @@ _RING, _ALIKE, _FALLS = 0.1, 0.5, 0.3
 #: s at the beginning, and the s after them, in which nothing should move faster than so many rad/s, and so many times
 #: more than its samples scatter
 _FIRST, _MOVES, _MOVED = 0.3, 0.04, 6.0
-#: units that are mistaken for one another: what a value must be multiplied with, and what then was given as what
-_MISTAKEN = {
-    "Pa": (
-        (1e5, "bar", "Pa"),
-        (1e6, "MPa", "Pa"),
-        (1e-5, "Pa", "bar"),
-        (10.0, "MPa", "bar"),
-        (1e3, "kPa", "Pa"),
-        (0.0689476, "psi", "bar"),
-    ),
-    "rad": ((math.pi / 180, "deg", "rad"), (180 / math.pi, "rad", "deg"), (1e-3, "mrad", "rad")),
-    "rad/s": ((math.pi / 180, "deg/s", "rad/s"), (180 / math.pi, "rad/s", "deg/s")),
-    "m": ((1e-3, "mm", "m"), (1e3, "m", "mm"), (1e-2, "cm", "m")),
-    "m/s": ((1e-3, "mm/s", "m/s"), (1e3, "m/s", "mm/s")),
-}
-#: units that a column is likely to be in, whatever it says
+#: units that a column is likely to be in, whatever it says, the likeliest first
 _WRITTEN = {
     "Pa": ("bar", "MPa", "Pa", "kPa", "psi"),
     "rad": ("deg", "rad", "mrad"),
@@ -485,9 +471,6 @@ def _mistaken(recording: Recording, name: str, value: float, low: float, high: f
     for was in _WRITTEN[unit]:
         if was != given and low < factor_to_si(was, unit) / one * value < high:
             return f"The values look like {was} given as {given}: write the unit as {name}[{was}]."
-    for factor, was, given in _MISTAKEN[unit]:
-        if low < factor * value < high:
-            return f"The values look like {was} given as {given}: write the unit as {name}[{was}]."
     return "Mend its unit, or leave the channel out."
 
 
@@ -602,9 +585,9 @@ def _other_coordinate(recording: Recording, crane: Crane, c: int, shown: np.ndar
     against.
     """
     name = crane.layout.driven[c]
-    units = [(was, given, factor) for factor, was, given in _MISTAKEN[crane.layout.unit_of(name)][:2]]
+    sizes = {unit: factor_to_si(unit, crane.layout.unit_of(name)) for unit in _WRITTEN[crane.layout.unit_of(name)][:2]}
     others = {"with the other sign": -shown} | {
-        f"in {was} where {given} is given": f * shown for was, given, f in units
+        f"in {was} where {given} is given": sizes[was] / sizes[given] * shown for was, given in permutations(sizes, 2)
     }
     for words, values in others.items():
         if _beyond(crane, c, values) <= _SHARE:
