@@ -222,6 +222,11 @@ def checked_crane(given: Any, whom: str) -> Crane:
     raise CraneError(f"{whom}: found {shortened(given)} instead of a crane. Crane.load({name!r}) gives one.")
 
 
+def given_crane(given: Any, whom: str) -> Crane:
+    """Return a crane that was given as such, or by its name or file, to `whom`. Raises CraneError for anything else."""
+    return checked_crane(Crane.load(given) if isinstance(given, str | Path) else given, whom)
+
+
 def built_in() -> list[str]:
     """Return the names of the cranes that come with the package."""
     return sorted(f.name.removesuffix(".toml") for f in resources.files(_DATA).iterdir() if f.name.endswith(".toml"))

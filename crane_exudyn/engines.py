@@ -11,7 +11,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from .errors import CraneError
+from .crane import Crane
+from .errors import CraneError, shortened
 
 
 @cache
@@ -27,3 +28,42 @@ def engine_class(name: str) -> Callable[..., Any]:
         raise CraneError(f"There is no engine {name!r}. Use {names}.")
     made: Callable[..., Any] = known[name].load()
     return made
+
+
+def of_this_crane(engine: Any, crane: Crane) -> Any:
+    """Return an engine object, which must compute with this crane: what it computes would pass for this one's.
+
+    Cranes are told apart by what an engine takes from them: machine, parameters, effects and objects of one's own.
+
+    Raises:
+        CraneError: something else, or an engine of another crane.
+    """
+    if isinstance(engine, type) or not (hasattr(engine, "propagate") or hasattr(engine, "simulate")):
+        raise CraneError(
+            f'engine is {shortened(engine)}. Give a name, such as "exudyn", or an engine object, ExudynEngine(crane).'
+        )
+    own = getattr(engine, "crane", crane)
+    if own is not crane and isinstance(own, Crane) and (apart := _apart(own, crane)):
+        kind = type(engine).__name__
+        raise CraneError(
+            f"The {kind} holds another crane than the {crane.name} given: {apart}. Make one of this crane, "
+            f"{kind}(crane), or give the engine's name."
+        )
+    return engine
+
+
+def _apart(own: Crane, crane: Crane) -> str:
+    """Return in words what an engine's own crane computes otherwise than a crane; "" where nothing does."""
+    if own.machine != crane.machine:
+        return "it is of another machine"
+    values = [n for n in crane.machine.names if own[n] != crane[n]]
+    if values:
+        more = f" (and {len(values) - 1} more)" if len(values) > 1 else ""
+        return f"its {values[0]} is {own[values[0]]:g}, not {crane[values[0]]:g}{more}"
+    mine, asked = ({e.key: e.parameters for e in c.effects} for c in (own, crane))
+    effects = sorted(key for key in mine.keys() | asked.keys() if mine.get(key) != asked.get(key))
+    if effects:
+        return f"the effect {effects[0]} is not the same"
+    if own.objects != crane.objects:
+        return f"it has {len(own.objects)} objects of one's own, this one {len(crane.objects)}"
+    return ""

@@ -13,7 +13,7 @@ from . import channels as channel_names
 from . import signals
 from .assembly import assemble, example, wanted
 from .channels import Channel
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, shortened
 from .frozen import frozen
 from .layout import Layout
 from .machine_toml import usual_layout
@@ -369,6 +369,17 @@ class Recording:
 
 
 # -- clocks ----------------------------------------------------------------------------------------------------------
+
+
+def given_recording(given: Any, layout: Layout, whom: str) -> Recording:
+    """Return a recording that was given as such, or by its file, to `whom`. Raises CraneError for anything else."""
+    if isinstance(given, str | Path):
+        return Recording.load(given, layout=layout)
+    if isinstance(given, Recording):
+        return given
+    raise CraneError(
+        f"{whom}: found {shortened(given)} instead of a recording. Give a Recording, or the name of its file."
+    )
 
 
 def _union(clocks: list[np.ndarray]) -> np.ndarray:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import channels
-from .crane import Crane, checked_crane
-from .engines import engine_class
-from .errors import CraneError, nearest, shortened
-from .recording import Recording
+from .crane import Crane, given_crane
+from .engines import engine_class, of_this_crane
+from .errors import CraneError, nearest
+from .recording import Recording, given_recording
 from .strokes import run_while_possible, within_strokes
 
 if TYPE_CHECKING:
@@ -177,17 +177,13 @@ def simulate_while_possible(
     Raises:
         CraneError: what `simulate` raises before it runs, or where not even two instants can be had.
     """
-    crane = checked_crane(Crane.load(crane) if isinstance(crane, str | Path) else crane, "simulate")
+    crane = given_crane(crane, "simulate")
     if engine is None:
         from .engine import ExudynEngine
 
         engine = ExudynEngine(crane)
     engine = engine_class(engine)(crane) if isinstance(engine, str) else of_this_crane(engine, crane)
-    inputs = Recording.load(inputs, layout=crane.layout) if isinstance(inputs, str | Path) else inputs
-    if not isinstance(inputs, Recording | None):
-        raise CraneError(
-            f"simulate: found {shortened(inputs)} instead of a recording. Give a Recording, or the name of its file."
-        )
+    inputs = None if inputs is None else given_recording(inputs, crane.layout, "simulate")
     time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
     grid, rows = inner_grid(time, step)
     commands, w = _driven(crane, inputs, grid)
@@ -226,45 +222,6 @@ def _run(
         return engine.simulate(x0, grid, w, step=step), None
     except CraneError as problem:
         return x0[None], problem
-
-
-def of_this_crane(engine: Any, crane: Crane) -> Any:
-    """Return an engine object, which must compute with this crane: what it computes would pass for this one's.
-
-    Cranes are told apart by what an engine takes from them: machine, parameters, effects and objects of one's own.
-
-    Raises:
-        CraneError: something else, or an engine of another crane.
-    """
-    if isinstance(engine, type) or not (hasattr(engine, "propagate") or hasattr(engine, "simulate")):
-        raise CraneError(
-            f'engine is {shortened(engine)}. Give a name, such as "exudyn", or an engine object, ExudynEngine(crane).'
-        )
-    own = getattr(engine, "crane", crane)
-    if own is not crane and isinstance(own, Crane) and (apart := _apart(own, crane)):
-        kind = type(engine).__name__
-        raise CraneError(
-            f"The {kind} holds another crane than the {crane.name} given: {apart}. Make one of this crane, "
-            f"{kind}(crane), or give the engine's name."
-        )
-    return engine
-
-
-def _apart(own: Crane, crane: Crane) -> str:
-    """Return in words what an engine's own crane computes otherwise than a crane; "" where nothing does."""
-    if own.machine != crane.machine:
-        return "it is of another machine"
-    values = [n for n in crane.machine.names if own[n] != crane[n]]
-    if values:
-        more = f" (and {len(values) - 1} more)" if len(values) > 1 else ""
-        return f"its {values[0]} is {own[values[0]]:g}, not {crane[values[0]]:g}{more}"
-    mine, asked = ({e.key: e.parameters for e in c.effects} for c in (own, crane))
-    effects = sorted(key for key in mine.keys() | asked.keys() if mine.get(key) != asked.get(key))
-    if effects:
-        return f"the effect {effects[0]} is not the same"
-    if own.objects != crane.objects:
-        return f"it has {len(own.objects)} objects of one's own, this one {len(crane.objects)}"
-    return ""
 
 
 def sensed(crane: Crane, states: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -390,10 +390,10 @@ def test_recordings_may_be_files(ask, tmp_path):
         (("patu655", "nowhere.csv"), "no such file"),
         (("patu656", STILL), "no crane 'patu656'"),
         ((5, STILL), "found 5 instead of a crane"),
-        ((CRANE, 5), "an object of type int"),
-        ((CRANE, [STILL, None]), "an object of type NoneType"),
+        ((CRANE, 5), "found 5 instead of a recording"),
+        ((CRANE, [STILL, None]), "found None instead of a recording"),
         ((CRANE, []), "at least one"),
-        ((CRANE, STILL, 5), "an object of type int"),
+        ((CRANE, STILL, 5), "found 5 instead of a recording"),
     ],
 )
 def test_what_is_no_recording_is_told(ask, given, message):

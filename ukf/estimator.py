@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane, checked_crane
+from crane_exudyn.engines import of_this_crane
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.sensors import sensor
-from crane_exudyn.simulation import of_this_crane
 from crane_exudyn.statics import vapour_pressure
 
 from .augment import Augment, Sizes, resolve

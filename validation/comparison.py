@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from crane_exudyn.crane import Crane
+from crane_exudyn.crane import Crane, given_crane
 from crane_exudyn.engines import engine_class
 from crane_exudyn.errors import CraneError
 from crane_exudyn.layout import Layout
 from crane_exudyn.parameters import unit_of
-from crane_exudyn.recording import Recording
+from crane_exudyn.recording import Recording, given_recording
 from ukf.consistency import noise_slack
 from ukf.estimate import Estimate
 from ukf.estimator import Estimator
@@ -252,7 +252,7 @@ class Comparison:
 
 
 def compare(
-    crane: Crane | str,
+    crane: Crane | str | Path,
     recording: Recording | str | Path,
     engine: Engine = "semi-recursive",
     *,
@@ -271,12 +271,12 @@ def compare(
         CraneError: the recording cannot be compared (see `fitness.check_recording`), or an unknown engine.
     """
     engine_class(engine)  # refused at once where there is none
-    crane = Crane.load(crane) if isinstance(crane, str) else crane
+    crane = given_crane(crane, "compare")
     if crane.objects and engine != "exudyn":
         raise CraneError(
             f'{crane.name}: objects of one\'s own are known to the Exudyn engine only. Compare with engine="exudyn".'
         )
-    recording = recording if isinstance(recording, Recording) else Recording.load(recording, layout=crane.layout)
+    recording = given_recording(recording, crane.layout, "compare")
     done = progress or (lambda fraction: None)
     notes = check_recording(recording, crane)
     kept = usable(recording)

@@ -8,17 +8,17 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crane_exudyn.crane import Crane, checked_crane
+from crane_exudyn.crane import Crane, given_crane
 from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
-from crane_exudyn.errors import CraneError
 from crane_exudyn.parameters import unit_of
-from crane_exudyn.recording import Recording
+from crane_exudyn.recording import Recording, given_recording
 
 from .fit.solve import Fit
 from .report import amount, evidence_difference, three_digits
@@ -216,17 +216,8 @@ def loaded(
     Raises:
         CraneError: something else, or a file that cannot be read.
     """
-    crane = checked_crane(Crane.load(crane) if isinstance(crane, str | Path) else crane, "crane")
-
-    def one(given: OneRecording) -> Recording:
-        if isinstance(given, str | Path):
-            return Recording.load(given, layout=crane.layout)
-        if not isinstance(given, Recording):
-            raise CraneError(
-                f"recording: found an object of type {type(given).__name__}. Give a Recording or its file."
-            )
-        return given
-
+    crane = given_crane(crane, "crane")
+    one = partial(given_recording, layout=crane.layout, whom="recording")
     several = isinstance(recording, Iterable) and not isinstance(recording, Recording | str)
     given: Iterable[Any] = recording if several else [recording]  # type: ignore[assignment]
     return crane, tuple(map(one, given)), None if check is None else one(check)
