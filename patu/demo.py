@@ -91,6 +91,9 @@ def command(
     printer = Printer(json)
     begin = perf_counter()
     chosen = load_crane(crane, effects)
+    from validation.paper import check_machine
+
+    check_machine(chosen)
     with compiling("check", "exudyn", "semi-recursive", "filter", "fit") as wait_for:
         wait_for("exudyn", "semi-recursive", "filter")
         printer.line(

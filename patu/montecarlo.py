@@ -14,6 +14,7 @@ from .outputs import Writes, saving
 from .reading import load_crane
 
 if TYPE_CHECKING:
+    from crane_exudyn.crane import Crane
     from validation.montecarlo import Series
 
 #: more would not fit into the memory of one process, nor end in a day
@@ -34,10 +35,17 @@ def command(
     model_error: Annotated[
         float, typer.Option("--error", metavar="SHARE", help="Error of the filter's model; 0 for a perfect one.")
     ] = 0.0,
-    inputs: Annotated[int, typer.Option("--inputs", metavar="1|2|3", help="Input set.")] = 3,
+    inputs: Annotated[
+        int,
+        typer.Option(
+            "--inputs", metavar="1|2|3", help="Input set of the paper's machine; another gets the paper's cycle."
+        ),
+    ] = 3,
     duration: Annotated[float, typer.Option("--duration", metavar="SECONDS", help="Length of a run.")] = 25.0,
     step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Time between two samples.")] = 1e-3,
-    method: Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|ekf", help="Which filter.")] = "ukf",
+    method: Annotated[
+        str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|simplex|ekf", help="Which filter.")
+    ] = "ukf",
     seed: Annotated[int, typer.Option("--seed", help="Of the series.")] = 0,
     engine: EngineOption = "semi-recursive",
     crane: CraneOption = DEFAULT_CRANE,
@@ -49,8 +57,8 @@ def command(
     In every run the crane is shaken by the noise that the filter assumes, and starts where the filter thinks it may.
     With a perfect model the answer should be yes, with --error it should be no (exit status 1).
     """
-    _check(runs, inputs, duration, step, model_error, method)
     chosen = load_crane(crane, effects)
+    _check(chosen, runs, inputs, duration, step, model_error, method)
     from validation.montecarlo import Settings, run_series
 
     settings = Settings(model_error, inputs, duration, step, engine, method, seed=seed)
@@ -64,9 +72,10 @@ def command(
     raise typer.Exit(0 if series.consistent else 1)
 
 
-def _check(runs: int, inputs: int, duration: float, step: float, error: float, method: str) -> None:
+def _check(crane: Crane, runs: int, inputs: int, duration: float, step: float, error: float, method: str) -> None:
     from crane_exudyn.errors import CraneError, nearest
     from ukf.methods import METHODS
+    from validation.paper import check_machine
 
     if runs < 1:
         raise CraneError(f"--runs {runs}: give at least 1.")
@@ -78,6 +87,8 @@ def _check(runs: int, inputs: int, duration: float, step: float, error: float, m
         raise CraneError(f"--duration {duration:g} with --step {step:g}: a run may have {MOST_SAMPLES:g} samples.")
     if not 0.0 <= error < 1.0:
         raise CraneError(f"--error {error:g}: give a share between 0 and 1, such as 0.15 for 15 %.")
+    if error:
+        check_machine(crane)
     if method not in METHODS:
         raise CraneError(f"--method {method!r} is not known.{nearest(method, list(METHODS))}")
 
@@ -86,7 +97,8 @@ def tell(printer: Printer, series: Series) -> None:
     """Print NEES at its checkpoints, NIS, coverage and the answer."""
     d = series.document()
     low, high = d["nees_bounds"]
-    printer.line(f"NEES over {d['runs']} runs at shares of the run (expected 8, bounds {low:.2f} to {high:.2f})")
+    expected = f"expected {d['nees_expected']}, bounds {low:.2f} to {high:.2f}"
+    printer.line(f"NEES over {d['runs']} runs at shares of the run ({expected})")
     printer.table(
         "",
         ("at", *(f"{100 * float(share):g} %" for share in d["nees"])),
@@ -97,7 +109,7 @@ def tell(printer: Printer, series: Series) -> None:
         ("", *d["coverage95"]),
         [
             ("inside 95 %, % of time", *(round(100 * v, 1) for v in d["coverage95"].values())),
-            ("PN-RMSE %", *(float(v) for v in d["pn_rmse"].values())),
+            ("PN-RMSE %", *("–" if v is None else v for v in d["pn_rmse"].values())),
         ],
     )
     low, high = d["nis_bounds"]

@@ -84,13 +84,14 @@ def command(
     more. Beside each the published row, where there is one, and the model without filter.
     """
     chosen = load_crane(crane, effects)
-    _check(model_error, inputs, tuning)
+    _check(chosen, model_error, inputs, tuning)
     seen = _seen(sensors, noise, chosen)
     compile_for(engine, "semi-recursive", "filter")
     found = Found(
         _reproduced(model_error, inputs, tuning, engine=engine, seed=seed, crane=chosen, jobs=jobs, **seen),
         _compare(engine, seed, chosen) if filters else [],
         _what_sensors_tell(engine, seed, chosen, jobs) if what_sensors_tell else [],
+        _in_words(seen, chosen),
     )
     printer = Printer(json)
     tell(printer, found)
@@ -101,11 +102,12 @@ def command(
 
 @dataclass(frozen=True)
 class Found:
-    """The cases, and what was asked for beside them: filters compared, and what sensors tell."""
+    """The cases, and what was asked for beside them: filters compared, and what sensors tell; the sensors in words."""
 
     cases: Reproduction
     compared: list[Row]
     told: list[Told]
+    sensors: str
 
     def document(self) -> dict[str, Any]:
         """Return all of it as JSON."""
@@ -138,6 +140,15 @@ def _seen(sensors: list[str] | None, noise: list[str] | None, crane: Crane) -> d
     std, used = _noise(noise, crane), tuple(sensors or SENSOR_STD)
     sensors_of(used, std, crane.layout)
     return {"sensors": used, "noise": std}
+
+
+def _in_words(seen: dict[str, Any], crane: Crane) -> str:
+    """Return the sensors that the filter gets, with the noise of each."""
+    from validation.paper import sensors_of
+    from validation.report import amount
+
+    used, units = sensors_of(seen["sensors"], seen["noise"], crane.layout), crane.layout.sensors
+    return ", ".join(f"{name} ± {amount(std, units[name].unit)}" for name, std in used.items())
 
 
 def _reproduced(
@@ -227,10 +238,11 @@ def filter_rows(compared: list[Row]) -> list[tuple[object, ...]]:
     ]
 
 
-def _check(errors: list[float] | None, inputs: list[int] | None, tunings: list[str] | None) -> None:
+def _check(crane: Crane, errors: list[float] | None, inputs: list[int] | None, tunings: list[str] | None) -> None:
     from crane_exudyn.errors import CraneError
-    from validation.paper import tuning_of
+    from validation.paper import check_machine, tuning_of
 
+    check_machine(crane)
     for error in errors or ():
         if not 0.0 <= error < 1.0:
             raise CraneError(f"--error {error:g}: give a share between 0 and 1, such as 0.15 for 15 %.")
@@ -300,6 +312,7 @@ def tell(printer: Printer, found: Found) -> None:
     """Print the tables, and what they say."""
     for table in found.tables():
         printer.table(*table)
+    printer.line(f"Sensors, except where a row says otherwise: {found.sensors}.")
     for line in findings(found.cases):
         printer.line(line)
     printer.line(f"All in {found.cases.seconds:.0f} s.")
@@ -322,6 +335,8 @@ def findings(result: Reproduction) -> list[str]:
         lines.append(_why(result.shown["paper"]))
     if "own" in result.shown:
         lines.append(_found(result.shown["own"]))
+    if not result.shown:
+        lines.append("Figures are drawn of the 15 % case with the first input set only (--error 0.15 --inputs 1).")
     return lines
 
 
@@ -361,13 +376,12 @@ def write(found: Found, seed: int, engine: str, crane: Crane, folder: Path) -> l
     cases, said = found.cases, findings(found.cases)
     drawn = [_drawn(tuning, case, folder) for tuning, case in cases.shown.items()]
     sections: list[tuple[str, list[Any]]] = [
-        *([("What came out", list(said))] if said else []),
+        ("What came out", list(said)),
         *((title, [Table(columns, rows)]) for title, columns, rows in found.tables()),
         *(section for section, _ in drawn),
     ]
-    verdict = said[0] if said else f"{len(cases.documents)} cases."
-    parameters = {"crane": crane.name, "engine": engine, "cases": len(cases.documents)}
-    report = write_report(folder, "The paper's experiment", verdict, sections, seed=seed, parameters=parameters)
+    parameters = {"crane": crane.name, "engine": engine, "cases": len(cases.documents), "sensors": found.sensors}
+    report = write_report(folder, "The paper's experiment", said[0], sections, seed=seed, parameters=parameters)
     return [*(path for _, paths in drawn for path in paths), report]
 
 

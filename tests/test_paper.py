@@ -185,6 +185,27 @@ def test_perfect_model_is_consistent_and_a_wrong_one_is_not():
     assert not series.consistent and series.nees[-1] > series.nees_bounds[1]
 
 
+@pytest.mark.parametrize("crane", ["loader", "excavator", "swinging"])
+def test_any_machine_can_be_shaken(crane):
+    chosen = CRANE.with_effect("payload_swing", {"length": 1.0}) if crane == "swinging" else Crane.load(crane)
+    series = montecarlo.run_series(montecarlo.Settings(duration=0.4, step=8e-3), 2, crane=chosen)
+    told = series.document()
+    assert told["nees_expected"] == len(told["coverage95"]) == {"loader": 4, "excavator": 12, "swinging": 10}[crane]
+    assert series.nees_bounds[0] < told["nees_expected"] < series.nees_bounds[1]
+    json.dumps(told, allow_nan=False)
+
+
+@pytest.mark.parametrize("crane", [Crane.load("excavator"), CRANE.with_effect("payload_swing", {"length": 1.0})])
+def test_the_experiment_is_refused_on_another_machine(crane):
+    for ask in (
+        lambda: paper.run_case(crane=crane, duration=0.1),
+        lambda: paper.reproduce(crane=crane),
+        lambda: montecarlo.run_series(montecarlo.Settings(model_error=0.1, duration=0.1), 1, crane=crane),
+    ):
+        with pytest.raises(CraneError, match="experiment is that of a PATU 655"):
+            ask()
+
+
 def test_series_is_the_same_by_processes_and_goes_on_where_it_stopped(tmp_path):
     file = tmp_path / "runs.jsonl"
     whole = montecarlo.run_series(SHORT, 4)

@@ -1,9 +1,12 @@
 """Is the filter consistent? Many runs of a crane that is shaken as the filter believes it to be.
 
 In each run the true start is drawn from the filter's own start belief, the true state gets the filter's own process
-noise at every step, and the sensors their noise. If model, filter and covariances agree, NEES is χ² with 8 degrees of
-freedom at any instant over the runs, and NIS χ² with as many as there are sensors. With model errors they do not agree,
-and the same numbers say so.
+noise at every step, and the sensors their noise. If model, filter and covariances agree, NEES is χ² at any instant over
+the runs with as many degrees of freedom as there are states, and NIS with as many as there are sensors. With model
+errors they do not agree, and the same numbers say so.
+
+Any machine will do. On that of the paper the commands are those of an input set; on another one they are those of the
+paper's cycle for as many valves, let go before a stroke ends.
 
 Runs go through joblib, on the cores of one machine or on a Dask cluster. Every finished run is a line of a file, so
 that a killed series goes on where it stopped.
@@ -22,24 +25,26 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.files import write_text
-from crane_exudyn.inputs import SpoolPath
+from crane_exudyn.inputs import SpoolPath, paper_cycle
+from crane_exudyn.layout import Layout
 from crane_exudyn.statics import visible
-from ukf.consistency import mean_bounds, nees
-from ukf.estimator import Estimator
+from crane_exudyn.strokes import within_strokes
+from ukf.consistency import mean_bounds
+from ukf.estimator import Estimator, default_sensors
 from ukf.filter import Belief
 from ukf.linear_algebra import semidefinite_root
 from ukf.noise import ProcessNoise
 from ukf.process import engine_of
 from ukf.signals import Signals
 
-from . import paper
+from . import metrics, paper
 from .json_lines import add_line, read_lines
 from .workers import results_of, scheduled
 
 #: shares of the run at which NEES is compared over the runs: instants of one run are not independent
 CHECKPOINTS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
-#: standard deviations of the start: rad, rad/s, Pa
-START = np.array([*np.radians([1.0, 1.0]), 0.02, 0.02, *[2e5] * 4])
+#: standard deviations of the start by the unit of the state
+START = {"rad": np.radians(1.0), "m": 0.01, "rad/s": 0.02, "m/s": 0.02, "Pa": 2e5}
 
 
 @dataclass(frozen=True)
@@ -48,8 +53,8 @@ class Settings:
 
     Attributes:
         model_error: of the booms' masses in the filter's model (`paper.wrong_crane`); 0 for a perfect model.
-        inputs: input set of `paper.INPUT_SETS`; 3 keeps all chambers full of oil, so that nothing but the laws is
-            nonlinear.
+        inputs: input set of `paper.INPUT_SETS`, on a machine with two valves; 3 keeps all chambers of the PATU 655 full
+            of oil, so that nothing but the laws is nonlinear.
         duration, step: length of a run and time between two samples, s.
         engine, method: which engine and which filter.
         acceleration, pressure: densities of the process noise, rad²/s³ and Pa²/s.
@@ -66,36 +71,43 @@ class Settings:
     pressure: float = 1e9
     seed: int = 0
 
+    def noise(self, layout: Layout) -> ProcessNoise:
+        """Return the process noise of truth and filter."""
+        return ProcessNoise((self.acceleration,) * len(layout.coordinates), (self.pressure,) * len(layout.chambers))
+
     @property
-    def noise(self) -> ProcessNoise:
-        """The process noise of truth and filter."""
-        return ProcessNoise((self.acceleration,) * 2, (self.pressure,) * 4)
+    def time(self) -> np.ndarray:
+        """Instants (N,) of the samples, s."""
+        return np.arange(round(self.duration / self.step) + 1) * self.step
 
 
 def one_run(settings: Settings, number: int, crane: Crane) -> dict[str, Any]:
     """Return NEES, NIS, coverage and verdict of one run."""
     rng = np.random.default_rng([settings.seed, number])
-    time = np.arange(round(settings.duration / settings.step) + 1) * settings.step
-    commands = paper.INPUT_SETS[settings.inputs](time)
+    time, lay = settings.time, crane.layout
     model = engine_of(settings.engine, crane)
     nominal = model.static_start(*crane.initial.pose)
-    start = nominal + START * rng.normal(size=START.size)
+    commands = driven(settings, crane, nominal)
+    spread = np.array(lay.sized(model.state_names, START))
+    start = nominal + spread * rng.normal(size=spread.size)
     truth = visible(crane, shaken(model, crane, start, time, commands, settings, rng))
-    sensors = paper.noisy_sensors(crane, time, truth, rng)
+    gauges = paper.sensors_of(tuple(default_sensors(crane)), {}, lay)
+    sensors = paper.noisy_sensors(crane, time, truth, rng, gauges)
     believed = crane if settings.model_error == 0 else paper.wrong_crane(crane, settings.model_error)
     filter_ = Estimator(
         believed,
         model if believed is crane else settings.engine,
-        paper.SENSOR_STD,
-        settings.noise,
+        gauges,
+        settings.noise(lay),
         settings.method,
-        start=Belief(nominal, np.diag(START**2)),
+        start=Belief(nominal, np.diag(spread**2)),
         gate=None,
         max_step=settings.step,
     )
     estimate = filter_.run(Signals(time, commands, sensors), keep_covariance=True)
     assert estimate.covariance is not None
-    values = nees(estimate.mean - truth, estimate.covariance)
+    mean = estimate.mean[:, : len(spread)]
+    values = metrics.nees(estimate.mean, truth, estimate.covariance)
     at = [round(share * (time.size - 1)) for share in CHECKPOINTS]
     return {
         "run": number,
@@ -104,10 +116,22 @@ def one_run(settings: Settings, number: int, crane: Crane) -> dict[str, Any]:
         "nis_sum": float(np.nansum(estimate.nis)),
         "nis_dof": float(estimate.dof.sum()),
         "coverage95": estimate.coverage(truth),
-        "pn_rmse": dict(zip(paper.STATES, paper.metrics.pn_rmse(estimate.mean, truth).tolist(), strict=True)),
+        "pn_rmse": paper.or_none(paper.percent_errors(mean, truth, model.state_names, lay)),
         "consistent": estimate.consistent,
         "events": len(estimate.events),
     }
+
+
+def driven(settings: Settings, crane: Crane, start: np.ndarray) -> np.ndarray:
+    """Return the commands (N, valves) of all runs: of the input set on a machine like the paper's; on another one of
+    the paper's cycle, kept off the ends of the strokes from the nominal start (nx,).
+    """
+    time = settings.time
+    if crane.layout.states == paper.STATES:
+        return paper.INPUT_SETS[settings.inputs](time)
+    cycle = paper_cycle(time, len(crane.layout.commands))
+    kept = within_strokes(crane, time, cycle, start)
+    return cycle if kept is None else kept
 
 
 def shaken(
@@ -119,12 +143,14 @@ def shaken(
     settings: Settings,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return the states (N, 8) of a crane that gets the process noise of `settings` at every step."""
+    """Return the states (N, nx) of a crane that gets the process noise of `settings` at every step; states that effects
+    add get none.
+    """
     inputs = np.column_stack([SpoolPath(crane).run(time, commands), np.full((time.size, 2), np.nan)])
-    root = semidefinite_root(settings.noise.covariance(settings.step))
-    states = np.empty((time.size, 8))
+    root = semidefinite_root(settings.noise(crane.layout).covariance(settings.step))
+    states, pushes = np.empty((time.size, start.size)), np.zeros((time.size, start.size))
     states[0] = start
-    pushes = rng.normal(size=(time.size, 8)) @ root.T
+    pushes[:, : len(root)] = rng.normal(size=(time.size, len(root))) @ root.T
     for k in range(1, time.size):
         h = time[k] - time[k - 1]
         states[k] = model.propagate(states[k - 1][None], inputs[k - 1 : k + 1], h, time[k - 1])[0] + pushes[k]
@@ -148,7 +174,12 @@ class Series:
         """Interval that holds each of these means with 99.8 %, so that all of them together stay inside with about 99
         %.
         """
-        return mean_bounds(8, len(self.runs), 0.998)
+        return mean_bounds(self.expected_nees, len(self.runs), 0.998)
+
+    @property
+    def expected_nees(self) -> int:
+        """How many states there are, which NEES is on the average."""
+        return len(self.runs[0]["coverage95"])
 
     @property
     def nis(self) -> float:
@@ -170,17 +201,18 @@ class Series:
 
     def document(self) -> dict[str, Any]:
         """Return the series as JSON."""
-        coverage = {s: float(np.mean([r["coverage95"][s] for r in self.runs])) for s in paper.STATES}
-        errors = {s: float(np.mean([r["pn_rmse"][s] for r in self.runs])) for s in paper.STATES}
+        states = self.runs[0]["coverage95"]
+        errors = {s: [r["pn_rmse"][s] for r in self.runs if r["pn_rmse"][s] is not None] for s in states}
         return {
             "settings": asdict(self.settings),
             "runs": len(self.runs),
             "nees": dict(zip(map(str, CHECKPOINTS), self.nees.tolist(), strict=True)),
+            "nees_expected": self.expected_nees,
             "nees_bounds": list(self.nees_bounds),
             "nis_per_value": self.nis,
             "nis_bounds": list(self.nis_bounds),
-            "coverage95": coverage,
-            "pn_rmse": errors,
+            "coverage95": {s: float(np.mean([r["coverage95"][s] for r in self.runs])) for s in states},
+            "pn_rmse": {s: float(np.mean(e)) if e else None for s, e in errors.items()},
             "runs_called_consistent": sum(r["consistent"] for r in self.runs),
             "consistent": self.consistent,
         }

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.effects import hooks
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath, paper_cycle
 from crane_exudyn.layout import Layout
@@ -53,6 +54,8 @@ _NOISE = {"rad": np.radians(1.0), "Pa": 1.5e5, "rad/s": np.radians(1.0)}
 #: start of the models off the real system's: +2° in z1, -3° in z4, +3 bar in each pressure
 START_ERROR = np.array([np.radians(2.0), np.radians(-3.0), 0.0, 0.0, 3e5, 3e5, 3e5, 3e5])
 _PUMP_ERROR, _PAYLOAD, _JOINT_ERROR = 20e5, 10.0, 5e-3
+#: booms and brackets of the paper's machine
+_BODIES = ("lift_boom", "outer_boom", "bracket_1", "bracket_2")
 #: growth of the unknowns' standard deviation in parts of that at the start, per √s
 _DRIFT = 1e-3
 #: standard deviations of own means at the start: 3°, 4°, 3°/s, 5 bar
@@ -125,12 +128,28 @@ def ramps(time: np.ndarray) -> np.ndarray:
 INPUT_SETS: dict[int, Callable[[np.ndarray], np.ndarray]] = {1: paper_cycle, 2: both_at_once, 3: ramps}
 
 
+def check_machine(crane: Crane) -> None:
+    """Raise CraneError for a crane on which the paper's experiment cannot be made: its errors are of the bodies and
+    joints of the PATU 655, its covariances of eight states.
+    """
+    whole = crane.layout.states == STATES and not hooks.swings(crane.effect_vector())
+    if not whole or any(f"bodies.{body}.mass" not in crane.machine.index for body in _BODIES):
+        raise CraneError(
+            f"{crane.name}: the paper's experiment is that of a PATU 655, with the states {' '.join(STATES)}. Give a "
+            "crane file of that machine, without effects that add states; `patu montecarlo` takes any machine."
+        )
+
+
 def wrong_crane(crane: Crane, model_error: float) -> Crane:
     """Return the estimation model: `crane` with the paper's errors; `model_error` is that of the booms' mass and
     inertia.
+
+    Raises:
+        CraneError: another machine than the paper's.
     """
+    check_machine(crane)
     changes = {"payload.mass": _PAYLOAD, "supply.pump_pressure": crane["supply.pump_pressure"] + _PUMP_ERROR}
-    for bodies, factor in (("lift_boom", "outer_boom"), 1 + model_error), (("bracket_1", "bracket_2"), 1.05):
+    for bodies, factor in (_BODIES[:2], 1 + model_error), (_BODIES[2:], 1.05):
         for name in (f"bodies.{b}.{q}" for b in bodies for q in ("mass", "inertia")):
             changes[name] = crane[name] * factor
     for joint in "ABCD":
@@ -218,10 +237,7 @@ class Case:
         return self._percent(self.open_loop)
 
     def _percent(self, states: np.ndarray) -> dict[str, float]:
-        """Return the PN-RMSE in %, by state; NaN where the state's range is too small to divide by."""
-        truth, layout = self.experiment.truth, self.experiment.crane.layout
-        least = np.array([2.0 * _NOISE[layout.unit_of(name)] for name in STATES])
-        return _named(np.where(np.ptp(truth, axis=0) > least, metrics.pn_rmse(states, truth), np.nan))
+        return percent_errors(states, self.experiment.truth, STATES, self.experiment.crane.layout)
 
     @property
     def published(self) -> dict[str, float] | None:
@@ -251,11 +267,11 @@ class Case:
             "inputs": self.inputs,
             "tuning": self.tuning,
             "engine": self.engine,
-            "pn_rmse": _or_none(self.pn_rmse),
+            "pn_rmse": or_none(self.pn_rmse),
             "rmse": self.rmse,
             "sensors": dict(self.experiment.sensors),
             "published": self.published,
-            "pn_rmse_open_loop": _or_none(self.pn_rmse_open_loop),
+            "pn_rmse_open_loop": or_none(self.pn_rmse_open_loop),
             "coverage95": self.coverage,
             "nees_mean": self.nees_mean,
             "nis_mean": self.estimate.nis_mean,
@@ -269,9 +285,17 @@ class Case:
         }
 
 
-def _or_none(values: Mapping[str, float]) -> dict[str, float | None]:
+def or_none(values: Mapping[str, float]) -> dict[str, float | None]:
     """Return numbers for JSON, which has no NaN."""
     return {name: value if np.isfinite(value) else None for name, value in values.items()}
+
+
+def percent_errors(estimate: np.ndarray, truth: np.ndarray, names: Sequence[str], layout: Layout) -> dict[str, float]:
+    """Return the PN-RMSE in % of states (N, n) by name; NaN where the range is too small to divide by."""
+    noise = sensors_of([n for n in names if n in layout.sensors], {}, layout)
+    least = np.array([2.0 * noise.get(n, 0.0) for n in names])
+    moves = np.ptp(truth, axis=0) > least
+    return dict(zip(names, np.where(moves, metrics.pn_rmse(estimate, truth), np.nan).tolist(), strict=True))
 
 
 def _named(values: np.ndarray) -> dict[str, float]:
@@ -289,8 +313,9 @@ def real_system(
     """Return a run of the synthetic real system and its noisy sensors: channels with their noise in SI.
 
     Raises:
-        CraneError: an input set that does not exist.
+        CraneError: an input set that does not exist, or another machine than the paper's.
     """
+    check_machine(crane)
     if inputs not in INPUT_SETS:
         raise CraneError(f"There is no input set {inputs}. Use one of {', '.join(map(str, INPUT_SETS))}.")
     time = np.arange(round(duration / STEP) + 1) * STEP
@@ -550,7 +575,7 @@ class Told:
         return {
             "sensors": list(self.sensors),
             "payload": [list(p) for p in self.payload],
-            "pn_rmse": _or_none(self.pn_rmse),
+            "pn_rmse": or_none(self.pn_rmse),
         }
 
 
