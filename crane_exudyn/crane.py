@@ -154,11 +154,13 @@ class Crane(Description):
         """Return a copy with other nominal parameters, numbers in SI such as {"payload.mass": 150.0} in kg."""
         return self.changed(changes, {})
 
-    def with_effect(self, key: str, values: Mapping[str, float]) -> Crane:
-        """Return a copy with the effect "name@place" added, or given other parameters where it is there already."""
+    def with_effect(self, key: str, values: Mapping[str, Any]) -> Crane:
+        """Return a copy with the effect "name@place" added, or given other parameters where it is there already:
+        numbers in SI by name, or the table of a curve as it stands in a crane file.
+        """
         return self.changed({}, {key: values})
 
-    def changed(self, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> Crane:
+    def changed(self, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, Any]]) -> Crane:
         """Return a copy with other nominal parameters (SI), and with effects as `with_effect` sets them."""
         for name in parameters:
             _ = self[name]

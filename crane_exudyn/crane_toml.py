@@ -12,13 +12,12 @@ from . import parameters
 from .description import Description, GaussMarkov, Initial, Uncertainty, Voltage, check, complete
 from .effects import registry
 from .effects.base import Acting
-from .effects.curve import KNOTS, Curve
 from .errors import CraneError, nearest, refuse_unknown
 from .frozen import frozen
 from .layout import Layout
 from .machine import PRISMATIC, Machine
 from .machine_toml import OF_CYLINDER, OF_PAYLOAD, machine_of
-from .units import factor_to_si, to_si
+from .units import to_si
 
 D = TypeVar("D", bound=Description)
 
@@ -227,40 +226,9 @@ def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
         raise CraneError(f"{where}: {problem}") from problem
     about, given = f"{where}: effect {effect.name!r}: parameters", table.get("parameters", {})
     if effect.curve is not None:
-        return Acting(effect.name, place, frozen(complete(effect, _curve(effect.curve, given, about))))
+        return Acting(effect.name, place, frozen(complete(effect, effect.curve.read(given, about))))
     numbers = _read(given, {p.name: unit_at(p.unit, place, layout) for p in effect.parameters}, about)
     return Acting(effect.name, place, frozen(complete(effect, numbers)))
-
-
-_CURVE = ("over", "against_motion", "unit_over", "x", "unit", "y")
-
-
-def _curve(curve: Curve, table: object, where: str) -> dict[str, float]:
-    """Return an effect's parameters of the table of a curve, its numbers in the units that it states, or SI."""
-    if not isinstance(table, Mapping) or "over" not in table:
-        names = ", ".join(a.name for a in curve.over)
-        raise CraneError(f"{where} need a table with over (one of {names}), x = [...] and y = [...].")
-    refuse_unknown(where, table, _CURVE)
-    over, against = curve.argument(table["over"], where), table.get("against_motion")
-    if not (against is None or isinstance(against, bool)):
-        raise CraneError(f"{where}: against_motion = {against!r} should be true or false.")
-    x = _knots(table.get("x"), table.get("unit_over", over.unit), over.unit, f"{where}: x")
-    y = _knots(table.get("y"), table.get("unit", curve.unit), curve.unit, f"{where}: y")
-    if len(x) != len(y):
-        raise CraneError(f"{where}: found {len(x)} x and {len(y)} y. Give one y for each x.")
-    return curve.values(over.name, x, y, against)
-
-
-def _knots(numbers: object, unit: object, si_unit: str, where: str) -> list[float]:
-    """Return numbers (or texts with a unit of their own) that have a unit, in SI."""
-    if not isinstance(numbers, list) or not 2 <= len(numbers) <= KNOTS:
-        raise CraneError(f"{where} = {str(numbers)[:60]} should be a list of 2 to {KNOTS} numbers.")
-    try:
-        factor = factor_to_si(str(unit), si_unit)
-    except CraneError as problem:
-        raise CraneError(f"{where}: {problem}.") from None
-    each = enumerate(numbers, 1)
-    return [to_si(v, si_unit, f"{where}, entry {k}") * (1.0 if isinstance(v, str) else factor) for k, v in each]
 
 
 def as_written(acting: Acting) -> Mapping[str, Any]:

@@ -123,12 +123,15 @@ class Description:
         return iter(self.machine.names)
 
 
-def complete(effect: type[registry.Effect], values: Mapping[str, float]) -> dict[str, float]:
-    """Return all parameters of an effect: those given, and the neutral (or shaping) value of the others.
+def complete(effect: type[registry.Effect], values: Mapping[str, Any]) -> dict[str, float]:
+    """Return all parameters of an effect: those given, and the neutral (or shaping) value of the others. Of a curve the
+    table may be given as it stands in a crane file.
 
     Raises:
         CraneError: a value that is no number.
     """
+    if effect.curve is not None and isinstance(values.get("over"), str):
+        values = effect.curve.read(values, f"effect {effect.name!r}")
     units = {p.name: p.unit for p in effect.parameters}
     given = {n: number(v, f"effect {effect.name!r}: {n}", units.get(n, "")) for n, v in values.items()}
     return {p.name: given.get(p.name, float(p.neutral)) for p in effect.parameters} | given

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, CraneError
-from crane_exudyn.effects import checks, registry
+from crane_exudyn.effects import checks, curve, registry
 from crane_exudyn.effects.base import HOOKS
 
 
@@ -212,10 +212,32 @@ def test_a_law_that_does_not_return_is_refused_in_time(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name", ["internal_leakage", "external_leakage", "entrained_air", "spool_creep", "pressure_compensation"]
+    "name",
+    [
+        *("internal_leakage", "external_leakage", "entrained_air", "spool_creep", "pressure_compensation"),
+        *("learned_opening", "learned_torque", "learned_leakage"),
+    ],
 )
 def test_effects_of_the_package_pass_the_checks_of_a_users_own(name):
     checks.checked(registry.find(name), name)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        ("return pa - pb, pb - pa", "expected 0, 0: at the neutral values"),
+        ("return 0.0 if E[at] == 0.0 else value(E, at, abs(pa - pb))", "Expected leakage\\(E, at, pa, pb\\) -> qa, qb"),
+    ],
+)
+def test_a_curve_of_ones_own_is_tried_as_it_will_be_called(law, words):
+    class Mine(registry.find("learned_leakage")):
+        name = "mine"
+
+    scope = {"value": curve.value}
+    exec(f"def leakage(E, at, pa, pb):\n    {law}", scope)
+    Mine.leakage = staticmethod(scope["leakage"])
+    with pytest.raises(CraneError, match=words):
+        checks.checked(Mine, "mine.py")
 
 
 def test_without_a_cache_folder_effects_still_act_and_leave_nothing_for_later_runs(tmp_path):

@@ -72,6 +72,14 @@ def test_a_curve_is_read_back_from_its_crane_file(tmp_path, key, over, x, y, aga
     assert Crane.load(tmp_path / "d.toml").effects == crane.effects
 
 
+def test_a_table_can_be_given_in_python_as_it_stands_in_a_file():
+    key, over, x, y, _ = CURVES[3]
+    given = CRANE.with_effect(key, {"over": over, "x": np.array(x), "y": (0, "5 kN", 0.0)})
+    assert given == _with(key, over, x, y)
+    with pytest.raises(CraneError, match=r"effect 'learned_force': over = 'strok' is not known\. Did you mean"):
+        CRANE.with_effect(key, {"over": "strok", "x": x, "y": y})
+
+
 TABLE = """
 [[effect]] # from the workshop
 name = "learned_force"

@@ -16,6 +16,8 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from ..errors import CraneError, nearest
 from ..layout import MOST
 from ..units import factor_to_si
@@ -29,6 +31,7 @@ from .base import (
     Hook,
     Parameter,
 )
+from .curve import with_compiled_value
 
 _PRESSURES = (0.0, 1e5, 60e5, 200e5)
 #: what the hooks are tried with: values that a crane may give them, by the name of the argument
@@ -39,6 +42,7 @@ _TRIED: Mapping[str, tuple[float, ...]] = {
     "pp": (1e5, 100e5), "pt": (1e5, 20e5), "q": (-1e-3, 0.0, 1e-3),
     "v": (-0.5, -1e-3, 0.0, 1e-3, 0.5), "la": (0.01, 0.3, 1.0), "lb": (0.01, 0.3, 1.0),
     "omega": (-1.0, -1e-3, 0.0, 1e-3, 1.0),
+    "drop": (0.0, 1e5, 100e5), "angle": (-1.0, 0.0, 1.0),
     "t": (0.0, 7.0, 600.0), "m": (0.0, 100.0), "gx": (-1.0, 0.0), "gy": (-9.81,), "y": (-1.0, 0.0, 0.5, 60e5),
 }  # fmt: skip
 #: s that all trials of a hook may take together; they take some ms
@@ -140,15 +144,17 @@ def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, functio
     if effect.places not in (*kinds, EVERYWHERE):
         known = " or ".join(kind or "the whole machine" for kind in kinds)
         raise CraneError(f"{where}: hook {name} cannot act at {effect.places}. Its places: {known}.")
-    expected = f"{name}({', '.join([*(p.name for p in effect.parameters), *hook.arguments])}) -> {hook.returns}"
-    _check_signature(function, where, name, expected, len(effect.parameters) + len(hook.arguments))
-    neutral = [p.typical if p.shape else p.neutral for p in effect.parameters]
+    own = [p.name for p in effect.parameters] if effect.curve is None else ["E", "at"]
+    told = [*hook.arguments, *filter(None, [hook.more if effect.curve else ""])]
+    expected = f"{name}({', '.join([*own, *told])}) -> {hook.returns}"
+    _check_signature(function, where, name, expected, len(own) + len(told))
+    neutral = _given(effect, [p.typical if p.shape else p.neutral for p in effect.parameters])
     tried = [
         (values, given)
-        for values in _values(effect, neutral)
-        for given in itertools.product(*(_TRIED[a] for a in hook.arguments))
+        for values in (neutral, *(_given(effect, v) for v in _values(effect)))
+        for given in itertools.product(*(_TRIED[a] for a in told))
     ]
-    results = _results(function, where, name, expected, hook, [(*map(float, v), *g) for v, g in tried])
+    results = _results(function, where, name, expected, hook, [(*v, *g) for v, g in tried])
     for (values, given), result in zip(tried, results, strict=True):
         wanted = hook.off(given)
         if not all(map(math.isfinite, result)):
@@ -163,9 +169,10 @@ def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, functio
             )
 
 
-def _at(function: Callable[..., Any], values: tuple[float, ...]) -> str:
-    """Return "name = value, …" of what a hook was given."""
-    return ", ".join(f"{n} = {v:g}" for n, v in zip(inspect.signature(function).parameters, values, strict=True))
+def _at(function: Callable[..., Any], values: tuple[Any, ...]) -> str:
+    """Return "name = value, …" of what a hook was given, without the table of a curve."""
+    given = zip(inspect.signature(function).parameters, values, strict=True)
+    return ", ".join(f"{n} = {v:g}" for n, v in given if isinstance(v, float))
 
 
 def _check_signature(function: Callable[..., Any], where: str, name: str, expected: str, count: int) -> None:
@@ -183,7 +190,7 @@ def _results(
     name: str,
     expected: str,
     hook: Hook,
-    tried: list[tuple[float, ...]],
+    tried: list[tuple[Any, ...]],
 ) -> list[tuple[Any, ...]]:
     """Return what the compiled hook gives for each set of numbers that it is tried with, as many numbers as it must.
 
@@ -206,8 +213,9 @@ def _results(
             failed.append(problem)
 
     try:
-        compiled = numba.njit(function, error_model="numpy", nogil=True)
-        compiled.compile((numba.float64,) * len(tried[0]))
+        compile_ = numba.njit(error_model="numpy", nogil=True)
+        compiled = compile_(with_compiled_value(function, compile_))
+        compiled.compile(tuple(map(numba.typeof, tried[0])))
     except Exception as problem:  # whatever the compiler says, it is the law that must be mended
         raise CraneError(f"{where}: hook {name} cannot be compiled: {_reason(problem)}. Expected {expected}.") from None
     thread = threading.Thread(target=run, daemon=True)
@@ -229,9 +237,15 @@ def _results(
     return [_numbers(result) for result in found]
 
 
-def _values(effect: type[Effect], neutral: list[float]) -> Iterator[list[float]]:
-    """Yield the parameter values that a hook is tried with: neutral, typical, and those at which searches start."""
-    yield neutral
+def _given(effect: type[Effect], values: list[float]) -> tuple[Any, ...]:
+    """Return what a hook is given for values of the effect's parameters: these, or of a curve the table that they are
+    and where it begins.
+    """
+    return tuple(map(float, values)) if effect.curve is None else (np.array(values, dtype=float), 0)
+
+
+def _values(effect: type[Effect]) -> Iterator[list[float]]:
+    """Yield the parameter values that a hook is tried with: typical, and those at which searches start."""
     typical = {p.name: p.typical for p in effect.parameters}
     for probe in ({}, *effect.probes):
         yield list((typical | dict(probe)).values())

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import FunctionType
 from typing import Any
 
-from ..errors import CraneError, nearest
+import numpy as np
+
+from ..errors import CraneError, nearest, refuse_unknown
+from ..units import factor_to_si, to_si
 from .parameter import Parameter
 
 #: the most knots of a curve; in E stand their number, what the curve runs over, whether it acts against motion, all x,
 #: all y
 KNOTS = 20
 NUMBER, OVER, AGAINST, X, Y = 0, 1, 2, 3, 3 + KNOTS
+#: what the table of a curve holds
+_TABLE = ("over", "against_motion", "unit_over", "x", "unit", "y")
 
 
 @dataclass(frozen=True)
@@ -100,6 +106,23 @@ class Curve:
             **{f"x{k + 1}": float(v) for k, v in enumerate(x)}, **{f"y{k + 1}": float(v) for k, v in enumerate(y)},
         }  # fmt: skip
 
+    def read(self, table: object, where: str) -> dict[str, float]:
+        """Return the effect's parameters of the table that a curve is in a crane file, its numbers in the units that it
+        states, or SI. Raises CraneError, whose message begins with `where`, for one that is none.
+        """
+        if not isinstance(table, Mapping) or "over" not in table:
+            names = ", ".join(a.name for a in self.over)
+            raise CraneError(f"{where} need a table with over (one of {names}), x = [...] and y = [...].")
+        refuse_unknown(where, table, _TABLE)
+        over, against = self.argument(table["over"], where), table.get("against_motion")
+        if not (against is None or isinstance(against, bool)):
+            raise CraneError(f"{where}: against_motion = {against!r} should be true or false.")
+        x = _knots(table.get("x"), table.get("unit_over", over.unit), over.unit, f"{where}: x")
+        y = _knots(table.get("y"), table.get("unit", self.unit), self.unit, f"{where}: y")
+        if len(x) != len(y):
+            raise CraneError(f"{where}: found {len(x)} x and {len(y)} y. Give one y for each x.")
+        return self.values(over.name, x, y, against)
+
     def origin_of(self, parameters: Mapping[str, float], place: str) -> str:
         """Return the name of the crane's parameter at which the effect's x begins in E, or ""."""
         origin = self.over[round(parameters["over"])].origin
@@ -137,6 +160,28 @@ class Curve:
             raise CraneError(
                 f"{where}: a curve over {t.over.name} must have against_motion = {str(t.over.against[0]).lower()}."
             )
+
+
+def _knots(numbers: object, unit: object, si_unit: str, where: str) -> list[float]:
+    """Return numbers (or texts with a unit of their own) that have a unit, in SI."""
+    numbers = numbers.tolist() if isinstance(numbers, np.ndarray) else numbers
+    if not isinstance(numbers, list | tuple) or not 2 <= len(numbers) <= KNOTS:
+        raise CraneError(f"{where} = {str(numbers)[:60]} should be a list of 2 to {KNOTS} numbers.")
+    try:
+        factor = factor_to_si(str(unit), si_unit)
+    except CraneError as problem:
+        raise CraneError(f"{where}: {problem}.") from None
+    each = enumerate(numbers, 1)
+    return [to_si(v, si_unit, f"{where}, entry {k}") * (1.0 if isinstance(v, str) else factor) for k, v in each]
+
+
+def with_compiled_value(law: Any, compiled: Callable[[Any], Any]) -> Any:
+    """Return an effect's hook as compiled code must have it: where it asks for the value of a curve, for one that is
+    `compiled`.
+    """
+    if law.__globals__.get("value") is not value:
+        return law
+    return FunctionType(law.__code__, law.__globals__ | {"value": compiled(value)}, law.__name__)
 
 
 def value(E: Any, at: int, x: float) -> float:

@@ -10,12 +10,11 @@ from __future__ import annotations
 import functools
 import linecache
 from collections.abc import Callable
-from types import FunctionType
 from typing import Any
 
 from ..compiled import njit
-from . import curve
 from .base import CHAMBERS, HOOKS, SENSORS, Effect
+from .curve import with_compiled_value
 from .registry import known, starts
 
 # hook: (arguments after E, what it starts from, how a term `call` enters, what is returned)
@@ -53,7 +52,9 @@ _FORM = {
 }
 
 
-_value = njit(curve.value, cache=False)
+@functools.cache
+def _compiled_value(value: Any) -> Any:
+    return njit(value, cache=False)
 
 
 def _call(effect: type[Effect], place: str, hook: str, arguments: str) -> str:
@@ -89,9 +90,7 @@ def source(hook: str) -> str:
 
 def _compiled(function: Any) -> Any:
     """Return a hook compiled; the value of a curve, where it asks for one, is compiled too."""
-    if function.__globals__.get("value") is curve.value:
-        function = FunctionType(function.__code__, function.__globals__ | {"value": _value}, function.__name__)
-    return njit(function, cache=False)
+    return njit(with_compiled_value(function, _compiled_value), cache=False)
 
 
 def _composed(hook: str, prepare: Callable[[Any], Any]) -> Any:

@@ -182,7 +182,7 @@ def spread_along(
 
 def possible_laws(fit: Fit) -> list[Law]:
     """Return every law that could act along a fitted run and that its crane does not have; those over a range that was
-    hardly visited are left out.
+    hardly visited are left out, and curves of one's own, of which nobody knows what they run over.
     """
     found, lay = [], fit.crane.layout
     visits = visited(fit)
@@ -191,7 +191,7 @@ def possible_laws(fit: Fit) -> list[Law]:
             if effect.curve is None or fit.crane.effect(key) is not None:
                 continue
             for over in effect.curve.over:
-                x, often = visits[effect.name, place, over.name]
+                x, often = visits.get((effect.name, place, over.name), (np.zeros(0), (0.0, 0.0)))
                 if often[1] - often[0] > _LEAST_RANGE * (over.high - over.low):
                     found += [Law(key, over, against, knots(x, over), x, often) for against in over.against]
     return found
