@@ -107,7 +107,8 @@ class Announcement(event.Listener):
         if not self._told and self._spent + now - self._since > self._after:
             self._told = True
             logging.getLogger(_FOUNDATION).warning(
-                "Compiling the equations, once after an installation or a change: one to two minutes in all."
+                "Compiling the equations, once after an installation or a change: one to two minutes in all, some more "
+                "on a busy machine."
             )
 
     def on_end(self, event: Any) -> None:

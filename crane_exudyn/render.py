@@ -40,7 +40,7 @@ View = Literal["side", "oblique"]
 #: what a crane of each kind looks like beside others; light, middle and dark, so that they differ without colour
 GHOSTS = {"measured": (0.90, 0.90, 0.88), "simulated": (0.95, 0.55, 0.20), "estimated": (0.05, 0.38, 0.68)}
 _PLAIN_GHOST = (0.80, 0.82, 0.85)  # beside a crane whose colours mean something
-_OTHER_GHOSTS = ((0.0, 0.50, 0.36), (0.55, 0.35, 0.65))
+_OTHER_GHOSTS = ((0.0, 0.50, 0.36), (0.55, 0.35, 0.65), (0.80, 0.68, 0.20), (0.30, 0.25, 0.22))
 #: m by which each ghost stands behind the one before; from the side that is not seen, but what is nearer is never
 #: hidden
 _BEHIND = {"side": 2.5, "oblique": 0.02}
@@ -611,6 +611,13 @@ def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajector
                 f"{', '.join(crane.layout.coordinates)}: expected ({len(trajectory.time)}, {wanted}). Give one column "
                 "for each."
             )
+    labels = [t.label for t in trajectories]
+    twice = next((name for name in labels if labels.count(name) > 1), None)
+    if twice is not None:
+        raise CraneError(
+            f"Two runs are called {twice!r}, and nobody could tell them apart. Give one another name, in the command "
+            "--label NAME or --ghost NAME=FILE."
+        )
     if colour == "residual" and len(trajectories) < 2:
         raise CraneError(
             "Colours by residual show the difference of two runs, and only one was given. Give a second trajectory, in "

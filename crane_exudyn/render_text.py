@@ -109,7 +109,10 @@ def _font(size: int, bold: bool = False) -> Any:
 def _heading(draw: Any, texts: Texts, unit: float) -> list[Box]:
     """Write title, time and coordinates; return where they stand."""
     places = (28 * unit, 20 * unit), (28 * unit, 54 * unit)
-    title, small = _font(round(24 * unit), True), _font(round(17 * unit))
+    small, room = _font(round(17 * unit)), draw.im.size[0] - 2 * places[0][0]
+    sizes = range(round(24 * unit), round(12 * unit), -1)  # a long title is written smaller
+    title = next((f for f in (_font(size, True) for size in sizes) if f.getlength(texts.title) < room), None)
+    title = title or _font(sizes[-1], True)
     draw.text(places[0], texts.title, font=title, fill=_INK)
     words = ["at its start" if texts.time is None else f"t = {texts.time:6.2f} s"]
     for name, (value, si_unit) in texts.pose.items():

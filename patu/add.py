@@ -90,11 +90,11 @@ def remove(
     """Take an effect out of a crane file; what moved when it was added goes back to where it was, unless another effect
     that came with it stays.
     """
-    from validation.history import removed
+    from validation.history import moved_in_words, removed
 
     before = load_crane(crane, effects)
     after = removed(before, effect)
-    moved = _moved(before, after)
+    moved = moved_in_words(before, after)
     with_it = [e.key for e in after.effects if after.history and e.key in after.history[-1]["added"]]
     if moved:
         Printer(json).line(f"Back to where they were: {moved}.")
@@ -111,6 +111,7 @@ def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]
     from crane_exudyn.crane_toml import unit_at
     from crane_exudyn.display import engineering, rounded
     from crane_exudyn.effects import registry
+    from validation.history import moved_in_words
 
     (effect, place), found = registry.split_key(key, before.layout), []
     for p in effect.parameters:
@@ -119,27 +120,11 @@ def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]
             fitted = document["parameters"][p.name]
             spread = math.nan if fitted["std"] is None else fitted["std"] / one
             found.append(f"{p.name} = {rounded(fitted['value'] / one, spread)}" + (f" {unit}" if unit else ""))
-    moved = _moved(before, after)
+    moved = moved_in_words(before, after)
     return (
         f"{key}: {', '.join(found)}; open-loop error {document['error_before']:.3g} -> {document['error_after']:.3g} "
         "noise units." + (f" With it moved {moved}." if moved else "")
     )
-
-
-def _moved(before: Crane, after: Crane) -> str:
-    """Return in words which parameters differ between two cranes, by more than a little of their uncertainty."""
-    from crane_exudyn.display import engineering
-    from crane_exudyn.parameters import unit_of
-    from validation.selection.criteria import CRITERIA
-
-    told = []
-    for name, value in after.values.items():
-        known = before.uncertainty.get(name)
-        little = CRITERIA.moved * known.std if known and math.isfinite(known.std) else 0.0
-        if abs(value - before.values[name]) > little:
-            unit, one = engineering(unit_of(name))
-            told.append(f"{name} {before.values[name] / one:.4g} -> {value / one:.4g} {unit}")
-    return ", ".join(told)
 
 
 def _parse(crane: Crane, key: str, entries: list[str]) -> dict[str, float]:
@@ -147,8 +132,11 @@ def _parse(crane: Crane, key: str, entries: list[str]) -> dict[str, float]:
     from crane_exudyn.effects import registry
     from crane_exudyn.errors import nearest
     from crane_exudyn.units import to_si
+    from validation.history import refuse_curve
 
     effect, place = registry.split_key(key, crane.layout)
+    if effect.curve is not None:
+        refuse_curve(key)
     units = {p.name: unit_at(p.unit, place, crane.layout) for p in effect.parameters}
     found = {}
     for entry in entries:

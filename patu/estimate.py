@@ -161,7 +161,15 @@ def model_cranes(models: list[str] | None, crane: str, effects: list[Path] | Non
     names = short if len(set(short)) == len(models) else models
     if len(set(names)) < len(models):
         raise CraneError(f"--models names {next(m for m in models if models.count(m) > 1)} twice. Give it once.")
-    return {name: load_crane(m, effects) for name, m in zip(names, models, strict=True)}
+    cranes = {name: load_crane(m, effects) for name, m in zip(names, models, strict=True)}
+    first = cranes[names[0]].layout
+    for name, model in cranes.items():
+        if model.layout.states != first.states:
+            raise CraneError(
+                f"--models: {name} is not a model of the same machine as {names[0]}: its states are "
+                f"{' '.join(model.layout.states)} instead of {' '.join(first.states)}. Give crane files of one machine."
+            )
+    return cranes
 
 
 def _filters(

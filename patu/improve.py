@@ -81,7 +81,7 @@ def command(
 
     tell_own(printer, own)
     for note in result.notes:
-        printer.line(f"{note}.")
+        printer.line(f"note: {note}." if note in result.about else f"{note}.")
     printer.line(f"Left: {result.verdict}.")
     given = {"check": other.name if other else None, "most effects": most, "crane file written": str(output)}
     options = looked_at(crane, effects, mapping, map_file, check=check, per_recording=per_recording, anyway=anyway)

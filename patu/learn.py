@@ -135,8 +135,9 @@ def _tell_law(printer: Printer, law: LearnedLaw) -> None:
     (x_unit, fx), (y_unit, fy) = read_in(law.unit_over), read_in(law.unit)
     acts = "against motion, " if law.against_motion else ""
     rows = [(float(x / fx), float(y / fy), float(1.96 * s / fy)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
+    printer.line(f"{law.effect}: {acts}known from {law.x[0] / fx:.3g} to {law.x[-1] / fx:.3g} {x_unit} only")
     printer.table(
-        f"{law.effect}: {acts}known from {law.x[0] / fx:.3g} to {law.x[-1] / fx:.3g} {x_unit} only",
+        "",
         (f"{law.over} [{x_unit or '-'}]", f"value [{y_unit or '-'}]", "± (95 %)"),
         rows,
     )

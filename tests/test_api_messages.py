@@ -414,6 +414,8 @@ def test_scenes_tell_their_colours_in_pythons_terms_too(run):
         Scene(CRANE, [trajectory], colour="presure")
     with pytest.raises(CraneError, match=r"Give a second trajectory, in the command --ghost FILE"):
         Scene(CRANE, [trajectory], colour="residual")
+    with pytest.raises(CraneError, match=r"Two runs are called 'simulated'.*--ghost NAME=FILE"):
+        Scene(CRANE, [trajectory, trajectory])
     with pytest.raises(CraneError, match=r"Leave colour \(--colour\) out"):
         Scene(CRANE, [replace(trajectory, pressures={})], colour="pressure")
 

@@ -339,8 +339,8 @@ class Estimate:
         """Return how probable one of several models was: at the end, on the average; and from when to when it was the
         likeliest, s.
         """
-        probability = self.models[model]
-        leads = probability >= np.max(list(self.models.values()), axis=0)
+        probability, others = self.models[model], [p for name, p in self.models.items() if name != model]
+        leads = probability > np.max(others, axis=0)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], leads, [False]])))
         spans = [[float(self.time[a]), float(self.time[b - 1])] for a, b in zip(edges[::2], edges[1::2], strict=True)]
         return {"final": float(probability[-1]), "mean": float(probability.mean()), "leads": spans}

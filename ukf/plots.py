@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _BLUE, _BLACK, _RED, _GREY = "#0072B2", "#111111", "#D55E00", "#999999"
-_MODELS = (_BLUE, _RED, "#009E73", "#CC79A7", _BLACK)
+_MODELS = ("#E69F00", "#009E73", "#CC79A7", "#56B4E9", _BLACK)  # none of them stands for anything beside it
 _MOST = 4000
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from crane_exudyn.channels import Channel
 from crane_exudyn.crane import Crane
+from crane_exudyn.display import engineering
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
@@ -279,8 +280,9 @@ def _wavering(
     for name in (n for n in recording.sensors if n not in known):
         slow = noise_at_rest(recording[name], time, commands)
         factors.append((slow / max(noise_std(recording[name].values), 1e-300), name, slow))
+    units = {name: engineering(crane.layout.sensors[name].unit) for _, name, _ in factors}
     found = [
-        f"{name} by {slow:.2g} {crane.layout.sensors[name].unit} ({f:.1f} times)"
+        f"{name} by {slow / units[name][1]:.2g} {units[name][0]} ({f:.1f} times)"
         for f, name, slow in factors
         if f > _WAVERS
     ]

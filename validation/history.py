@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NoReturn
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.crane_toml import as_given
@@ -12,6 +13,10 @@ from crane_exudyn.description import GaussMarkov
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.frozen import frozen
+from crane_exudyn.parameters import unit_of
+
+from .report import amount
+from .selection.criteria import CRITERIA
 
 
 def added(before: Crane, after: Crane, **evidence: Any) -> Crane:
@@ -78,6 +83,26 @@ def without_learned(crane: Crane) -> Crane:
     return crane
 
 
+def moved_in_words(before: Crane, after: Crane) -> str:
+    """Return in words which nominal parameters differ between two cranes, by more than a little of their uncertainty;
+    "" where none does.
+    """
+    told = []
+    for name, value in after.values.items():
+        known, was = before.uncertainty.get(name), before.values[name]
+        little = CRITERIA.moved * known.std if known and math.isfinite(known.std) else 0.0
+        if abs(value - was) > little:
+            told.append(f"{name} {amount(was, unit_of(name))} -> {amount(value, unit_of(name))}")
+    return ", ".join(told)
+
+
+def refuse_curve(key: str) -> NoReturn:
+    """Raise CraneError for an effect that is no set of numbers that could be given or fitted."""
+    raise CraneError(
+        f"{key!r} is a curve: `patu learn` finds it. To give one, write its table (over, x, y) into the crane file."
+    )
+
+
 def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
     """Return the crane with an effect at the given values, or where none are given at values that are met in
     practice.
@@ -86,8 +111,6 @@ def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
     if crane.effect(key) is not None:
         raise CraneError(f"{crane.name} has {key!r} already. Remove it first, or fit it anew with `patu improve`.")
     if effect.curve is not None:
-        raise CraneError(
-            f"{key!r} is a curve: `patu learn` finds it. To give one, write its table (over, x, y) into the crane file."
-        )
+        refuse_curve(key)
     typical = dict(effect.probes[0]) if effect.probes else {effect.parameters[0].name: effect.parameters[0].typical}
     return crane.with_effect(key, dict(values) or typical)

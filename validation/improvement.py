@@ -77,11 +77,16 @@ class Improvement:
     learned: Learned | None = None
 
     @property
+    def about(self) -> Sequence[str]:
+        """What was noticed about the recordings."""
+        return self.diagnoses[0].notes if self.diagnoses else ()
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What to know about the recordings; where several effects were taken in, what the data demand, cannot separate
         and leave; what was said of learning; and what the model still errs by.
         """
-        about = self.diagnoses[0].notes if self.diagnoses else ()
+        about = self.about
         several = () if self.proven is None else explained(self.proven)
         laws = () if self.learned is None else (n for n in self.learned.notes if n not in about)
         return (*about, *several, *laws, *_told_error(self.crane))

@@ -17,7 +17,7 @@ from crane_exudyn.recording import Recording
 
 from .diagnosis import OneRecording, loaded, looked_at
 from .fit.staged import STIFF, TIGHT
-from .history import added
+from .history import added, moved_in_words
 from .learned.fits import laws_of, refined, spread, told, with_curves
 from .learned.laws import unit_over
 from .learned.learned_law import LearnedLaw
@@ -82,7 +82,7 @@ def sentence(found: Learned) -> str:
         f"{law.effect} over {law.over.replace('_', ' ')}" + (f" ({law.resembles})" if law.resembles else "")
         for law in found.laws
     )
-    return f"{' and '.join(told)}: error {found.error_before:.3g} -> {found.error_after:.3g} noise units"
+    return f"found {' and '.join(told)}: error {found.error_before:.3g} -> {found.error_after:.3g} noise units"
 
 
 def learn(
@@ -184,6 +184,9 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
             f"{named(best)} explains the recording, but not the check recording (error {before:.3g} -> {after:.3g})"
         )
         return replace(unchanged, notes=tuple(notes))
+    moved = moved_in_words(problem.crane, found)
+    if moved:
+        notes.append(f"with it moved {moved}, which a file of --write does not hold")
     ties = [w for w in path.rivals if w.evidence > best.evidence - CRITERIA.tie and sound(w)]
     telling = problem.telling(best.fit.crane, ties[0].fit.crane) if ties else ""
     return replace(

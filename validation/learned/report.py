@@ -8,6 +8,7 @@ from pathlib import Path
 from ..learning import Learned, sentence
 from ..report import Mood, Part, Picture, Section, Table, three_digits, write_report
 from .learned_law import LearnedLaw
+from .resembles import read_in
 
 _CAPTION = (
     "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the "
@@ -57,6 +58,7 @@ def curve_parts(found: Learned) -> list[Part]:
 
 
 def _knots(law: LearnedLaw) -> Table:
-    rows = [(float(x), float(y), float(1.96 * s)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
+    (x_unit, fx), (y_unit, fy) = read_in(law.unit_over), read_in(law.unit)
+    rows = [(float(x / fx), float(y / fy), float(1.96 * s / fy)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
     note = f"{law.effect} over {law.over.replace('_', ' ')}" + (f": {law.resembles}" if law.resembles else "")
-    return Table((f"{law.over} [{law.unit_over or '-'}]", f"value [{law.unit or '-'}]", "± (95 %)"), rows, note=note)
+    return Table((f"{law.over} [{x_unit or '-'}]", f"value [{y_unit or '-'}]", "± (95 %)"), rows, note=note)
