@@ -301,8 +301,8 @@ def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
     assert json.loads(Path("new.json").read_text())["helped"] is helped
     if helped:
         assert "dead_band@tilt: lower = 0.100 ± 0.020; open-loop error 2 -> " in done.out
-        assert "With it moved payload.mass 25 -> 61 kg" in done.out
-        assert "Back to where they were: payload.mass 61 -> 25 kg" in patu(
+        assert "With it moved payload.mass 25 kg -> 61 kg" in done.out
+        assert "Back to where they were: payload.mass 61 kg -> 25 kg" in patu(
             "remove", "dead_band@tilt", "--crane", "new.toml", "-o", "old.toml"
         ).out  # fmt: skip
     else:

@@ -32,7 +32,7 @@ def test_the_readme_example_runs_and_is_short(tmp_path: Path, monkeypatch: pytes
     assert len([line for line in code[0].splitlines() if line.strip()]) == 6
     monkeypatch.chdir(tmp_path)
     exec(compile(code[0], "README.md", "exec"), {})
-    assert crane_exudyn.Recording.load(tmp_path / "run.csv").duration == pytest.approx(25.0)
+    assert crane_exudyn.Recording.load(tmp_path / "heavier.csv").duration == pytest.approx(25.0)
 
 
 def test_the_recording_in_the_readme_is_one(tmp_path: Path) -> None:
