@@ -466,11 +466,12 @@ def _mistaken(recording: Recording, name: str, value: float, low: float, high: f
     leave it out.
     """
     unit = units_of(recording.layout)[name]
-    given = (recording.columns[name].unit if name in recording.columns else None) or unit
-    one = factor_to_si(given, unit)
-    for was in _WRITTEN[unit]:
-        if was != given and low < factor_to_si(was, unit) / one * value < high:
-            return f"The values look like {was} given as {given}: write the unit as {name}[{was}]."
+    stated = (recording.columns[name].unit if name in recording.columns else None) or unit
+    # numbers in SI may have been converted before they came here, from any unit
+    for given in [stated] if stated != unit else dict.fromkeys([unit, *_WRITTEN[unit]]):
+        for was in _WRITTEN[unit]:
+            if was != given and low < factor_to_si(was, unit) / factor_to_si(given, unit) * value < high:
+                return f"The values look like {was} given as {given}: write the unit as {name}[{was}]."
     return "Mend its unit, or leave the channel out."
 
 
