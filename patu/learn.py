@@ -132,14 +132,9 @@ def tell(printer: Printer, found: Learned) -> None:
 def _tell_law(printer: Printer, law: LearnedLaw) -> None:
     from validation.learned.resembles import read_in
 
-    (x_unit, fx), (y_unit, fy) = read_in(law.unit_over), read_in(law.unit)
+    unit, one = read_in(law.unit_over)
     acts = "against motion, " if law.against_motion else ""
-    rows = [(float(x / fx), float(y / fy), float(1.96 * s / fy)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
-    printer.line(f"{law.effect}: {acts}known from {law.x[0] / fx:.3g} to {law.x[-1] / fx:.3g} {x_unit} only")
-    printer.table(
-        "",
-        (f"{law.over} [{x_unit or '-'}]", f"value [{y_unit or '-'}]", "± (95 %)"),
-        rows,
-    )
+    printer.line(f"{law.effect}: {acts}known from {law.x[0] / one:.3g} to {law.x[-1] / one:.3g} {unit} only")
+    printer.table("", *law.table())
     if law.tied_with:
         printer.line(f"  this recording cannot tell it from {', or '.join(law.tied_with)}")

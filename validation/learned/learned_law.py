@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .laws import Law
-from .resembles import Resemblance
+from .resembles import Resemblance, read_in
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,13 @@ class LearnedLaw:
     knots: tuple[np.ndarray, np.ndarray] = field(repr=False)
     law: Law = field(repr=False)
     form: Resemblance = field(repr=False)
+
+    def table(self) -> tuple[tuple[str, str, str], list[tuple[float, float, float]]]:
+        """Return columns and rows of the knots and their 95 % intervals, in the units in which people read them."""
+        (x_unit, fx), (y_unit, fy) = read_in(self.unit_over), read_in(self.unit)
+        knots = zip(self.x / fx, self.y / fy, 1.96 * self.std / fy, strict=True)
+        columns = (f"{self.over} [{x_unit or '-'}]", f"value [{y_unit or '-'}]", "± (95 %)")
+        return columns, [(float(x), float(y), float(half)) for x, y, half in knots]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON of learn."""

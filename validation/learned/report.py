@@ -8,7 +8,6 @@ from pathlib import Path
 from ..learning import Learned, sentence
 from ..report import Mood, Part, Picture, Section, Table, three_digits, write_report
 from .learned_law import LearnedLaw
-from .resembles import read_in
 
 _CAPTION = (
     "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the "
@@ -58,7 +57,5 @@ def curve_parts(found: Learned) -> list[Part]:
 
 
 def _knots(law: LearnedLaw) -> Table:
-    (x_unit, fx), (y_unit, fy) = read_in(law.unit_over), read_in(law.unit)
-    rows = [(float(x / fx), float(y / fy), float(1.96 * s / fy)) for x, y, s in zip(law.x, law.y, law.std, strict=True)]
     note = f"{law.effect} over {law.over.replace('_', ' ')}" + (f": {law.resembles}" if law.resembles else "")
-    return Table((f"{law.over} [{x_unit or '-'}]", f"value [{y_unit or '-'}]", "± (95 %)"), rows, note=note)
+    return Table(*law.table(), note=note)
