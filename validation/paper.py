@@ -462,8 +462,12 @@ def run_case(
         duration: length of the run, s.
         experiment, open_loop: what an earlier case has computed already for the same engine, inputs, seed and error.
         progress: called with the fraction of the filter's run that is done.
+
+    Raises:
+        CraneError: another machine than the paper's, an unknown sensor, input set, tuning or filter.
     """
     crane = crane if crane is not None else Crane.load("patu655")
+    check_machine(crane)
     gauges = tuning_of(tuning).gauges
     own = {n: gauges for n in sensors if gauges is not None and crane.layout.sensors[n].unit == "Pa"} | dict(
         noise or {}
