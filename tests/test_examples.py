@@ -48,7 +48,7 @@ def test_an_example_is_short(path):
 
 def test_samples_come_from_a_socket_and_odd_ones_are_left_out():
     said = example("from_a_socket.py")
-    assert "636 samples, 48 left out; latency" in said and "p2 2.5" in said.splitlines()[-2]
+    assert "648 lines, 12 no sample, 48 samples left out; latency" in said and "p2 2.5" in said.splitlines()[-2]
 
 
 def test_a_leak_that_opens_is_found():
