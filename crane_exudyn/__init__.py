@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .effects.registry import load_effects as load_effects
     from .engine import ExudynEngine as ExudynEngine
     from .errors import CraneError as CraneError
+    from .linearised import linearise as linearise
     from .recording import Recording as Recording
     from .simulation import simulate as simulate
 
@@ -25,9 +26,10 @@ _WHERE = {
     "Crane": ".crane",
     "CraneError": ".errors",
     "ExudynEngine": ".engine",
+    "linearise": ".linearised",
     "load_effects": ".effects.registry",
     "Recording": ".recording",
     "simulate": ".simulation",
 }
-__all__ = ["Crane", "CraneError", "ExudynEngine", "Recording", "load_effects", "simulate"]
+__all__ = ["Crane", "CraneError", "ExudynEngine", "Recording", "linearise", "load_effects", "simulate"]
 __getattr__ = lazily(__name__, _WHERE)

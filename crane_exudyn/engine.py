@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -123,12 +124,8 @@ class ExudynEngine:
         _check_grid(self.crane.layout.inputs, t, w, step)
         statics.check_spools(self.crane.layout.voltages, w, step=False)
         driving = self.crane.layout.driving
-        x, rows = (
-            np.ascontiguousarray(x0, dtype=float)[None].copy(),
-            np.zeros((2, 1, len(self.crane.layout.all_inputs))),
-        )
-        if x.shape[1] != len(self.state_names):
-            raise CraneError(f"simulate: x0 has {x.shape[1]} numbers, expected {len(self.state_names)}.")
+        x = statics.checked_state(self.crane, x0)[None].copy()
+        rows = np.zeros((2, 1, len(self.crane.layout.all_inputs)))
         out = np.empty((t.size, x.shape[1]))
         out[0], level = x[0], 0
         for k in range(t.size - 1):
@@ -259,6 +256,11 @@ class ExudynEngine:
         )
 
     def _failure(self, status: int, state: np.ndarray, w: np.ndarray, time: float, h: float, halved: int) -> CraneError:
+        if not np.isfinite(state).all() or np.isinf(w).any():
+            return CraneError(
+                f"{self.crane.name}: the state or an input is not finite at t = {time:.6g} s: {self._told(state)}, "
+                f"inputs {' '.join(f'{u:g}' for u in w[: len(self.crane.layout.inputs)])}. Only pp and pt may be NaN."
+            )
         law = faulty_laws.where_run_failed(self.crane, state, w, time, h)
         if law is not None:
             return law
@@ -304,6 +306,41 @@ def _check_grid(names: tuple[str, ...], t: np.ndarray, w: np.ndarray, step: floa
         raise CraneError(f"simulate: step = {step:g} s is not positive.")
 
 
+def _refuse_coordinates(mbs: Any, plant: mechanism.Plant) -> None:
+    """Raise CraneError where objects of one's own bring coordinates along: the engine assembles forces, and neither
+    moves what is not the machine's nor lets a contact decide between two steps.
+    """
+    data, n, machine = mbs.systemData, plant.size, plant.crane.layout
+    for what, found, own in (
+        ("coordinates of motion (a body or node of their own)", data.GetODE2Coordinates(), n * plant.coordinates),
+        ("coordinates of first order", data.GetODE1Coordinates(), n * len(machine.chambers)),
+        (
+            "algebraic coordinates (a joint, or a rope or rod that is rigid)",
+            data.GetAECoordinates(),
+            n * plant.joint_rows,
+        ),
+        ("data coordinates (a contact, a limit stop, or friction with a memory)", data.GetDataCoordinates(), 0),
+    ):
+        if len(found) != own:
+            raise CraneError(
+                f"{plant.crane.name}: objects of one's own add {len(found) - own} {what}. In the engine's systems they "
+                "may push and pull the machine by forces that follow from its state, such as a spring's, also by a "
+                "user function. Use `build` and Exudyn's own solver for such a model."
+            )
+
+
+@contextmanager
+def _objects_told(crane: Crane) -> Iterator[None]:
+    """Tell what Exudyn raises of a crane with objects of one's own as theirs."""
+    try:
+        yield
+    except Exception as problem:
+        if isinstance(problem, CraneError) or not crane.objects:
+            raise
+        said = " ".join(str(problem).split())
+        raise CraneError(f"{crane.name}: Exudyn refuses the objects of one's own: {said[:500]}") from problem
+
+
 class System:
     """A kept Exudyn system of n cranes and the solver that assembles its residuals."""
 
@@ -316,19 +353,17 @@ class System:
         self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)
         self.spoilt = False  # whether its items hold what nobody knows
         self.plant.guarded = False  # an iterate may be beyond a stroke where the step is not
-        self.mbs.Assemble()
+        with _objects_told(crane):
+            self.mbs.Assemble()
         self._items = ItemValues(self.mbs, self.plant)
         self._push, self._has_objects = np.zeros((size, self.plant.coordinates)), bool(crane.objects)
-        found, own = len(self.mbs.systemData.GetODE2Coordinates()), self._push.size
-        if found != own:
-            raise CraneError(
-                f"{crane.name}: objects of one's own add {found - own} coordinates to a machine's {own // size}. In "
-                "the engine's systems they may "
-                "push and pull bodies, but not move themselves. Use `build` and Exudyn's own solver for such a model."
-            )
+        if crane.objects:
+            _refuse_coordinates(self.mbs, self.plant)
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
         self.solver = mechanism.new_solver()
-        if not self.solver.InitializeSolver(self.mbs, self._settings):
+        with _objects_told(crane):
+            ready = self.solver.InitializeSolver(self.mbs, self._settings)
+        if not ready:
             raise CraneError(f"{crane.name}: Exudyn cannot initialise its solver: {self.solver.GetErrorString()}")
         self.solver.it.currentStepSize = 1.0  # Exudyn scales the rows of ODE2 by beta h^2; h is not used otherwise
         self._scale = 0.25
@@ -432,7 +467,8 @@ class System:
         data.SetODE2Coordinates_tt(self._a.ravel())
         data.SetODE1Coordinates(self._p.ravel())
         data.SetODE1Coordinates_t(self._dp.ravel())
-        self.solver.ComputeNewtonResidual(self.mbs, self._settings)
+        with _objects_told(self.plant.crane) if self._has_objects else nullcontext():
+            self.solver.ComputeNewtonResidual(self.mbs, self._settings)
         return self.solver.GetSystemResidual()
 
     def inspect(self, x: np.ndarray, w: np.ndarray, time: float) -> dict[str, np.ndarray]:

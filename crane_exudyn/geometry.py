@@ -445,9 +445,15 @@ def pose(crane: Crane, *z: np.ndarray | float) -> Pose:
         z: independent coordinates, rad or m, each a scalar or (m,).
 
     Raises:
-        CraneError: a loop cannot be closed at one of the states.
+        CraneError: not as many coordinates as the machine has, or a loop cannot be closed at one of the states.
     """
-    machine = crane.machine
+    machine, names = crane.machine, crane.layout.coordinates
+    if len(z) != len(names) or max(map(np.ndim, z)) > 1:
+        found = ", ".join(str(np.shape(a)) for a in z)
+        raise CraneError(
+            f"{crane.name}: a pose has {len(names)} coordinates ({', '.join(names)}), each a number or (m,); found "
+            f"{len(z)} of shape {found or 'none'}."
+        )
     Z = np.ascontiguousarray(np.column_stack(np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in z))))
     number = {name: i for i, name in enumerate(machine.bodies)}
     places = np.array([(number.get(body, -1), machine.index[f"{p}.x"]) for p, body in machine.points.items()])

@@ -30,6 +30,7 @@ from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
 from . import trapezoidal
+from .channels import FULLY_OPEN
 from .compiled import njit
 from .crane import Crane
 from .effects import hooks
@@ -134,7 +135,7 @@ class Plant:
     def inputs_at(self, time: float) -> np.ndarray:
         """Return the inputs (size, .) at a time in s."""
         if self.input_function is not None:
-            self.inputs[:, self.crane.layout.driving] = self.input_function(time)
+            self.inputs[:, self.crane.layout.driving] = driving(self.crane, self.input_function(time), time)
         return self.inputs
 
     def marker(self, point: str, number: int = 0) -> int:
@@ -202,7 +203,8 @@ def build(
         graphics: whether bodies, ground and cylinders get the machine's shapes, which Exudyn's viewer shows.
 
     Raises:
-        CraneError: states of another length, a pose that cannot be reached, or a payload on a pendulum without mass.
+        CraneError: states or inputs of another length, spools that are not in [-1, 1], a pose that cannot be reached,
+            or a payload on a pendulum without mass.
     """
     first = start_pose(crane)
     rows = np.atleast_2d(first if states is None else np.asarray(states, dtype=float))
@@ -253,11 +255,28 @@ def _plant(crane: Crane, size: int, inputs: Any, time: float) -> Plant:
     held = np.zeros((size, len(lay.all_inputs)))
     held[:, lay.supplies] = np.nan
     function = inputs if callable(inputs) else None
-    if function is not None:
-        held[:, lay.driving] = function(time)
-    elif inputs is not None:
-        held[:, lay.driving] = inputs
+    if inputs is not None:
+        held[:, lay.driving] = driving(crane, inputs if function is None else function(time), time)
     return Plant(crane, size, P, E, inertia, np.full(size, mass), held, input_function=function)
+
+
+def driving(crane: Crane, given: Any, time: float) -> np.ndarray:
+    """Return inputs w = `Layout.inputs` (m,) or (n, m) as they are given for a time in s.
+
+    Raises:
+        CraneError: not as many numbers, or spools that are not in [-1, 1].
+    """
+    names, n = crane.layout.inputs, len(crane.layout.commands)
+    try:
+        w = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        w = np.empty(0)
+    if w.shape[-1:] != (len(names),) or not (np.abs(w[..., :n]) <= FULLY_OPEN).all():
+        raise CraneError(
+            f"{crane.name}: inputs = {np.array2string(np.asarray(given), threshold=12)} at t = {time:g} s; expected "
+            f"[{' '.join(names)}], spools from -1 to 1, and supply pressures in Pa, NaN for the machine's own."
+        )
+    return w
 
 
 def _add_machine(mbs: Any, plant: Plant, k: int, state: np.ndarray) -> None:

@@ -8,6 +8,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine, System
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import pose
+from crane_exudyn.linearised import linearise
 from crane_exudyn.naive import SolveDynamicEngine
 from crane_exudyn.simulation import simulate
 from crane_exudyn.statics import visible
@@ -490,9 +491,93 @@ def test_objects_of_ones_own_are_part_of_every_step():
     assert coarse[-1] == pytest.approx(fine[-1], rel=1e-4, abs=1e-6)
 
 
-def test_objects_that_move_themselves_are_refused():
-    def loose(mbs, plant, number):
-        mbs.AddObject(mechanism.items.MassPoint2D(mass=1.0, nodeNumber=mbs.AddNode(mechanism.items.NodePoint2D())))
+def loose(mbs, plant, number):
+    mbs.AddObject(mechanism.items.MassPoint2D(mass=1.0, nodeNumber=mbs.AddNode(mechanism.items.NodePoint2D())))
 
-    with pytest.raises(CraneError, match="add 2 coordinates"):
-        ExudynEngine(CRANE.with_objects(loose))
+
+def rope(mbs, plant, number):
+    above = mbs.AddMarker(mechanism.items.MarkerBodyPosition(bodyNumber=plant.ground, localPosition=[4.5, 4.0, 0.0]))
+    mbs.AddObject(mechanism.items.DistanceConstraint(markerNumbers=[above, plant.marker("E", number)], distance=2.0))
+
+
+def stop(mbs, plant, number):
+    """A contact that keeps a body above the ground; simulated as if it were not there, without a word."""
+    node = mbs.AddNode(mechanism.items.NodeGenericData(initialCoordinates=[1.0], numberOfDataCoordinates=1))
+    ground = mbs.AddNode(mechanism.items.NodePointGround())
+    markers = [
+        mbs.AddMarker(mechanism.items.MarkerNodeCoordinate(nodeNumber=n, coordinate=c))
+        for n, c in ((ground, 0), (plant.nodes[number]["outer_boom"], 1))
+    ]
+    mbs.AddObject(mechanism.items.ObjectContactCoordinate(markerNumbers=markers, nodeNumber=node, offset=1.0))
+
+
+def wrong(mbs, plant, number):
+    mbs.AddObject(mechanism.items.SpringDamper(markerNumbers=[10_000, 0], stiffness=1.0))
+
+
+def failing(mbs, plant, number):
+    node = mbs.AddNode(mechanism.items.NodePointGround())
+    markers = [
+        mbs.AddMarker(mechanism.items.MarkerNodeCoordinate(nodeNumber=n, coordinate=c))
+        for n, c in ((node, 0), (plant.nodes[number]["outer_boom"], 1))
+    ]
+    spring = mechanism.items.CoordinateSpringDamper(markerNumbers=markers, springForceUserFunction=lambda *given: 1 / 0)
+    mbs.AddObject(spring)
+
+
+@pytest.mark.parametrize(
+    "objects, said",
+    [
+        (loose, "add 2 coordinates of motion"),
+        (rope, "add 1 algebraic coordinates"),
+        (stop, "add 1 data coordinates"),
+        (failing, "Exudyn refuses the objects of one's own: .*division by zero"),
+    ],
+)
+def test_objects_that_are_more_than_forces_are_refused(objects, said):
+    with pytest.raises(CraneError, match=said):
+        ExudynEngine(CRANE.with_objects(objects)).propagate(moving_states(1), INPUTS, 1e-3)
+
+
+@pytest.mark.parametrize("inputs", [0.3, [0.3, 0.0], [30.0, 0.0, np.nan, np.nan], [np.nan] * 4, lambda t: None])
+def test_inputs_of_an_own_exudyn_script_are_refused(inputs):
+    """They were spread over the supply as well, taken for closed valves, or for thirty times full opening."""
+    with pytest.raises(CraneError, match=r"inputs = .*; expected \[U1 U2 pp pt\]"):
+        mechanism.build(mechanism.main_system()[1], CRANE, inputs=inputs)
+
+
+def test_poses_and_states_that_cannot_be_are_told():
+    engine = ExudynEngine(CRANE)
+    with pytest.raises(CraneError, match="the lift cylinder would be .* m long"):
+        engine.static_start(np.radians(100.0), -0.7)
+    for z in ((0.1,), (0.1, -0.7, 0.0), (np.zeros((2, 2)), 0.1)):
+        with pytest.raises(CraneError, match=r"a pose has 2 coordinates \(z1, z4\)"):
+            pose(CRANE, *z)
+    state = engine.static_start(0.2, -0.7)
+    with pytest.raises(CraneError, match="a state has 8 numbers"):
+        engine.simulate(state[None], [0.0, 0.1], INPUTS[[0, 0]])
+    state[4] = np.nan
+    with pytest.raises(CraneError, match="is not finite"):
+        engine.simulate(state, [0.0, 0.1], INPUTS[[0, 0]])
+
+
+@pytest.mark.parametrize("crane", [CRANE, SWINGING, Crane.load("loader")], ids=["nominal", "swinging", "loader"])
+def test_linearised_as_the_engine_moves(crane):
+    """One trapezoidal step from a neighbouring state, and the frequency of a closed cylinder by hand."""
+    engine = ExudynEngine(crane)
+    x, h = engine.static_start(*crane.initial.pose), 2e-4
+    found, w = linearise(crane, x), np.array([crane.layout.closed] * 2)
+    assert np.abs(found.rate).max() < 1e-9 and found.B.shape == (x.size, w.shape[1])
+    step = np.linalg.solve(np.eye(x.size) - 0.5 * h * found.A, np.eye(x.size) + 0.5 * h * found.A)
+    sizes = np.array(
+        crane.layout.sized(engine.state_names, {"rad": 1e-5, "m": 1e-5, "rad/s": 1e-5, "m/s": 1e-5, "Pa": 1e4})
+    )
+    moved = engine.propagate(x + np.diag(sizes), w, h) - engine.propagate(x[None], w, h)
+    assert moved / sizes == pytest.approx((step @ np.diag(sizes)).T / sizes, abs=1e-4)
+    if crane.name == "loader":
+        t, (area_a, area_b) = engine.terms(x, w[0]), crane.areas("lift")
+        arm = pose(crane, *crane.initial.pose).length_rates[0, 0, 0]
+        stiffness = area_a**2 * t["Be1"] / t["V1"] + area_b**2 * t["Be2"] / t["V2"]
+        hertz = np.sqrt(stiffness * arm**2 / t["M_boom_boom"]) / (2.0 * np.pi)
+        assert [f for f, _ in found.modes] == pytest.approx([hertz], rel=0.02)
+        assert repr(found).startswith("<Linearised loader: rings with 17 Hz")
