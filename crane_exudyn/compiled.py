@@ -25,8 +25,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import event
+from llvmlite import ir
+from numba.core import event, types
 from numba.core.registry import CPUDispatcher
+from numba.np import arrayobj
 
 from .effects import registry
 
@@ -37,6 +39,8 @@ os.environ.setdefault("NUMBA_OPT", "1")
 
 _ROOT = Path(__file__).resolve().parent.parent
 _FOUNDATION = "crane_exudyn"
+#: how numba names functions of this project's packages
+_OWN = tuple(f"_ZN{len(name)}{name}" for name in (_FOUNDATION, "ukf", "validation"))
 #: s of compiling after which it is told
 _TOLD_AFTER = 3.0
 
@@ -119,6 +123,26 @@ class Announcement(event.Listener):
 ANNOUNCEMENT = Announcement()
 event.register("numba:compile", ANNOUNCEMENT)
 
+
+def _count_from_the_start() -> None:
+    """Have numba take an index that is computed as it is in this project's own compiled code, and only there.
+
+    In Python -1 is the last element, so numba looks at every index whether it is negative, which took a third of the
+    time of the equations of motion. None is here: a missing element's -1 is asked for before it is used. numba has no
+    option for this; where a release of it has another function, all is as before, and slower.
+    """
+    usual = getattr(arrayobj, "fix_integer_index", None)
+    if usual is None:
+        return
+
+    def index(context: Any, builder: Any, kind: Any, value: Any, size: Any) -> Any:
+        own = kind.signed and not isinstance(value, ir.Constant) and builder.function.name.startswith(_OWN)
+        return context.cast(builder, value, kind, types.intp) if own else usual(context, builder, kind, value, size)
+
+    arrayobj.fix_integer_index = index
+
+
+_count_from_the_start()
 
 #: how many functions of each name were made by another function
 _made: Counter[str] = Counter()

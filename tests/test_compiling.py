@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numba
+import numpy as np
 import pytest
 
 from crane_exudyn import compiled, vetting
@@ -162,3 +164,22 @@ def test_compiled_functions_have_names_of_their_own() -> None:
             if function is not None:
                 assert names.setdefault((function.__module__, function.__qualname__), function) is function
     assert len(names) > 100
+
+
+def test_indices_of_others_count_from_the_end_as_before() -> None:
+    """What this project does not ask of its own indices is still asked of those of everybody else's compiled code."""
+    own = sensitivity.__name__
+
+    def element(array: Any, k: int) -> Any:
+        return array[k]
+
+    asked = []
+    for module in (__name__, own):
+        element.__module__ = module
+        element.__qualname__ = f"element_of_{module.rpartition('.')[2]}"
+        found = numba.njit(element)
+        assert found(np.arange(3.0), 1) == 1.0
+        asked.append(" select i1 " in "".join(found.inspect_llvm().values()).partition("define")[2].partition("\n}")[0])
+        if module == __name__:
+            assert found(np.arange(3.0), -1) == 2.0
+    assert asked == [True, False]
