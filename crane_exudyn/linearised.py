@@ -70,7 +70,7 @@ def linearise(crane: Crane, state: np.ndarray, inputs: np.ndarray | None = None,
     """
     lay = checked_crane(crane, "linearise").layout
     x = checked_state(crane, state)
-    w = checked_inputs(crane, lay.closed if inputs is None else inputs)[: len(lay.inputs)].copy()
+    w = checked_inputs(crane, np.array(lay.closed if inputs is None else inputs, float))[: len(lay.inputs)].copy()
     own = crane["supply.pump_pressure"], crane["supply.tank_pressure"]
     w[-2:] = np.where(np.isnan(w[-2:]), own, w[-2:])
     names = lay.all_states[: x.size]

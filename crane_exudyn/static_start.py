@@ -30,7 +30,8 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
             coordinates.
 
     Raises:
-        CraneError: the pose cannot be reached or is beyond a stroke, a pressure below vapour pressure, or cylinders without leverage there.
+        CraneError: the pose cannot be reached or is beyond a stroke, a pressure below vapour pressure, or cylinders
+            without leverage there.
     """
     lay = crane.layout
     n = len(lay.coordinates)

@@ -18,7 +18,7 @@ import pytest
 from crane_exudyn import compiled, vetting
 from patu import compiling
 from validation import workers
-from validation.semi_recursive import sensitivity  # noqa: F401  and all that it compiles
+from validation.semi_recursive import sensitivity
 
 
 @pytest.fixture
