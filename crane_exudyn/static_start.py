@@ -15,14 +15,15 @@ from .crane import Crane
 from .effects import hooks
 from .errors import CraneError
 from .geometry import LENGTH
-from .statics import Reduction, check_less_loaded, reduced, refuse_beyond_stroke, size_of_state, visible
+from .statics import Reduction, check_less_loaded, reduced, size_of_state, visible
 
 
 def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = None) -> np.ndarray:
     """Return the state (nx,) at rest with valves closed and forces in balance.
 
     In each cylinder the less loaded chamber has the given pressure, the other follows from the balance of forces. A
-    payload on a pendulum hangs straight down (along gravity where that is turned).
+    payload on a pendulum hangs straight down (along gravity where that is turned). A measured pose may lie a little
+    beyond the file's stroke: only a run from there is refused.
 
     Args:
         pose: independent coordinates, rad or m.
@@ -30,8 +31,7 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
             coordinates.
 
     Raises:
-        CraneError: the pose cannot be reached or is beyond a stroke, a pressure below vapour pressure, or cylinders
-            without leverage there.
+        CraneError: the pose cannot be reached, a pressure below vapour pressure, or cylinders without leverage there.
     """
     lay = crane.layout
     n = len(lay.coordinates)
@@ -56,7 +56,6 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
             f"{crane.name}: there is no static start at {geo.told(lay, state)}: "
             "the forces there are not finite. Look for numbers of the crane that are out of proportion."
         )
-    refuse_beyond_stroke(crane, state, "the start ", "Start at another pose")
     return state
 
 

@@ -180,18 +180,13 @@ def check_start(crane: Crane) -> None:
     check_less_loaded(crane, lowest, "initial.less_loaded_pressure")
     state = np.zeros(size_of_state(crane))
     state[crane.layout.positions] = crane.initial.pose
-    refuse_beyond_stroke(crane, state, "[initial] ", "Choose another pose in [initial]")
-
-
-def refuse_beyond_stroke(crane: Crane, state: np.ndarray, where: str, mend: str) -> None:
-    """Raise CraneError where a cylinder cannot be as long as a state (nx,) has it."""
     cylinder, _, length = stroke_end(crane, state)
     if cylinder:
         empty, travel = (crane[f"cylinders.{cylinder}.{n}"] for n in ("empty_length", "chamber_range"))
         raise CraneError(
-            f"{crane.name}: {where}{geo.told(crane.layout, state)}: the {cylinder} cylinder would be {length:.4f} m "
+            f"{crane.name}: [initial] {geo.told(crane.layout, state)}: the {cylinder} cylinder would be {length:.4f} m "
             f"long; cylinders.{cylinder}.empty_length and chamber_range let it be {empty:.4f} to {empty + travel:.4f} "
-            f"m. {mend}, or mend these lengths or the cylinder's pins."
+            "m. Choose another pose in [initial], or mend these lengths or the cylinder's pins."
         )
 
 

@@ -548,8 +548,6 @@ def test_inputs_of_an_own_exudyn_script_are_refused(inputs):
 
 def test_poses_and_states_that_cannot_be_are_told():
     engine = ExudynEngine(CRANE)
-    with pytest.raises(CraneError, match=r"the lift cylinder would be .* m long"):
-        engine.static_start(np.radians(100.0), -0.7)
     for z in ((0.1,), (0.1, -0.7, 0.0), (np.zeros((2, 2)), 0.1)):
         with pytest.raises(CraneError, match=r"a pose has 2 coordinates \(z1, z4\)"):
             pose(CRANE, *z)
