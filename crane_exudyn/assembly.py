@@ -144,7 +144,7 @@ def _refuse_without_unit(path: Path, named: Mapping[str, tuple[RawColumn, str | 
         typed = " ".join(f"--map {n}={header}[{unit}]" for n, (header, unit) in without.items())
         raise CraneError(
             f"{path}, column{s} {', '.join(header for header, _ in without.values())}: no unit is given. Write it into "
-            f"the name{s}, as {written}, or give {typed}."
+            f"the name{s}, as {written}, or give {typed}; a table that was written in SI has rad, m and Pa."
         )
 
 

@@ -18,7 +18,7 @@ from .description import Description, complete, number
 from .effects import registry
 from .effects.base import Acting
 from .effects.curve import X, Y
-from .errors import CraneError, nearest, shortened
+from .errors import CraneError, by_name, named_file, nearest, shortened
 from .files import write_text
 from .frozen import frozen
 from .parameters import unit_of
@@ -99,7 +99,7 @@ class Crane(Description):
         Raises:
             CraneError: it has objects of one's own, which no file holds.
         """
-        write_text(path, self.to_toml())
+        write_text(named_file(path, "Crane.save"), self.to_toml())
 
     def to_toml(self) -> str:
         """Return the crane as TOML text, values in SI at full precision. Raises CraneError as `save` does."""
@@ -162,12 +162,14 @@ class Crane(Description):
 
     def changed(self, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, Any]]) -> Crane:
         """Return a copy with other nominal parameters (SI), and with effects as `with_effect` sets them."""
+        parameters = by_name(parameters, f"{self.name}: parameters", "{'payload.mass': 150.0}")
         for name in parameters:
             _ = self[name]
         acting = {e.key: e for e in self.effects}
         for key, values in effects.items():
-            effect, place = registry.split_key(key, self.layout)
-            acting[key] = Acting(effect.name, place, frozen(complete(effect, values)))
+            effect, place = registry.split_key(str(key), self.layout)
+            own = by_name(values, f"{self.name}: effect {key!r}", "{'k': 1e-11}, in SI")
+            acting[key] = Acting(effect.name, place, frozen(complete(effect, own)))
         numbers = {n: number(v, f"{self.name}: {n}", unit_of(n)) for n, v in parameters.items()}
         return replace(self, values={**self.values, **numbers}, effects=tuple(acting.values()))
 
@@ -238,7 +240,7 @@ def _read(name_or_path: str | Path) -> tuple[str, str]:
     name = str(name_or_path)
     if name in built_in():
         return resources.files(_DATA).joinpath(f"{name}.toml").read_text(encoding="utf-8"), name
-    path = Path(name_or_path)
+    path = named_file(name_or_path, "Crane.load")
     if not path.is_file():
         raise CraneError(f"There is no crane {name!r}: neither a file nor built in.{nearest(name, built_in())}")
     data = path.read_bytes()

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import CraneError
+from .errors import CraneError, named_file
 from .files import replacing
 from .tables import RawColumn, RawTable, read_text, remarks, split_header
 
@@ -42,7 +42,7 @@ def read(path: Path, wanted: Collection[str]) -> RawTable:
 
     Args:
         path: the file.
-        wanted: names that matter; formats with thousands of channels read only these.
+        wanted: names that matter; formats with thousands of channels read only these, and text in others is ignored.
     """
     if path.is_dir():
         raise CraneError(f"{path} is a folder, expected a recording file.")
@@ -51,7 +51,7 @@ def read(path: Path, wanted: Collection[str]) -> RawTable:
             head = file.peek(_HEAD)[:_HEAD]
             reader = next((r for start, r in _READERS.items() if head.startswith(start)), None)
             if reader is None and path.suffix.lower() not in (".mat", ".parquet", ".mf4", ".mdf"):
-                return read_text(path, file)
+                return read_text(path, file, wanted)
     except FileNotFoundError:
         raise CraneError(f"{path}: there is no such file. Check the name and the folder.") from None
     if reader is None:
@@ -352,7 +352,7 @@ def write_table(path: str | Path, columns: Mapping[str, np.ndarray], digits: int
 
 def data_frame(time: np.ndarray, columns: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Any:
     """Return columns (n,) over time (n,) in s as a pandas DataFrame; SI, the unit of each column stands in
-    `attrs["units"]`.
+    `attrs["units"]`, which pandas does not write into text files.
 
     Raises:
         CraneError: pandas is not installed.
@@ -372,7 +372,7 @@ def writer_of(path: str | Path) -> Writer:
     Raises:
         CraneError: an ending without a writer.
     """
-    target = Path(path)
+    target = named_file(path, "save")
     for ending, write in _WRITERS.items():
         if target.name.lower().endswith(ending):
             return write

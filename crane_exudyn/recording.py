@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,8 @@ from . import channels as channel_names
 from . import signals
 from .assembly import assemble, example, wanted
 from .channels import Channel
-from .errors import CraneError, nearest, shortened
+from .description import number
+from .errors import CraneError, by_name, named_file, names_of, nearest, refuse_unknown, shortened
 from .frozen import frozen
 from .layout import Layout
 from .machine_toml import usual_layout
@@ -42,6 +44,7 @@ class Recording:
         columns: what each channel was read from, where that is known.
         ignored: columns of the file that are no channel of the layout.
         vouched: whether its contents have been looked at, or are to be used anyway (`vetting`).
+        exact: whether it is a simulation's, whose sensors are known to be free of noise.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Recording:
     columns: Mapping[str, Column] = field(default_factory=dict)
     ignored: tuple[str, ...] = field(default=(), repr=False)
     vouched: bool = False
+    exact: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", frozen(self.channels))
@@ -60,7 +64,11 @@ class Recording:
 
     @classmethod
     def load(
-        cls, path: str | Path, mapping: Mapping[str, str | Column] | None = None, *, layout: Layout | None = None
+        cls,
+        path: str | Path,
+        mapping: Mapping[str, str | Column] | None = None,
+        *,
+        layout: Layout | Crane | None = None,
     ) -> Recording:
         """Return the recording in a file: CSV (also .csv.gz), MATLAB v5 and v7.3, Parquet, MDF4.
 
@@ -68,37 +76,42 @@ class Recording:
             path: the file; its content, not its ending, tells the format.
             mapping: channel -> column of the file, such as {"z1": "BoomAngle[deg]"}; the unit may be left out where the
                 file gives one. A minus before the column turns the sign; a `mapping.Column` says more.
-            layout: of the machine that was recorded, `crane.layout`; by default that of patu655.
+            layout: of the machine that was recorded, `crane.layout`, or its crane; by default that of patu655.
 
         Raises:
             CraneError: names file, line or sample, column, what was found, what was expected and how to mend it.
         """
         from .formats import read
 
-        layout = layout or usual_layout()
-        columns = columns_of(mapping or {}, layout)
-        table = read(Path(path), wanted=wanted(columns, layout))
-        return cls(**assemble(Path(path), table, columns, layout)).with_gaps_told()
+        path, layout = named_file(path, "Recording.load"), layout_of(layout)
+        given = by_name(mapping or {}, "Recording.load: mapping", "{'z1': 'BoomAngle[deg]'}")
+        columns = columns_of(given, layout)
+        table = read(path, wanted=wanted(columns, layout))
+        return cls(**assemble(path, table, columns, layout)).with_gaps_told()
 
     @classmethod
     def from_arrays(
-        cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray], *, layout: Layout | None = None
+        cls, name: str, time: np.ndarray, values: Mapping[str, np.ndarray], *, layout: Layout | Crane | None = None
     ) -> Recording:
         """Return a recording of channels in SI that share one clock; NaN is a missing sample.
 
         Args:
             name: of the recording.
-            time: (n,) s, increasing.
-            values: channel -> (n,) in SI.
+            time: (n,) s, increasing; dates, as of a pandas index, count from the first.
+            values: channel -> (n,) in SI; or a pandas DataFrame of them.
             layout: as in `load`.
+
+        Raises:
+            CraneError: an unknown channel, or what is no recording over time.
         """
-        layout = layout or usual_layout()
+        layout = layout_of(layout)
         units = channel_names.of(layout)
-        columns = [RawColumn("time", np.asarray(time, dtype=float), "s")]
-        columns += [RawColumn(n, np.asarray(v, dtype=float), units.get(n, "")) for n, v in values.items()]
+        values = by_name(values, f"{name}: values", "{'z1': an array}")
         for channel in values:
             if channel not in units:
                 raise CraneError(f"{name}: there is no channel {channel!r}.{nearest(channel, list(units))}")
+        columns = [RawColumn("time", _row(_seconds(time), f"{name}: time"), "s")]
+        columns += [RawColumn(n, _row(v, f"{name}: {n}"), units[n]) for n, v in values.items()]
         made = cls(**assemble(Path(name), RawTable(columns), {}, layout) | {"name": name, "source": name})
         return made.with_gaps_told()
 
@@ -110,7 +123,7 @@ class Recording:
 
     def __getitem__(self, name: str) -> Channel:
         """Return a channel by name; the error tells which there are."""
-        if name not in self.channels:
+        if not isinstance(name, str) or name not in self.channels:
             known = ", ".join(self.channels)
             raise CraneError(f"{self.source or self.name}: there is no channel {name!r}, only {known}.{self._unused()}")
         return self.channels[name]
@@ -255,7 +268,7 @@ class Recording:
 
         Nothing is interpolated. Stamps that differ by less than a millionth of the shortest step count as one.
         """
-        chosen = tuple(self.channels) if names is None else tuple(names)
+        chosen = self._chosen(names)
         time = _union([self[name].time for name in chosen])
         values = np.full((len(time), len(chosen)), np.nan)
         for k, name in enumerate(chosen):
@@ -264,7 +277,7 @@ class Recording:
 
     def on_grid(self, names: Iterable[str], time: np.ndarray) -> np.ndarray:
         """Return values (n, k) at `time` (n,), linear between samples, NaN outside a channel's own range."""
-        return np.column_stack([self[name].at(np.asarray(time, dtype=float)) for name in names])
+        return np.column_stack([self[name].at(np.asarray(time, dtype=float)) for name in self._chosen(names)])
 
     def window(self, start: float, end: float) -> Recording:
         """Return the samples with start <= time <= end; channels without any there are left out."""
@@ -282,29 +295,51 @@ class Recording:
 
     def select(self, names: Iterable[str]) -> Recording:
         """Return a recording with only these channels."""
-        return replace(self, channels={name: self[name] for name in names})
+        return replace(self, channels={name: self[name] for name in self._chosen(names)})
+
+    def _chosen(self, names: Iterable[str] | None) -> tuple[str, ...]:
+        """Return names of channels, all of them for None. Raises CraneError where none is named."""
+        chosen = tuple(self.channels) if names is None else names_of(names, "channels")
+        if not chosen:
+            raise CraneError(f"{self.source or self.name}: no channel is named. Give some of {', '.join(self)}.")
+        return chosen
 
     def noise(self) -> dict[str, float]:
         """Return the standard deviation of each sensor's noise in SI, estimated from the data (`signals.noise_std`)."""
         return {name: signals.noise_std(self[name].values) for name in self.sensors}
 
     def noise_free(self) -> tuple[str, ...]:
-        """Return the sensors that move and show less noise than any sensor has, as those of simulations do."""
-        return tuple(name for name in self.sensors if signals.is_noise_free(self[name].values))
+        """Return the sensors that move and show less noise than any sensor has, as those of simulations do.
+
+        Where one does, others are of the same simulation, though motion that is sampled slowly looks like noise.
+        """
+        any_free = any(signals.is_noise_free(self[name].values) for name in self.sensors)
+        return tuple(n for n in self.sensors if any_free and signals.is_noise_free(self[n].values, beside=True))
 
     def with_noise(self, stated: Mapping[str, float] | None = None) -> Recording:
-        """Return the recording with noise added to its noise-free sensors (`signals.noisy`), always the same.
+        """Return the recording with white noise added to its sensors that have none, always the same.
+
+        These are the ones that show none (`noise_free`), and of a simulation all that are stated. Motion that is
+        sampled slowly looks like noise: of a file, a sensor may pass for noisy that is not. A stated one that gets
+        nothing is told in the notes.
 
         Args:
             stated: standard deviations in SI by channel; a usual sensor's where there is none.
+
+        Raises:
+            CraneError: an unknown sensor, or a standard deviation that is none.
         """
+        given, sensors = by_name(stated or {}, "with_noise", "{'z1': 1e-3}, in SI"), self.layout.sensors
+        refuse_unknown("with_noise", given, sensors, "sensor")
+        stated = {n: _deviation(std, f"with_noise: {n}", sensors[n].unit) for n, std in given.items()}
+        free = {*self.noise_free(), *(stated if self.exact else ())}
         changed = dict(self.channels)
-        for name in self.noise_free():
-            values = signals.noisy(
-                self[name].values, (stated or {}).get(name), seed=list(self.layout.sensors).index(name)
-            )
-            changed[name] = replace(self[name], values=values)
-        return replace(self, channels=changed)
+        for k, name in enumerate(sensors):
+            if name in free and name in changed:
+                changed[name] = replace(self[name], values=signals.with_noise(self[name].values, stated.get(name), k))
+        kept = [n for n in self.sensors if n in stated and n not in free]
+        told = [f"{', '.join(kept)}: no noise was added, as the samples show some already"] if kept else []
+        return replace(self, channels=changed, notes=(*self.notes, *told), exact=False)
 
     def first_values(self, span: float = 0.1) -> dict[str, float]:
         """Return the mean of each sensor over the first `span` seconds, but not beyond the first change of a
@@ -322,7 +357,9 @@ class Recording:
     # -- giving away ---------------------------------------------------------------------------------------------
 
     def save(self, path: str | Path) -> None:
-        """Write all samples in SI units to .csv, .csv.gz, .parquet or .mat, whole or not at all."""
+        """Write all samples in SI units to .csv, .csv.gz, .parquet or .mat, whole or not at all; `load` reads them
+        back.
+        """
         from .formats import write_table
 
         (time, values), units = self.aligned(), channel_names.of(self.layout)
@@ -332,8 +369,11 @@ class Recording:
         write_table(path, columns)
 
     def to_dataframe(self) -> Any:
-        """Return all channels as a pandas DataFrame over time, SI, NaN where a channel has no sample; see
-        `formats.data_frame`.
+        """Return all channels as a pandas DataFrame over time in s, NaN where a channel has no sample: rad, rad/s, Pa,
+        m, V and pure numbers, the unit of each column in `attrs["units"]`.
+
+        `from_arrays(name, frame.index, frame)` makes a recording of it again. A file is written by `save`: pandas'
+        `to_csv` leaves the units out, without which no file is read.
         """
         from .formats import data_frame
 
@@ -344,9 +384,9 @@ class Recording:
         """Return a matplotlib figure with one panel a channel, each on its own clock, in degrees and bar."""
         from . import plots
 
-        chosen = tuple(self.channels) if names is None else tuple(names)
-        made = plots.figure(max(len(chosen), 1), height=1.2)
-        for axes, name in zip(made.axes, chosen, strict=False):
+        chosen = self._chosen(names)
+        made = plots.figure(len(chosen), height=1.2)
+        for axes, name in zip(made.axes, chosen, strict=True):
             channel = self[name]
             plots.draw_lines(axes, channel.time, {"": channel.values}, channel=name, layout=self.layout)
         plots.entitle(made, self.name)
@@ -368,18 +408,65 @@ class Recording:
         return table_html(("channel", "unit", "samples", "min", "max"), rows, title=title, note="; ".join(self.notes))
 
 
-# -- clocks ----------------------------------------------------------------------------------------------------------
+# -- what is given ---------------------------------------------------------------------------------------------------
 
 
 def given_recording(given: Any, layout: Layout, whom: str) -> Recording:
-    """Return a recording that was given as such, or by its file, to `whom`. Raises CraneError for anything else."""
+    """Return a recording that was given as such, by its file, or as a simulation, to `whom`. Raises CraneError for
+    anything else.
+    """
     if isinstance(given, str | Path):
         return Recording.load(given, layout=layout)
+    of_itself = getattr(given, "recording", None)  # a simulation's
+    if callable(of_itself):
+        given = of_itself()
     if isinstance(given, Recording):
         return given
     raise CraneError(
         f"{whom}: found {shortened(given)} instead of a recording. Give a Recording, or the name of its file."
     )
+
+
+def layout_of(given: Layout | Crane | None) -> Layout:
+    """Return the layout that was given as such, or by its crane; that of patu655 for None. Raises CraneError for
+    anything else.
+    """
+    found = usual_layout() if given is None else getattr(given, "layout", given)
+    if isinstance(found, Layout):
+        return found
+    raise CraneError(f"layout: found {shortened(given)}. Give the layout of the machine, crane.layout.")
+
+
+def _seconds(stamps: Any) -> Any:
+    """Return times as seconds where they are dates, which count from the first, or durations; else as they are."""
+    found = np.asarray(stamps)
+    if found.dtype == object and found.size and all(isinstance(stamp, datetime) for stamp in found.flat):
+        found = np.array([stamp - found.flat[0] for stamp in found.flat], dtype="timedelta64[ns]")
+    if found.dtype.kind == "M":
+        found = found - found[:1]
+    return found / np.timedelta64(1, "s") if found.dtype.kind == "m" else stamps
+
+
+def _row(given: Any, what: str) -> np.ndarray:
+    """Return numbers (n,) that were given as `what`. Raises CraneError for anything else."""
+    try:
+        found = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise CraneError(f"{what} is {shortened(given)}. Give an array (n,) of numbers in SI, NaN for none.") from None
+    if found.ndim != 1:
+        raise CraneError(f"{what} has the shape {found.shape}, expected (n,). Give one number a sample, in SI.")
+    return found
+
+
+def _deviation(given: Any, what: str, unit: str) -> float:
+    """Return a standard deviation that was given as `what`. Raises CraneError for one that is none."""
+    found = number(given, what, unit)
+    if not 0.0 <= found < np.inf:
+        raise CraneError(f"{what} = {found:g} is no standard deviation. Give a finite one of at least 0 in {unit}.")
+    return found
+
+
+# -- clocks ----------------------------------------------------------------------------------------------------------
 
 
 def _union(clocks: list[np.ndarray]) -> np.ndarray:

@@ -61,9 +61,9 @@ def noise_uncertainty(values: np.ndarray) -> float:
     return math.sqrt(0.25 * math.pi * _CORRELATED / max(1, count))
 
 
-def is_noise_free(values: np.ndarray) -> bool:
+def is_noise_free(values: np.ndarray, *, beside: bool = False) -> bool:
     """Whether a channel that moves has less noise than any sensor, as those of simulations do; where it stands still
-    nothing is seen.
+    nothing is seen. Beside another one that has none, its motion may be as rough as it will.
     """
     values = np.asarray(values, dtype=float)
     span = float(np.ptp(values))
@@ -72,19 +72,16 @@ def is_noise_free(values: np.ndarray) -> bool:
     if not len(squares):
         return False
     quietest, usual = (math.sqrt(float(f(squares))) / _THIRD_DIFFERENCE for f in (np.min, np.median))
-    clear = quietest < min(_QUIETEST * span, _QUIETER * usual) and usual < _MOTION * span
+    clear = quietest < min(_QUIETEST * span, _QUIETER * usual) and (beside or usual < _MOTION * span)
     return (clear or usual < NO_SENSOR * span) and quantisation(values) < _FINEST * span
 
 
-def noisy(values: np.ndarray, std: float | None = None, seed: int = 0) -> np.ndarray:
-    """Return a channel free of noise with the white noise of a sensor added, that of a usual one by default; any other
-    channel as it is.
+def with_noise(values: np.ndarray, std: float | None = None, seed: int = 0) -> np.ndarray:
+    """Return a channel with the white noise of a sensor added, that of a usual one by default.
 
     Without noise no error can be called large or small, and channels that follow from each other make equations
     singular.
     """
-    if not is_noise_free(values):
-        return values
     std = USUAL_SENSOR * float(np.ptp(values)) if std is None else std
     return values + std * np.random.default_rng(seed).standard_normal(len(values))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,7 +53,7 @@ class Simulation:
         """Return a channel (N,) by name: a command, what a sensor shows, a supply pressure, or a state that no sensor
         shows. Raises CraneError, which tells what there is, for another name.
         """
-        if name not in self._channels:
+        if not isinstance(name, str) or name not in self._channels:
             raise CraneError(f"Simulation of {self.crane.name}: no channel {name!r}.{nearest(name, [*self._channels])}")
         return self._channels[name]
 
@@ -76,7 +76,7 @@ class Simulation:
     def recording(self) -> Recording:
         """Return the run as a recording: every channel as the crane's sensors show it, without noise."""
         name = f"simulation of {self.crane.name}"
-        return Recording.from_arrays(name, self.time, self.channels(), layout=self.crane.layout)
+        return replace(Recording.from_arrays(name, self.time, self.channels(), layout=self.crane.layout), exact=True)
 
     def save(self, path: str | Path) -> None:
         """Write all channels in SI to .csv, .csv.gz, .parquet or .mat; `patu` reads them back as a recording."""
@@ -87,7 +87,10 @@ class Simulation:
         write_table(path, {"time[s]": self.time} | columns)
 
     def to_dataframe(self) -> Any:
-        """Return all channels as a pandas DataFrame over time, SI; see `formats.data_frame`."""
+        """Return all channels as a pandas DataFrame over time in s: rad, rad/s, Pa, m and pure numbers, the unit of
+        each column in `attrs["units"]`. A file is written by `save`: pandas' `to_csv` leaves the units out, without
+        which no file is read.
+        """
         from .formats import data_frame
 
         return data_frame(self.time, self.channels(), channels.of(self.crane.layout))
@@ -143,8 +146,8 @@ def simulate(
 
     Args:
         crane: the crane, or the name of a built-in one, or a file.
-        inputs: a recording, or its file, whose commands (and supply pressures, if measured) drive the crane; the
-            result has its instants. Without one, the crane goes through the paper's 25 s working cycle
+        inputs: a recording, its file, or a run, whose commands (and supply pressures, if measured) drive the crane;
+            the result has its instants. Without one, the crane goes through the paper's 25 s working cycle
             (`inputs.paper_cycle`), with a result every 1 ms; a lever that would drive its cylinder to the end of its
             stroke is let go in time.
         start: (nx,) state at the first instant; by default the crane file's initial rule. What the pump cannot lift

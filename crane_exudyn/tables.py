@@ -7,7 +7,7 @@ import io
 import re
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import chain
@@ -92,6 +92,7 @@ class Form:
 
     Attributes:
         stamps: the first field of each column of dates or times of day, from which its seconds count.
+        unasked: columns that nothing asks for; texts: those of them in which text was found while reading.
     """
 
     path: Path
@@ -99,14 +100,17 @@ class Form:
     delimiter: str
     skipped: int
     stamps: Mapping[str, str] = field(default_factory=dict)
+    unasked: Collection[str] = ()
+    texts: set[str] = field(default_factory=set)
 
     @property
     def decimal_comma(self) -> bool:
         return self.delimiter != ","
 
 
-def read_text(path: Path, file: BinaryIO) -> RawTable:
-    """Return the columns of a CSV file, read from `file` piece by piece.
+def read_text(path: Path, file: BinaryIO, wanted: Collection[str]) -> RawTable:
+    """Return the columns of a CSV file, read from `file` piece by piece; without those that hold text, unless their
+    names are `wanted`.
 
     Fields are separated by commas, semicolons or tabs, as the header line shows; with the latter two, decimals may
     be commas. UTF-8 with or without byte order mark, UTF-16 and Windows-1252 are read, any line ends, and gzip. Lines
@@ -114,11 +118,13 @@ def read_text(path: Path, file: BinaryIO) -> RawTable:
     ("10:00:00.000") become seconds from the first.
 
     Raises:
-        CraneError: empty or cut-off file, text in a number, a line with too few or too many fields.
+        CraneError: empty or cut-off file, text in a number that is wanted, a line without any number, or with too few
+            or too many fields.
     """
     pieces = _pieces(path, file)
     form, first = _header(path, next(pieces, b""))
-    form = replace(form, stamps=_stamps(form, first))
+    unasked = [name for name in form.names if name not in wanted and split_header(name)[0] not in wanted]
+    form = replace(form, stamps=_stamps(form, first), unasked=unasked)
     line, numbers, lines = form.skipped + 2, [], []
     ahead: bytes | None = first
     while ahead is not None:
@@ -130,8 +136,9 @@ def read_text(path: Path, file: BinaryIO) -> RawTable:
     found = np.concatenate(numbers)
     if not len(found):
         raise CraneError(f"{path}: the file ends after its header line. Expected one line per sample; record again.")
-    columns = [_column(name, found[:, i], form) for i, name in enumerate(form.names) if name]
-    notes = [f"column {split_header(name)[0]!r} counts from {first}" for name, first in form.stamps.items()]
+    columns = [_column(name, found[:, i], form) for i, name in enumerate(form.names) if name and name not in form.texts]
+    notes = [f"column {split_header(n)[0]!r} counts from {t}" for n, t in form.stamps.items() if n not in form.texts]
+    notes += remarks("column", sorted(form.texts, key=form.names.index), "holds text, no numbers, and was ignored")
     return RawTable(columns, lambda row: f"line {np.concatenate(lines)[row]}", notes)
 
 
@@ -364,6 +371,8 @@ def read_carefully(body: bytes, form: Form, first: int, last: bool) -> tuple[np.
         line = first - 1 + reader.line_num
         _check_length(fields, form, line, last=last and reader.line_num >= total)
         rows.append([_number(field, name, form, line) for field, name in zip(fields, form.names, strict=False)])
+        if form.texts:
+            _check_numbers(rows[-1], fields, form, line)
         lines.append(line)
     return np.array(rows, dtype=float).reshape(-1, len(form.names)), np.array(lines, dtype=np.int32)
 
@@ -382,7 +391,7 @@ def _check_length(fields: list[str], form: Form, line: int, last: bool) -> None:
 
 def _number(field: str, name: str, form: Form, line: int) -> float:
     text = field.strip()
-    if not text or not name:
+    if not text or not name or name in form.texts:
         return np.nan
     try:
         if name in form.stamps:
@@ -391,7 +400,17 @@ def _number(field: str, name: str, form: Form, line: int) -> float:
             raise ValueError
         return float(text.replace(",", ".") if form.decimal_comma else text)
     except ValueError:
+        if name in form.unasked:
+            form.texts.add(name)
+            return np.nan
         raise CraneError(_no_number(text, name, form, line)) from None
+
+
+def _check_numbers(numbers: list[float], fields: list[str], form: Form, line: int) -> None:
+    """Refuse a line of text without a number, as one of units is, whatever is asked for."""
+    said = [(f.strip(), n) for f, n in zip(fields, form.names, strict=False) if n in form.texts and f.strip()]
+    if said and np.isnan(numbers).all():
+        raise CraneError(_no_number(*said[0], form, line))
 
 
 def _no_number(text: str, name: str, form: Form, line: int) -> str:

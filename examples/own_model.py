@@ -16,6 +16,8 @@ from crane_exudyn import Crane, ExudynEngine, mechanism
 from crane_exudyn.geometry import pose
 from crane_exudyn.render import Scene, Trajectory
 
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+folder.mkdir(parents=True, exist_ok=True)
 crane = Crane.load("patu655").with_parameters({"payload.mass": 60.0, "joints.E.x": 2.4})  # a longer extension
 start = ExudynEngine(crane).static_start(np.radians(20.0), np.radians(-50.0))
 _, mbs = mechanism.main_system()
@@ -36,4 +38,4 @@ end = Trajectory("end", np.array([0.0, 1.5]), np.array([start[:2], [z1, outer - 
 line = np.append(pose(crane, z1, outer - z1).points["E"][0], 0.0) - stump
 look = ei.VObjectGround(graphicsData=[Cylinder(stump, line, 0.02, color=[0.1, 0.3, 0.1, 1.0])])
 scene = Scene(crane, [end], title="Held by a rope", own=lambda m: m.AddObject(ei.ObjectGround(visualization=look)))
-scene.save(Path(sys.argv[1] if len(sys.argv) > 1 else ".") / "rope.png")
+scene.save(folder / "rope.png")

@@ -25,7 +25,7 @@ from ukf.noise import PaperNoise, ProcessNoise
 from ukf.revisit import Revisit
 from ukf.side_by_side import SideBySide
 from validation import crosscheck as cc
-from validation import diagnosis
+from validation import diagnosis, report
 from validation.improvement import improve
 from validation.learning import learn
 from validation.semi_recursive import SemiRecursiveEngine
@@ -335,6 +335,8 @@ def test_names_and_probabilities_of_an_estimate(engines, run):
     for known in (now, estimate):
         with pytest.raises(CraneError, match=r"no (estimated )?quantity 'z2'\. Did you mean .*\"z1\""):
             known["z2"]
+        with pytest.raises(CraneError, match="quantity 3"):
+            known[3]
     for probability in (95, 0.0, 1.0, -0.5, math.nan):
         with pytest.raises(CraneError, match=r"no probability between 0 and 1\. Give 0\.95"):
             estimate.interval(probability)
@@ -368,10 +370,100 @@ def test_a_step_is_positive(step):
 def test_names_of_a_run(run):
     with pytest.raises(CraneError, match=r"no channel 'z5'\. Did you mean .*z4"):
         run["z5"]
+    with pytest.raises(CraneError, match="no channel 0"):
+        run[0]
     assert "z1" in run and "q" not in run
 
 
+MOVING = Recording.from_arrays("moving", TIME, {"u1": 0.0 * TIME, "u2": 0.0 * TIME, "z1": np.sin(TIME)})
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda: Crane.load(None), "found None, expected the name of a file"),
+        (lambda: CRANE.save(None), "found None, expected the name of a file"),
+        (lambda: Recording.load(None), "found None, expected the name of a file"),
+        (lambda: MOVING.save(None), "found None, expected the name of a file"),
+        (lambda: Recording.load("r.csv", layout="patu655"), r"found 'patu655'.*crane\.layout"),
+        (lambda: Recording.load("r.csv", "z1=Boom"), "found 'z1=Boom', expected values by name"),
+        (lambda: CRANE.with_parameters(None), "parameters: found None, expected values by name"),
+        (lambda: CRANE.with_effect("internal_leakage@lift", None), "internal_leakage@lift.*found None"),
+        (lambda: CRANE.with_effect(5, {}), "no effect '5'"),
+        (lambda: CRANE.without_effect("internal_leakage@lift"), r"no effect 'internal_leakage@lift'\. There are none"),
+        (lambda: CRANE[3], "no parameter 3"),
+        (lambda: MOVING[0], "no channel 0"),
+        (lambda: MOVING[["z1"]], r"no channel \['z1'\]"),
+        (lambda: MOVING.select([]), "no channel is named. Give some of u1, u2, z1"),
+        (lambda: MOVING.aligned([]), "no channel is named"),
+        (lambda: MOVING.on_grid([], TIME), "no channel is named"),
+        (lambda: MOVING.select(5), "found 5, expected names"),
+        (lambda: MOVING.with_noise(1e-3), "found 0.001, expected values by name"),
+        (lambda: MOVING.with_noise({"z11": 1e-3}), "unknown sensor 'z11'"),
+        (lambda: MOVING.with_noise({"z1": math.nan}), "z1 = nan is no standard deviation"),
+        (
+            lambda: Recording.from_arrays("r", TIME[None], {"z1": TIME}),
+            r"time has the shape \(1, 20\), expected \(n,\)",
+        ),
+        (lambda: Recording.from_arrays("r", TIME, {"z1": TIME[:, None]}), r"z1 has the shape \(20, 1\)"),
+        (lambda: Recording.from_arrays("r", TIME, {"z1": ["a"] * 20}), "r: z1 is .*Give an array"),
+        (lambda: Recording.from_arrays("r", TIME, None), "found None, expected values by name"),
+        (lambda: cc.crosscheck(CRANE, effects="internal_leakag@lift"), "no effect 'internal_leakag@lift'"),
+        (lambda: cc.crosscheck(CRANE, without=5), "without: found 5, expected names"),
+        (lambda: report.render("T", "V", [], mood="happy"), "unknown mood 'happy'"),
+        (lambda: report.Table(("a", "b"), [(1, 2), (1,)]), r"found the row \(1,\), expected 2 cells"),
+        (lambda: report.Table(("a", "b"), [1]), "found the row 1, expected 2 cells"),
+        (
+            lambda: report.render("T", "V", [("S", [report.Picture("r1.png", "r")])]),
+            "r1.png: the picture.*cannot be read",
+        ),
+        (lambda: report.render("T", "V", [("S", [5])]), "A part of the report is 5"),
+    ],
+)
+def test_what_cannot_be_meant_is_told(ask, message):
+    with pytest.raises(CraneError, match=message):
+        ask()
+
+
+def test_a_crane_stands_for_its_layout_and_a_lone_name_for_a_list(tmp_path):
+    MOVING.save(tmp_path / "r.csv")
+    assert Recording.load(tmp_path / "r.csv", layout=CRANE).layout is CRANE.layout
+    assert list(MOVING.select("z1")) == ["z1"] and MOVING.aligned("z1")[1].shape == (20, 1)
+
+
+def test_an_estimate_is_of_a_recording_its_file_or_a_simulation(engines, run, tmp_path):
+    run.save(tmp_path / "run.csv")
+    estimator = Estimator(CRANE, engines[SemiRecursiveEngine], max_step=1e-2)
+    means = [
+        estimator.run(given).mean for given in (run.recording(), run, tmp_path / "run.csv", str(tmp_path / "run.csv"))
+    ]
+    assert all(np.array_equal(mean, means[0]) for mean in means) and run.recording().exact
+    for wrong in (None, 5, CRANE):
+        with pytest.raises(CraneError, match="instead of a recording"):
+            estimator.run(wrong)
+
+
 ASKED = [diagnosis.diagnose, improve, learn]
+
+
+@pytest.mark.parametrize("ask", ASKED)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"jobs": 0}, "jobs is 0. Give a whole number"),
+        ({"jobs": "a"}, "jobs is 'a'"),
+        ({"per_recording": 5}, "per_recording: found 5"),
+    ],
+)
+def test_processes_and_what_differs_are_numbers_and_names(ask, options, message):
+    with pytest.raises(CraneError, match=message):
+        ask(CRANE, MOVING, **options)
+
+
+@pytest.mark.parametrize("most", [0, -1, 1.5, "a"])
+def test_a_search_is_for_one_effect_at_least(most):
+    with pytest.raises(CraneError, match=r"most is .*Give a whole number of at least 1"):
+        improve(CRANE, MOVING, most=most)
 
 
 @pytest.mark.parametrize("ask", ASKED)

@@ -238,10 +238,24 @@ def test_readings_that_no_crane_shows_are_missing_ones(name, value):
     assert not np.isfinite(estimate.innovation[10:12, list(STD).index(name)]).any()
 
 
-@pytest.mark.parametrize("options", [{"max_step": 0.0}, {"max_step": float("nan")}, {"gate": -1.0}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"max_step": 0.0}, {"max_step": float("nan")}, {"max_step": None}, {"gate": -1.0}, {"gate": "6"},
+        {"pressure_std": -1.0}, {"pressure_std": float("nan")}, {"pressure_std": float("inf")},
+        {"adapt": -1.0}, {"adapt": float("nan")},
+    ],
+)  # fmt: skip
 def test_options_that_cannot_work_are_refused(options):
     with pytest.raises(CraneError, match=next(iter(options))):
         Estimator(CRANE, "semi-recursive", STD, **options)
+
+
+def test_live_samples_may_follow_a_recording():
+    running = estimator(FOUR)
+    estimate = running.run(spoilt(0.3))
+    now = running.step((0.0, 0.0), {n: float(estimate[n][-1]) for n in FOUR}, estimate.time[-1] + 0.01)
+    assert now.time > estimate.time[-1] and now["z1"] == pytest.approx(estimate["z1"][-1], abs=1e-2)
 
 
 def test_a_simulation_of_the_model_is_explained_by_it():

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import loadmat, savemat
 
+from crane_exudyn import tables
 from crane_exudyn.errors import CraneError
 from crane_exudyn.formats import write_table
 from crane_exudyn.mapping import Column
@@ -137,6 +138,26 @@ def test_parquet_units_in_names(tmp_path: Path) -> None:
     recording = Recording.load(tmp_path / "lift.parquet")
     check(recording)
     assert "who" in recording.notes[0]
+
+
+@pytest.mark.parametrize("pieces", [False, True])
+def test_text_in_a_column_that_nothing_asks_for_is_ignored_in_csv_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pieces: bool
+) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("time[s],z1[deg],who,oil\n0,1,,40\n0.1,2,Q. K.,41\n0.2,3,7,n/a\n0.3,4,,\n")
+    if pieces:
+        monkeypatch.setattr(tables, "_PIECE", 20)
+    recording = Recording.load(file)
+    assert list(recording) == ["z1"] and len(recording["z1"]) == 4
+    assert recording.notes == tuple(f"column {n!r} holds text, no numbers, and was ignored" for n in ("who", "oil"))
+    with pytest.raises(CraneError, match=r"line 4, column oil: found 'n/a', expected a number"):
+        Recording.load(file, {"p1": "oil[bar]"})
+
+
+def test_a_line_of_units_is_no_text_to_ignore(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,boom\ns,deg\n0,1\n1,2\n")
+    assert "line 2, column t: found 's'" in _refused(tmp_path / "log.csv")
 
 
 def test_parquet_units_in_metadata_and_time_stamps(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import gzip
 import math
 import random
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -369,10 +370,40 @@ def test_only_what_no_sensor_shows_is_free_of_noise() -> None:
     channels = {"z1": smooth, "z4": noisy, "z4_abs": np.round(smooth, 4), "s1": frozen, "s2": 0.0 * time}
     recording = Recording.from_arrays("r", time, channels)
     assert recording.noise_free() == ("z1",)
+    ring = np.where(time > 2.0, np.exp(4.0 - 2.0 * time) * np.sin(35.0 * time), 0.0)
+    slow = {"z1": smooth[::4], "p1": 5e5 * (smooth + ring)[::4]}
+    assert Recording.from_arrays("r", time[::4], {"p1": slow["p1"]}).noise_free() == ()
+    assert Recording.from_arrays("r", time[::4], slow).noise_free() == ("z1", "p1")  # its ringing alone looks noisy
     given = recording.with_noise()
     assert given.noise()["z1"] == pytest.approx(2e-3 * np.ptp(smooth), rel=0.1)
     assert given["z4"] is recording["z4"]
     assert recording.with_noise({"z1": 1e-3}).noise()["z1"] == pytest.approx(1e-3, rel=0.1)
+
+
+def test_a_simulation_is_given_the_noise_that_is_stated_however_it_looks() -> None:
+    """Sampled slowly, ringing oil looks like noise; a recording whose samples scatter keeps its own, and says so."""
+    time = np.arange(500) * 0.02
+    rings = {"z1": np.sin(3.0 * time), "p1": 50e5 + 5e5 * np.sin(35.0 * time)}
+    seen, stated = Recording.from_arrays("r", time, rings), {"z1": 1e-3, "p1": 3e4}
+    assert "p1" not in seen.noise_free()
+    given = replace(seen, exact=True).with_noise(stated)
+    for name, std in stated.items():
+        assert np.std(given[name].values - rings[name]) == pytest.approx(std, rel=0.1)
+    assert not given.exact and given.with_noise(stated)["p1"] is given["p1"]
+    kept = seen.with_noise(stated)
+    assert kept["p1"] is seen["p1"] and "p1: no noise was added" in kept.notes[-1]
+
+
+def test_times_of_pandas_are_seconds_from_the_first() -> None:
+    pandas = pytest.importorskip("pandas")
+    values, start = {"z1": np.arange(5.0)}, pandas.Timestamp("2024-05-01 10:00")
+    dates = pandas.date_range(start, periods=5, freq="10ms")
+    for clock in (dates, dates.tz_localize("Europe/Helsinki"), dates - start, dates.to_pydatetime(), dates.to_numpy()):
+        recording = Recording.from_arrays("r", clock, values)
+        np.testing.assert_allclose(recording["z1"].time, 0.01 * np.arange(5), atol=1e-12)
+    frame = recording.to_dataframe()
+    again = Recording.from_arrays("again", frame.index, frame)
+    np.testing.assert_array_equal(again["z1"].values, values["z1"])
 
 
 def test_repr_and_plot_tell_the_channels(tmp_path: Path) -> None:

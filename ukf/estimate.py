@@ -370,8 +370,8 @@ class Estimate:
         return self.units.get(name, "") or "dimensionless"
 
     def to_dataframe(self) -> Any:
-        """Return estimated quantities and, as "name_std", their standard deviations as a pandas DataFrame over time;
-        SI.
+        """Return estimated quantities and, as "name_std", their standard deviations as a pandas DataFrame over time in
+        s; SI, the unit of each column in `attrs["units"]`. A file with units is written by `save`.
         """
         from crane_exudyn.formats import data_frame
 

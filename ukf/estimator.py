@@ -98,8 +98,8 @@ class Estimator:
             (`methods.Linearised`). Of the filter "ekf" only; live steps are never gone through again.
 
     Raises:
-        CraneError: an unknown sensor, filter, engine or quantity, an engine of another crane, a noise that is not
-            positive, or a noise or start of another shape.
+        CraneError: an unknown sensor, filter, engine or quantity, an engine of another crane, a noise, a time or a gate
+            that is not positive, or a noise or start of another shape.
     """
 
     def __init__(
@@ -124,11 +124,11 @@ class Estimator:
         lay = crane.layout
         self.std_of = default_sensors(crane) if sensors is None else sensor_std(crane, sensors)
         self.noise = noise if noise is not None else ProcessNoise.of(lay)
-        self.max_step = float(max_step)
-        if not 0.0 < self.max_step < np.inf:
-            raise CraneError(f"max_step is {max_step}. Give a positive time in seconds, such as 1e-3.")
-        if gate is not None and not gate > 0.0:
-            raise CraneError(f"gate is {gate}. Give a positive number of standard deviations, or None for no gate.")
+        self.max_step = _positive(max_step, "max_step", "a positive time in seconds, such as 1e-3")
+        deviations = "a positive number of standard deviations, or None for no gate"
+        self.gate = np.inf if gate is None else _positive(gate, "gate", deviations, endless=True)
+        self._pressure_std = _positive(pressure_std, "pressure_std", "a positive one in Pa, such as 1e6")
+        self._adapt = _positive(adapt, "adapt", "a positive time in seconds, or numpy.inf for never", endless=True)
         self._floor = vapour_pressure(crane)
         self._units = tuple(lay.sensors[n].unit for n in self.std_of)
         self._std = np.array(list(self.std_of.values()))
@@ -147,11 +147,9 @@ class Estimator:
         constants = [k for k, e in enumerate(self.extras, self.size - len(self.extras)) if e.memory == np.inf]
         self._held = constants if revisit is not None else []
         self._method = method_of(method, np.ones(self.size))
-        self.gate = np.inf if gate is None else float(gate)
-        self._start, self._pressure_std = start, float(pressure_std)
+        self._start = start
         self._check_start()
         self._known_noise(self.max_step)  # refused here, not in the middle of a run
-        self._adapt = float(adapt)
         self._revisit = revisit
         if revisit is not None and method != "ekf":
             raise CraneError(f'revisit goes with the filter "ekf", which takes slopes, not with {method!r}. Use "ekf".')
@@ -270,6 +268,8 @@ class Estimator:
             self._late = _IN_ORDER
             return self._unchanged()
         self._late = _IN_ORDER
+        if self._last_input is None:  # what was before is a recording
+            self._set_inputs(command, supply)
         times = inner_times(self.time, time, self.max_step)
         inputs = self._live_inputs(times, command, supply)
         innovation, _, flags, nis, _ = self._advance(times, inputs, values)
@@ -661,7 +661,7 @@ class Estimator:
         """Return the estimate over a whole recording, at every instant at which some sensor of this estimator was read.
 
         Args:
-            recording: a `crane_exudyn.recording.Recording`, or `signals.Signals`.
+            recording: a `crane_exudyn.recording.Recording`, its file, a simulation, or `signals.Signals`.
             smooth: also run the RTS smoother back over the recording; needs 24 n² bytes a sample for n states.
             keep_covariance: keep the covariance (N, n, n) of every instant, for NEES.
             progress: called with the fraction done, now and then.
@@ -800,6 +800,16 @@ class Estimator:
             total += float(np.sum(np.minimum(innovation[used] ** 2 / variance[used], most) + np.log(size)))
             total += most * int((~used & ~np.isnan(plan.values[k])).sum())
         return total
+
+
+def _positive(given: Any, what: str, mend: str, *, endless: bool = False) -> float:
+    """Return a positive number, which may be infinite only where it may be `endless`. Raises CraneError, which tells
+    the mend, for anything else.
+    """
+    found = number(given, what)
+    if not 0.0 < found < np.inf and not (endless and found == np.inf):
+        raise CraneError(f"{what} is {given}. Give {mend}.")
+    return found
 
 
 def inner_times(start: float, end: float, max_step: float) -> np.ndarray:

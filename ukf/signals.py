@@ -16,6 +16,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.layout import Layout
+from crane_exudyn.recording import given_recording
 from crane_exudyn.simulation import inner_grid
 
 from .samples import impossible
@@ -92,9 +93,10 @@ class Signals:
 
     @classmethod
     def of(cls, recording: Any, crane: Crane) -> Signals:
-        """Return the signals of a `crane_exudyn.recording.Recording`, its voltages turned into commands by the
-        crane.
+        """Return the signals of a `crane_exudyn.recording.Recording`, or of its file or a simulation; voltages are
+        turned into commands by the crane.
         """
+        recording = given_recording(recording, crane.layout, "recording")
         time, commands = recording.commands(crane)
         held = {n: (c.time, c.values) for n, c in recording.channels.items()}
         return cls(

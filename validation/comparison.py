@@ -22,7 +22,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane, given_crane
 from crane_exudyn.engines import engine_class
-from crane_exudyn.errors import CraneError
+from crane_exudyn.errors import CraneError, names_of
 from crane_exudyn.layout import Layout
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording, given_recording
@@ -338,7 +338,7 @@ def compare_all(
     Raises:
         CraneError: as `compare`, or one of them is no parameter of the crane that is uncertain.
     """
-    own = known_parameters(crane, per_recording)
+    own = known_parameters(crane, names_of(per_recording, "per_recording"))
     found = []
     for i, recording in enumerate(recordings):
         its = with_its_own(crane, recording, own)

@@ -19,7 +19,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane, checked_crane
 from crane_exudyn.effects import registry
-from crane_exudyn.errors import CraneError, nearest
+from crane_exudyn.errors import CraneError, names_of, nearest
 from crane_exudyn.geometry import told
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import paper_cycle
@@ -558,6 +558,7 @@ def _others(
 def _probes(crane: Crane, effects: Collection[str] | None, without: Collection[str] = ()) -> dict[str, Crane]:
     """Return the cranes with the effects that were asked for, all of them for None, without those left out."""
     known = cases.effect_probes(crane)
+    effects, without = effects if effects is None else names_of(effects, "effects"), names_of(without, "without")
     for key in effects or ():
         if key not in known:
             raise CraneError(f"There is no effect {key!r} to run in the engines.{nearest(key, list(known))}")

@@ -17,6 +17,7 @@ import numpy as np
 from crane_exudyn.crane import Crane, given_crane
 from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
+from crane_exudyn.errors import counted, names_of
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording, given_recording
 
@@ -248,6 +249,7 @@ def looked_at(
     """Return the problem that one recording or several give, with the crane as it is fitted, and notes on them."""
     from .fitness import check_all
 
+    jobs, per_recording = counted(jobs, "jobs"), names_of(per_recording, "per_recording")
     recordings = (recording,) if isinstance(recording, Recording) else tuple(recording)
     notes = check_all(recordings, check, crane)
     progress("fitting the nominal parameters", 0.05)

@@ -15,6 +15,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.description import GaussMarkov
+from crane_exudyn.errors import counted
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording
 from ukf.model_error import lasting
@@ -157,6 +158,7 @@ def improve(
         CraneError: the recording cannot support a diagnosis.
     """
     crane, recordings, checked = loaded(crane, recording, check)
+    most = counted(most, "most")
 
     def path_of(given: Crane) -> tuple[WhitePath, list[str]]:
         return searched(given, recordings, checked, per_recording, most, jobs, progress)

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from crane_exudyn.display import cell, engineering, table_html
-from crane_exudyn.errors import CraneError
+from crane_exudyn.errors import CraneError, named_file, refuse_unknown, shortened
 from crane_exudyn.files import write_text
 
 if TYPE_CHECKING:
@@ -85,6 +85,14 @@ class Table:
     title: str = ""
     note: str = ""
 
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if not (hasattr(row, "__len__") and len(row) == len(self.columns)):
+                raise CraneError(
+                    f"Table {self.title!r}: found the row {shortened(row)}, expected {len(self.columns)} cells, one of "
+                    f"each column ({', '.join(map(str, self.columns))}). Give None where there is nothing to show."
+                )
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -134,7 +142,7 @@ def write_report(
         mood: whether the answer is good news, so that it shows at a glance.
 
     Raises:
-        CraneError: the directory cannot be made, or a picture cannot be read.
+        CraneError: the directory cannot be made, a picture cannot be read, or an unknown mood.
     """
     text = render(title, verdict, sections, command=command, seed=seed, parameters=parameters, mood=mood)
     path = _directory(directory) / FILE_NAME
@@ -153,6 +161,7 @@ def render(
     mood: Mood = "neutral",
 ) -> str:
     """Return the report as HTML text; arguments as of `write_report`."""
+    refuse_unknown("report", [mood], _MOODS, "mood")
     return (
         _environment()
         .get_template("report.html.j2")
@@ -228,7 +237,7 @@ def evidence_difference(evidence: float, other: float) -> float:
 
 
 def _directory(directory: str | Path) -> Path:
-    path = Path(directory)
+    path = named_file(directory, "report")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
@@ -287,13 +296,18 @@ _MAGIC = ((b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"GIF8", "ima
 
 def _source(content: Figure | bytes | str | Path) -> str:
     """Return a picture as a data URL."""
+    if isinstance(content, str):
+        content = content.strip().encode() if content.lstrip().startswith("<") else Path(content)
     if isinstance(content, Path):
         content = _read(content)
-    if isinstance(content, str):
-        content = content.encode()
     if not isinstance(content, bytes):
         from .plots import png
 
+        if not hasattr(content, "savefig"):
+            raise CraneError(
+                f"A part of the report is {shortened(content)}. Give a text, a Table, a Picture, Links or a matplotlib "
+                "figure."
+            )
         content = png(content)
     kind = next((kind for magic, kind in _MAGIC if content.startswith(magic)), None)
     if kind is None:

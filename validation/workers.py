@@ -18,7 +18,7 @@ from typing import Any, Literal
 from threadpoolctl import ThreadpoolController
 
 from crane_exudyn.effects import registry
-from crane_exudyn.errors import CraneError
+from crane_exudyn.errors import CraneError, counted
 
 Task = tuple[Any, ...]
 
@@ -50,7 +50,9 @@ def results_of(
 
     Raises:
         WorkerEnded: a worker process was ended from outside.
+        CraneError: a number of processes that is none.
     """
+    jobs = counted(jobs, "jobs")
     if jobs == 1 and not _schedulers:
         yield from (function(*arguments) for function, *arguments in tasks)
         return
