@@ -16,35 +16,41 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
 from . import render_shapes as shapes
 from .crane import Crane
-from .errors import CraneError, nearest
+from .errors import CraneError, names_of, nearest, shortened
 from .exudyn_quietly import exu, items
 from .files import replacing
 from .geometry import Pose, pose
 from .layout import Layout
-from .render_text import MAPS, READ, Colour, Entry, Mark, Scale, Texts, write_on
+from .recording import Recording
+from .render_text import MAPS, READ, Colour, Entry, Mark, Scale, Texts, margins, write_on
 from .screen import need_screen, screen
-from .trajectory import Trajectory
+from .trajectory import Trajectory, need_crane
 
 Renderer = Literal["raytracer", "opengl"]
 View = Literal["side", "oblique"]
 
 #: what a crane of each kind looks like beside others; light, middle and dark, so that they differ without colour
 GHOSTS = {"measured": (0.90, 0.90, 0.88), "simulated": (0.95, 0.55, 0.20), "estimated": (0.05, 0.38, 0.68)}
-_PLAIN_GHOST = (0.80, 0.82, 0.85)  # beside a crane whose colours mean something
+#: beside a crane whose colours mean something: blue greys, which no scale has, light, middle and dark
+_PLAIN_GHOSTS = ((0.80, 0.82, 0.85), (0.50, 0.57, 0.68), (0.26, 0.31, 0.40))
 _OTHER_GHOSTS = ((0.0, 0.50, 0.36), (0.55, 0.35, 0.65), (0.80, 0.68, 0.20), (0.30, 0.25, 0.22))
 #: m by which each ghost stands behind the one before; from the side that is not seen, but what is nearer is never
 #: hidden
 _BEHIND = {"side": 2.5, "oblique": 0.02}
 _SUPERSAMPLING = 2
+#: the end of a scale of residuals at least, in SI: less is rounding
+_LEAST = {"Pa": 1e5, "rad": math.radians(0.1), "m": 1e-3}
+#: pictures a second of film
+_FPS = 12.0
 _VIEWS = {"side": (0.0, 0.0), "oblique": (math.radians(-24.0), math.radians(14.0))}
 
 
@@ -102,7 +108,7 @@ class Scene:
     def __init__(
         self,
         crane: Crane,
-        trajectories: Sequence[Trajectory],
+        trajectories: Sequence[Trajectory | Recording] | Trajectory | Recording,
         *,
         colour: Colour | None = None,
         marks: Sequence[str] = (),
@@ -115,23 +121,26 @@ class Scene:
 
         Args:
             crane: gives shapes and geometry.
-            trajectories: at least one.
+            trajectories: at least one; a recording is drawn under its own name.
             colour: "pressure" shows the oil in the cylinders by its pressure; "residual" colours bodies and oil by the
-                difference between the first and the second trajectory.
+                difference between the first and the second trajectory, at times that both cover.
             marks: cylinders, chambers, joints, points or bodies to point at with an arrow, by the machine's names.
             title: written at the top.
-            size: width and height in pixels.
+            size: width and height in pixels; a small picture has less written on it.
             view: "side" or "oblique"; by default oblique, but from the side where cranes are compared.
             own: called with the Exudyn main system before it is assembled, to add objects of your own.
 
         Raises:
-            CraneError: no trajectory, nothing to compare, a pressure or a place that is not there.
+            CraneError: no trajectory, nothing to compare, a pressure or a place that is not there, a size or a view
+                that there is not, a failure of `own`.
         """
-        _check(crane, colour, trajectories, marks)
-        self.crane, self.trajectories, self.title, self.size = crane, tuple(trajectories), title, size
-        self.colour, self.marks = colour, tuple(marks)
-        self.view: View = view or ("side" if len(trajectories) > 1 else "oblique")
+        need_crane(crane, "Scene")
+        self.crane, self.trajectories, self.title = crane, _trajectories(trajectories), title
+        self.colour, self.marks, self.size = colour, names_of(marks, "Scene: marks"), _checked_size(size)
+        _check(crane, colour, self.trajectories, self.marks)
+        self.view: View = _known("view", view or ("side" if len(self.trajectories) > 1 else "oblique"), _VIEWS)
         self.scales = _scales(crane.layout, self.trajectories, colour)
+        self._problem: Exception | None = None
         box = self._box()
         self.floor, self.middle = min(0.0, float(box[:, 1].min())), 0.5 * float(box[:, 0].min() + box[:, 0].max())
         # a far point: shadows of a direction end in the ray tracer a few metres behind what throws them
@@ -139,7 +148,6 @@ class Scene:
         self.center, self.height = self._frame(box)
         self.system = exu.SystemContainer()
         self.mbs = self.system.AddSystem()
-        self._problem: Exception | None = None
         self._fill(own)
         self._set_up_look()
 
@@ -182,7 +190,13 @@ class Scene:
         drawn = items.VObjectGround(graphicsDataUserFunction=cast(Any, self._draw_changing))
         self.mbs.AddObject(items.ObjectGround(visualization=drawn))
         if own is not None:
-            own(self.mbs)
+            try:
+                own(self.mbs)
+            except Exception as problem:
+                raise CraneError(
+                    f"Scene: the function `own` failed: {type(problem).__name__}: {problem}. It is called with the "
+                    "Exudyn main system; mend it there."
+                ) from problem
         self.mbs.Assemble()
 
     def _paints(self) -> list[shapes.Paint]:
@@ -197,7 +211,7 @@ class Scene:
     def ghost_color(self, position: int) -> tuple[float, float, float]:
         """Return the colour of the n-th crane where cranes are told apart by colour."""
         if self.colour is not None:
-            return _PLAIN_GHOST
+            return _PLAIN_GHOSTS[(position - 1) % len(_PLAIN_GHOSTS)]
         return GHOSTS.get(self.trajectories[position].label, _OTHER_GHOSTS[position % len(_OTHER_GHOSTS)])
 
     def _recoloured(self) -> tuple[str, ...]:
@@ -282,7 +296,8 @@ class Scene:
         shadows = box + share * (box - self.sun) if self.view == "oblique" else box * [1, 0, 1] + [0, self.floor, 0]
         seen = np.vstack([box, shadows]) @ self._rotation().T
         low, high = seen.min(axis=0)[:2], seen.max(axis=0)[:2]
-        above, below = 0.15, 0.08 if self.colour is None else 0.19  # shares of the height for heading, bar and colours
+        top, bottom = (written / self.size[1] for written in margins(self._texts(self.start), self.size))
+        above, below = max(top, 0.15), max(bottom, 0.08)  # shares of the height for heading, bar and colours
         height = max((high - low)[1] / (1.0 - above - below), 1.05 * (high - low)[0] * self.size[1] / self.size[0])
         x, y = (low + high) / 2.0
         return np.array([x, y + 0.5 * (above - below) * height, 0.0]), float(height)
@@ -323,7 +338,7 @@ class Scene:
     def _oil(self, time: float, frames: dict[str, np.ndarray]) -> list[shapes.Graphics]:
         drawn, lengths = [], self._pose(time).lengths[0]
         for cylinder, length in zip(self.crane.machine.cylinders, lengths, strict=True):
-            colors = [self._chamber_color(chamber, time) for chamber in cylinder.chambers]
+            colors = [self._color(chamber, time, "Pa") for chamber in cylinder.chambers]
             made = shapes.oil(self.crane, cylinder.name, float(length), (colors[0], colors[1]))
             drawn += [_placed(g, frames[f"cylinders.{cylinder.name}.barrel"]) for g in made]
         return drawn
@@ -331,25 +346,29 @@ class Scene:
     def _pose(self, time: float) -> Pose:
         return pose(self.crane, *self.trajectories[0].at(time))
 
-    def _chamber_color(self, chamber: str, time: float) -> shapes.Color:
-        value = self.value(chamber, time)
-        return _NO_VALUE if math.isnan(value) else _map_color(self.colour, value / self.scales["Pa"])
+    def _color(self, channel: str, time: float, unit: str) -> shapes.Color:
+        value = self.value(channel, time)
+        return _NO_VALUE if math.isnan(value) else _map_color(self.colour, value / self.scales[unit])
 
     def _bodies(self, time: float, frames: dict[str, np.ndarray]) -> list[shapes.Graphics]:
         """Return the bodies that have a coordinate of their own, coloured by its residual."""
         layout, paint, drawn = self.crane.layout, shapes.Paint(), []
         for name, body in zip(layout.coordinates, layout.bodies, strict=True):
-            color = _map_color(self.colour, self.value(name, time) / self.scales[layout.unit_of(name)])
+            color = self._color(name, time, layout.unit_of(name))
             made = shapes.body_shape(self.crane, body, paint, color)
             drawn += [_placed(g, frames[f"bodies.{body}"]) for g in made]
         return drawn
 
     def value(self, channel: str, time: float) -> float:
-        """Return what a channel is coloured by at a time: its pressure, or the size of its residual, in SI."""
+        """Return what a channel is coloured by at a time: its pressure, or the size of its residual, in SI; NaN where
+        it is not known, as residuals are at times that only one run covers.
+        """
         main, layout = self.trajectories[0], self.crane.layout
         if self.colour == "pressure":
             return main.pressure_at(channel, time)
         other = self.trajectories[1]
+        if not (main.covers(time) and other.covers(time)):
+            return math.nan
         if channel in layout.chambers:
             return abs(main.pressure_at(channel, time) - other.pressure_at(channel, time))
         return float(abs(main.at(time) - other.at(time))[layout.index(channel)])
@@ -361,36 +380,62 @@ class Scene:
 
     def _arrow(self, mark: str, time: float) -> shapes.Graphics:
         tip, direction = self.mark_at(mark, time)
-        return shapes.arrow((tip[0], tip[1]), direction, self.arrow_length, _MARK)
+        return shapes.arrow(self._in_front(tip), direction, self.arrow_length, _MARK)
+
+    def _in_front(self, at: np.ndarray) -> np.ndarray:
+        """Return a point (3,) that is seen where a point (2,) in the plane of the machine is, nearer than any part."""
+        toward = self._rotation()[2]
+        across = max(shapes.FRONT * shapes.size(self.crane), shapes.payload_extent(self.crane)[1] + shapes.FRONT)
+        return np.array([*at, 0.0]) + across / toward[2] * toward
 
     def mark_at(self, mark: str, time: float) -> tuple[np.ndarray, tuple[float, float]]:
-        """Return where the arrow for a place ends (2,) in m, and the direction in which it comes."""
-        machine, points = self.crane.machine, self._pose(time).points
-        short = dict(zip(machine.points, machine.point_names, strict=True))
-        for cylinder in machine.cylinders:
-            if mark in (cylinder.name, *cylinder.chambers):
-                base, end = (points[short[p]][0] for p in cylinder.points)
-                return self._aside(0.5 * (base + end), end - base, np.vstack(list(points.values())))
-        on_body = [points[short[p]][0] for p, body in machine.points.items() if body == mark]
-        pins = {joint.name: short[joint.pin] for joint in machine.joints}
-        at = np.mean(on_body, axis=0) if on_body else points[pins.get(mark, mark)][0]
-        return at + np.array([0.0, 0.1 * shapes.size(self.crane)]), (0.0, -1.0)
-
-    def _aside(self, at: np.ndarray, along: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
-        """Return tip and direction of an arrow that comes to a line across it, from the side where there is more
-        room.
+        """Return where the arrow for a place ends (2,) in m, and the direction in which it comes: from where there is
+        most room beside the machine and the arrows of the marks before it.
         """
-        across = np.array([-along[1], along[0]]) / math.hypot(*along)
-        room = [np.linalg.norm(points - at - s * self.arrow_length * across, axis=1).min() for s in (1.0, -1.0)]
-        across *= 1.0 if room[0] >= room[1] else -1.0
-        return at + 0.08 * shapes.size(self.crane) * across, (-across[0], -across[1])
+        closed = self._pose(time)
+        points, arrows = np.vstack(list(closed.points.values())), np.empty((0, 2))
+        for name in dict.fromkeys([*self.marks[: self.marks.index(mark) if mark in self.marks else 0], mark]):
+            at, ways = self._place_of(name, closed)
+            aside = len(ways) == 2  # of a cylinder; any other place is one of the machine's points, or among them
+            near, enough = (np.vstack([points, arrows]), math.inf) if aside else (arrows, self.arrow_length)
+            tails = [at + self.arrow_length * way for way in ways]
+            room = [np.linalg.norm(near - tail, axis=1).min(initial=enough) for tail in tails]
+            away = ways[int(np.argmax(room))]
+            tip = at + (0.08 if aside else 0.1) * shapes.size(self.crane) * away
+            arrows = np.vstack([arrows, tip + np.outer([0.0, 0.5, 1.0], self.arrow_length * away)])
+        return tip, (-away[0], -away[1])
+
+    def _place_of(self, mark: str, closed: Pose) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return a place (2,) in m, and the directions (2,) in which an arrow for it may stand: from the middle of a
+        cylinder or chamber to either side, else upwards.
+        """
+        machine = self.crane.machine
+        points = {name: at[0] for name, at in closed.points.items()}
+        short = dict(zip(machine.points, machine.point_names, strict=True))
+        for cylinder, length in zip(machine.cylinders, closed.lengths[0], strict=True):
+            if mark in (cylinder.name, *cylinder.chambers):
+                base, end = (points[short[p]] for p in cylinder.points)
+                along = (end - base) / math.dist(base, end)
+                spans = dict(zip(cylinder.chambers, shapes.chambers(self.crane, cylinder.name, length), strict=True))
+                across = np.array([-along[1], along[0]])
+                return base + np.mean(spans.get(mark, (0.0, length))) * along, [across, -across]
+        on_body = [points[short[p]] for p, body in machine.points.items() if body == mark]
+        pins = {joint.name: short[joint.pin] for joint in machine.joints}
+        at = np.mean(on_body, axis=0) if on_body else points[pins.get(mark, mark)]
+        return at, [np.array(way) for way in ((0.0, 1.0), (0.7, 0.7), (-0.7, 0.7))]
 
     # -- what is written -----------------------------------------------------------------------------------------------
 
     def texts(self, time: float) -> Texts:
         """Return what is written into the picture at `time` in s."""
+        marks = [self._mark(mark, time) for mark in self.marks]
+        covered = self._covered(time) if marks else np.empty((0, 3, 2))
+        return replace(self._texts(time), width=self.width, marks=marks, covered=covered)
+
+    def _texts(self, time: float) -> Texts:
+        """Return what is written at a time, whatever the picture shows and marks."""
         layout = self.crane.layout
-        legend = [Entry(t.label, self.ghost_color(i)) for i, t in enumerate(self.trajectories)]
+        legend = [Entry(self._label(i), self.ghost_color(i)) for i in range(len(self.trajectories))]
         if self.colour is not None:
             legend[0] = Entry(f"{legend[0].label} (coloured)", (1.0, 1.0, 1.0))
         shown = layout.chambers if self.colour == "pressure" else (*layout.chambers, *layout.coordinates)
@@ -401,21 +446,36 @@ class Scene:
                 name: (float(value), layout.unit_of(name))
                 for name, value in zip(layout.coordinates, self.trajectories[0].at(time), strict=True)
             },
-            width=self.width,
+            width=1.0,
             legend=legend if len(legend) > 1 else (),
             colour=self.colour,
             scales=[
                 Scale(unit, end, {c: self.value(c, time) for c in shown if layout.unit_of(c) == unit})
                 for unit, end in self.scales.items()
             ],
-            marks=[self._mark(mark, time) for mark in self.marks],
         )
+
+    def _label(self, position: int) -> str:
+        """Return what the n-th crane is called, with its time where that is less than the whole: beyond, it stands."""
+        run = self.trajectories[position]
+        whole = run.covers(self.start) and run.covers(self.end)
+        return run.label if whole else f"{run.label} ({run.time[0]:.4g} to {run.time[-1]:.4g} s)"
+
+    def _covered(self, time: float) -> np.ndarray:
+        """Return the triangles (n, 3, 2) in pixels in which machines are seen."""
+        made = shapes.pillar(self.crane, shapes.Paint(), self.floor)
+        parts = list(shapes.parts(self.crane, shapes.Paint()).values())
+        for trajectory in self.trajectories:
+            frames = coordinates(self.crane, trajectory.at(time), trajectory.swing_at(time)).reshape(-1, 3)
+            made += [_placed(g, frame) for part, frame in zip(parts, frames, strict=True) for g in part]
+        corners = np.vstack([shapes.triangles(g) for g in made])
+        return self.project(corners.reshape(-1, 3)).reshape(-1, 3, 2)
 
     def _mark(self, mark: str, time: float) -> Mark:
         tip, direction = self.mark_at(mark, time)
         tail = tip - 1.04 * self.arrow_length * np.asarray(direction) / math.hypot(*direction)
         words = f"{mark} cylinder" if mark in self.crane.layout.cylinders else mark
-        return Mark(words, *self.project(np.array([[*tail, shapes.FRONT], [*tip, shapes.FRONT]])))
+        return Mark(words, *self.project(np.array([[*tail, 0.0], [*tip, 0.0]])))
 
     # -- pictures ------------------------------------------------------------------------------------------------------
 
@@ -436,7 +496,7 @@ class Scene:
     @contextlib.contextmanager
     def _renderer(self, wanted: Renderer) -> Iterator[bool]:
         """Prepare a renderer, yield whether it is the ray tracer, and put everything away again."""
-        if wanted == "raytracer":
+        if _known("renderer", wanted, get_args(Renderer)) == "raytracer":
             self._aim()
             yield True
             return
@@ -466,8 +526,8 @@ class Scene:
         time: float | None = None,
         start: float | None = None,
         end: float | None = None,
-        fps: float = 15.0,
-        speed: float = 1.0,
+        fps: float | None = None,
+        speed: float | None = None,
         renderer: Renderer = "raytracer",
         progress: Callable[[float], None] | None = None,
     ) -> None:
@@ -475,27 +535,39 @@ class Scene:
 
         Args:
             path: the file; its ending tells what it is.
-            time: of the picture in s; by default the last.
-            start, end: of the film, in s of the run.
-            fps: pictures a second of film.
-            speed: seconds of the run in a second of film.
+            time: of the picture in s; by default the last, of residuals the last that both runs cover.
+            start, end: of the film, in s of the run; by default all of it.
+            fps: pictures a second of film, by default 12.
+            speed: seconds of the run in a second of film, by default 1.
             renderer: "raytracer" or "opengl".
             progress: called with the fraction done.
 
         Raises:
-            CraneError: an ending that is not known, a time outside the run, a missing program or package.
+            CraneError: an ending or a renderer that is not known, a time outside the run, what a picture, or a film,
+                has no use for, a missing program or package.
         """
         from . import film
 
-        kind = film.kind_of(path)
+        kind, picture = film.kind_of(path), {"time": time}
+        whole = {"start": start, "end": end, "fps": fps, "speed": speed}
+        idle = [name for name, given in (whole if kind == "picture" else picture).items() if given is not None]
+        if idle:
+            used = f"one time: give {', '.join(picture)}" if kind == "picture" else f"many: give {', '.join(whole)}"
+            raise CraneError(f"{path}: {', '.join(idle)} would change nothing in a {kind}, which shows {used} instead.")
         if kind == "picture":
-            times = np.array([self.end if time is None else time])
+            times = np.array([self._last if time is None else time])
         else:
-            times = film.times(self.start if start is None else start, self.end if end is None else end, fps, speed)
+            first, last = self.start if start is None else start, self.end if end is None else end
+            times = film.times(first, last, _FPS if fps is None else fps, 1.0 if speed is None else speed)
         self._check_times(times)
         self.center, self.height = self._frame(self._box(times))
         with replacing(path) as temporary:
-            film.write(temporary, kind, self.frames(list(times), renderer), len(times), fps, progress)
+            film.write(temporary, kind, self.frames(list(times), renderer), len(times), fps or _FPS, progress)
+
+    @property
+    def _last(self) -> float:
+        """The last time that has something to show, s."""
+        return min(self.end, float(self.trajectories[1].time[-1])) if self.colour == "residual" else self.end
 
     def _check_times(self, times: np.ndarray) -> None:
         outside = [t for t in times if not self.start - 1e-9 <= t <= self.end + 1e-9]
@@ -597,6 +669,37 @@ def _places(crane: Crane) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*layout.cylinders, *layout.chambers, *joints, *machine.point_names, *machine.bodies]))
 
 
+def _trajectories(given: Any) -> tuple[Trajectory, ...]:
+    """Return what is drawn, also where one alone was given or a recording."""
+    runs = [given] if not isinstance(given, list | tuple) else given
+    for run in runs:
+        if not isinstance(run, Trajectory | Recording):
+            raise CraneError(
+                f"Scene: found {shortened(run)}, expected trajectories. Give a list of them: "
+                "Trajectory.from_recording of a Recording, Trajectory.from_states of states."
+            )
+    return tuple(r if isinstance(r, Trajectory) else Trajectory.from_recording(r, r.name) for r in runs)
+
+
+def _checked_size(size: Any) -> tuple[int, int]:
+    """Return width and height in pixels."""
+    numbers = tuple(size) if isinstance(size, Sequence | np.ndarray) and not isinstance(size, str) else ()
+    if len(numbers) != 2 or not all(isinstance(n, int | np.integer) and 16 <= n <= 8192 for n in numbers):
+        raise CraneError(
+            f"Scene: size is {shortened(size)}, expected width and height in pixels, whole numbers from 16 to 8192. "
+            "Give such as size=(1280, 720)."
+        )
+    return int(numbers[0]), int(numbers[1])
+
+
+def _known(what: str, value: Any, known: Iterable[str]) -> Any:
+    """Return a value that is one of those known."""
+    names = list(known)
+    if value not in names:
+        raise CraneError(f"Scene: there is no {what} {value!r}.{nearest(str(value), names)}")
+    return value
+
+
 def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajectory], marks: Sequence[str]) -> None:
     if not trajectories:
         raise CraneError("A scene needs at least one trajectory.")
@@ -623,7 +726,7 @@ def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajector
             "Colours by residual show the difference of two runs, and only one was given. Give a second trajectory, in "
             "the command --ghost FILE."
         )
-    if colour == "pressure" and not trajectories[0].pressures:
+    if colour == "pressure" and not any(np.isfinite(p).any() for p in trajectories[0].pressures.values()):
         chambers = ", ".join(crane.layout.chambers)
         raise CraneError(
             f"Colours by pressure need pressures, and this run has none of {chambers}. Leave colour (--colour) out, or "
@@ -642,13 +745,22 @@ def _scales(layout: Layout, trajectories: Sequence[Trajectory], colour: Colour |
         return {}
     main = trajectories[0]
     if colour == "pressure":
-        return {"Pa": _round_up(max(float(np.max(v)) for v in main.pressures.values()), "Pa")}
-    other, found = trajectories[1], {"Pa": [1e5]}
+        return {"Pa": _round_up(max(float(np.nanmax(v, initial=0.0)) for v in main.pressures.values()), "Pa")}
+    other, found = trajectories[1], {"Pa": [_LEAST["Pa"]]}
     both = [p for p in layout.chambers if p in main.pressures and p in other.pressures]
     pairs = [(name, main.positions[:, i], other.positions[:, i]) for i, name in enumerate(layout.coordinates)]
+    times = np.array([t for t in np.union1d(main.time, other.time) if main.covers(t) and other.covers(t)])
+    if not times.size:
+        raise CraneError(
+            f"Colours by residual need a time that both runs cover, but {main.label!r} goes from {main.time[0]:g} to "
+            f"{main.time[-1]:g} s and {other.label!r} from {other.time[0]:g} to {other.time[-1]:g} s. Give runs of one "
+            "time."
+        )
     for name, mine, its in (*pairs, *((p, main.pressures[p], other.pressures[p]) for p in both)):
-        difference = np.abs(mine - np.interp(main.time, other.time, its))
-        found.setdefault(layout.unit_of(name), []).append(float(np.max(difference)))
+        difference = np.abs(np.interp(times, main.time, mine) - np.interp(times, other.time, its))
+        found.setdefault(layout.unit_of(name), [_LEAST[layout.unit_of(name)]]).append(
+            float(np.nanmax(difference, initial=0.0))
+        )
     return {unit: _round_up(max(values), unit) for unit, values in found.items()}
 
 

@@ -46,8 +46,10 @@ _PIN, _WALL, _LOG_LENGTH = 0.026, 0.011, 1.5
 _RADII, _SLIMMEST = (0.08, 0.095, 0.055), 0.2
 #: how far a column's foot reaches to either side of its pin
 _FOOT = (-0.35, 0.45)
-#: where arrows stand in front of the machine, m
+#: how far arrows stand in front of the machine of the usual size, or of its payload, m
 FRONT = 0.3
+#: how thick pistons are, m
+_PISTON = 0.03
 #: m: the size of a grapple
 _GRAPPLE = 0.12
 #: a beam is at least so long, m, and bends at most by this share of its length
@@ -523,15 +525,23 @@ def oil(crane: Crane, cylinder: str, length: float, colors: tuple[Color, Color])
     side.
     """
     radius = 0.5 * (_outer_radius(crane, cylinder) + 0.5 * _bore(crane, cylinder))
-    start, whole = _barrel_span(crane, cylinder)
-    piston = min(max(length - _rod_length(crane, cylinder), start), start + whole - 0.05)
-    thick = 0.03
+    (start, piston), (after, end) = chambers(crane, cylinder, length)
     dark: Color = (0.12, 0.12, 0.13, 1.0)
     return [
-        bar([start, 0, 0], [max(piston - start, 1e-3), 0, 0], radius, colors[0], dark),
-        bar([piston, 0, 0], [thick, 0, 0], radius * 1.04, dark, dark),
-        bar([piston + thick, 0, 0], [max(start + whole - piston - thick, 1e-3), 0, 0], radius, colors[1], dark),
+        bar([start, 0, 0], [piston - start, 0, 0], radius, colors[0], dark),
+        bar([piston, 0, 0], [after - piston, 0, 0], radius * 1.04, dark, dark),
+        bar([after, 0, 0], [end - after, 0, 0], radius, colors[1], dark),
     ]
+
+
+def chambers(crane: Crane, cylinder: str, length: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return from where to where in m the chambers reach along the axis of a cylinder of a pin-to-pin length in m:
+    piston side, rod side.
+    """
+    start, whole = _barrel_span(crane, cylinder)
+    piston = min(max(length - _rod_length(crane, cylinder), start), start + whole - 0.05)
+    after = piston + _PISTON
+    return (start, max(piston, start + 1e-3)), (after, max(start + whole, after + 1e-3))
 
 
 # -- payload ---------------------------------------------------------------------------------------------------------
@@ -652,14 +662,20 @@ def moved(graphics: Graphics, by: tuple[float, float, float], angle: float = 0.0
     return turned
 
 
-def arrow(tip: Sequence[float], direction: Sequence[float], length: float, color: Color) -> Graphics:
-    """Return an arrow in front of the machine that ends at `tip`, coming along `direction`."""
-    unit = np.asarray(direction, dtype=float) / math.hypot(*direction)
-    start = np.asarray(tip, dtype=float) - length * unit
+def arrow(tip: np.ndarray, direction: Sequence[float], length: float, color: Color) -> Graphics:
+    """Return an arrow that ends at `tip` (3,), coming along a direction (2,) of the plane."""
+    axis = length * np.array([*direction, 0.0]) / math.hypot(*direction)
     made: Graphics = draw.Arrow(
-        [*start, FRONT], [*(length * unit), 0.0], radius=0.047 * length, color=list(color), nTiles=24
+        (tip - axis).tolist(), axis.tolist(), radius=0.047 * length, color=list(color), nTiles=24
     )
     return made
+
+
+def triangles(graphics: Graphics) -> np.ndarray:
+    """Return the corners (n, 3, 3) of the triangles of graphics; none of lines."""
+    key, width = ("triangles6", 6) if "triangles6" in graphics else ("triangles", 3)  # of six, three are corners
+    corners = np.reshape(np.array(graphics.get(key, []), dtype=int), (-1, width))[:, :3]
+    return np.reshape(graphics.get("points", []), (-1, 3))[corners]
 
 
 __all__ = [

@@ -11,7 +11,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapFileOption, MapOption
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption
 from .output import Printer, progress
 from .outputs import Reads, Writes, saving
 from .reading import load_crane, load_recording
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 #: what a --ghost without a name is called, in order, where it is not seen to be a simulation
 _GHOST_NAMES = ("simulated", "estimated", "third", "fourth")
+_FILM = ("--from", "--to", "--fps", "--speed")
+_LOOK = ("--colour", "--mark", "--view", "--size", "--title")
 
 
 def picture_or_film(path: Path) -> str:
@@ -62,11 +64,13 @@ GhostOption = Annotated[
 LabelOption = Annotated[
     str | None, typer.Option(help="What the run itself is called; by default measured, or simulated without noise.")
 ]
-TimeOption = Annotated[float | None, typer.Option(help="Time of the picture in s; the last if left out.")]
+TimeOption = Annotated[
+    float | None, typer.Option(help="Time of the picture in s; the last (that REC and --ghost cover) if left out.")
+]
 FromOption = Annotated[float | None, typer.Option("--from", help="Start of the film in s.")]
 ToOption = Annotated[float | None, typer.Option("--to", help="End of the film in s.")]
-FpsOption = Annotated[float, typer.Option(help="Pictures a second of film.")]
-SpeedOption = Annotated[float, typer.Option(help="Seconds of the run in a second of film.")]
+FpsOption = Annotated[float | None, typer.Option(help="Pictures a second of film; 12 if left out.")]
+SpeedOption = Annotated[float | None, typer.Option(help="Seconds of the run in a second of film; 1 if left out.")]
 ColourOption = Annotated[
     Literal["pressure", "residual"] | None, typer.Option(help="Colour by pressure, or by what differs from --ghost.")
 ]
@@ -75,11 +79,22 @@ MarkOption = Annotated[
     typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber, joint, point or body by its name; repeatable."),
 ]
 ViewOption = Annotated[Literal["side", "oblique"] | None, typer.Option(help="Where it is seen from.")]
-SizeOption = Annotated[str, typer.Option(metavar="WxH", help="Size in pixels.")]
+SizeOption = Annotated[str | None, typer.Option(metavar="WxH", help="Size in pixels; 1280x720 if left out.")]
 TitleOption = Annotated[str | None, typer.Option(help="Written at the top; the recording's name if left out.")]
 RendererOption = Annotated[
-    Literal["raytracer", "opengl"],
-    typer.Option(help="Exudyn's ray tracer, or its OpenGL window (on Xvfb without a screen)."),
+    Literal["raytracer", "opengl"] | None,
+    typer.Option(help="Exudyn's ray tracer, the usual one, or its OpenGL window (on Xvfb without a screen)."),
+]
+#: which files both are for
+_MAPPED = "For files without the crane's own names; for REC where every file has them."
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option("--map", metavar="NAME=COLUMN[UNIT]", help=f"Other column name or sign; repeatable. {_MAPPED}"),
+]
+MapFileOption = Annotated[
+    Path | None,
+    typer.Option("--map-file", metavar="FILE.toml", help=f"Names, units, signs and offsets of columns. {_MAPPED}"),
+    Reads(),
 ]
 SolutionOption = Annotated[
     Path | None,
@@ -102,14 +117,14 @@ def command(
     time: TimeOption = None,
     start: FromOption = None,
     end: ToOption = None,
-    fps: FpsOption = 12.0,
-    speed: SpeedOption = 1.0,
+    fps: FpsOption = None,
+    speed: SpeedOption = None,
     colour: ColourOption = None,
     mark: MarkOption = None,
     view: ViewOption = None,
-    size: SizeOption = "1280x720",
+    size: SizeOption = None,
     title: TitleOption = None,
-    renderer: RendererOption = "raytracer",
+    renderer: RendererOption = None,
     save_solution: SolutionOption = None,
     open_viewer: OpenOption = False,
     json: JsonOption = None,
@@ -120,6 +135,13 @@ def command(
     """
     if output is None and save_solution is None and not open_viewer:
         raise CraneError("Nothing to do: give -o FILE.png (or .gif, .mp4), --save-solution FILE or --open.")
+    options: dict[str, object] = {
+        "--ghost": ghost, "--label": label, "--map": mapping, "--map-file": map_file, "--time": time, "--from": start,
+        "--to": end, "--fps": fps, "--speed": speed, "--colour": colour, "--mark": mark, "--view": view, "--size": size,
+        "--title": title, "--renderer": renderer, "--save-solution": save_solution, "--open": open_viewer or None,
+        "REC": recording,
+    }  # fmt: skip
+    _refuse_idle([name for name, value in options.items() if value is not None and value != []], output, frames)
     described = load_crane(crane, effects)
     if frames:
         _sketch(described, output, json)
@@ -129,11 +151,13 @@ def command(
 
     if open_viewer:
         need_screen("--open")
-    read = partial(load_recording, crane=described, entries=mapping, map_file=map_file)
+    read = partial(_read, crane=described, entries=mapping, map_file=map_file)
     runs = _runs(described, recording, label, ghost or (), read)
     name = title if title is not None else recording.name if recording else described.name
-    scene = Scene(described, runs, colour=colour, marks=mark or (), size=_size(size), view=view, title=name)
-    drawn = partial(scene.save, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer)
+    scene = Scene(
+        described, runs, colour=colour, marks=mark or (), size=_size(size or "1280x720"), view=view, title=name
+    )
+    drawn = partial(scene.save, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer or "raytracer")
     printer = Printer(json)
     with saving(printer) as save:
         save(output, partial(_draw, drawn, json))
@@ -150,6 +174,54 @@ def command(
         words = [word for option, values in given.items() for value in values or () for word in (option, str(value))]
         again = ["patu", "render", *([] if recording is None else [str(recording)]), *words, "--open"]
         printer.line(f"To turn it and zoom: {shlex.join(again)} (needs a screen).")
+
+
+def _refuse_idle(given: Sequence[str], output: Path | None, frames: bool) -> None:
+    """Refuse options that would change nothing, of those that are given.
+
+    Raises:
+        CraneError: which ones, and why.
+    """
+    kind = None if output is None else picture_or_film(output)
+    every = (*_LOOK, *_FILM, "--time", "--renderer", "--label", "--ghost", "--map", "--map-file", "REC", "--open")
+    rules: tuple[tuple[bool, Sequence[str], str], ...] = (
+        (frames, (*every, "--save-solution"), "--frames draws the crane file alone"),
+        ("REC" not in given, ("--ghost", "--label", "--map", "--map-file", "--time"), "no recording REC is given"),
+        (kind is None, ("--time", *_FILM, "--renderer"), "no picture or film is asked for with -o FILE"),
+        (kind is None and "--open" not in given, _LOOK, "no picture or film is asked for with -o FILE"),
+        (kind == "picture", _FILM, "a picture shows one time, --time"),
+        (kind != "picture", ("--time",), "a film shows the time --from … --to"),
+    )
+    for holds, options, why in rules:
+        idle = [option for option in given if option in options]
+        if holds and idle:
+            raise CraneError(f"{', '.join(idle)} would change nothing: {why}. Leave it out, or ask for what it is for.")
+
+
+def _read(paths: Sequence[Path], crane: Crane, entries: Sequence[str] | None, map_file: Path | None) -> list[Recording]:
+    """Return the recordings at paths, of which the first is the run itself.
+
+    What `--map` and `--map-file` say is of those files that lack a coordinate under its own name, as a logger's do, and
+    those that this package writes do not; of the first one where none lacks any.
+    """
+    if not entries and map_file is None:
+        return [load_recording(path, crane) for path in paths]
+    plain = [_plain(path, crane) for path in paths]
+    if None not in plain:
+        plain[0] = None
+    pairs = zip(plain, paths, strict=True)
+    return [load_recording(path, crane, entries, map_file) if found is None else found for found, path in pairs]
+
+
+def _plain(path: Path, crane: Crane) -> Recording | None:
+    """Return the recording at `path` by the crane's own names, if it has a column of each coordinate."""
+    from crane_exudyn.trajectory import coordinates_in
+
+    try:
+        found = load_recording(path, crane)
+    except CraneError:  # told where it is read as mapped
+        return None
+    return found if all(coordinates_in(found)) else None
 
 
 def _draw(drawn: Callable[..., None], json: str | None, path: Path) -> None:
@@ -171,20 +243,23 @@ def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:
 
 
 def _runs(
-    crane: Crane, recording: Path | None, label: str | None, ghosts: Sequence[str], read: Callable[[Path], Recording]
+    crane: Crane,
+    recording: Path | None,
+    label: str | None,
+    ghosts: Sequence[str],
+    read: Callable[[Sequence[Path]], list[Recording]],
 ) -> list[Trajectory]:
     """Return the trajectories of the run itself and of its ghosts."""
     from crane_exudyn.trajectory import Trajectory
 
     if recording is None:
         return [Trajectory.at_rest(crane)]
-    main = read(recording)
-    runs = [Trajectory.from_recording(main, label or ("simulated" if _is_simulated(main, crane) else "measured"))]
     if len(ghosts) >= len(_GHOST_NAMES):
         raise CraneError(f"{len(ghosts)} ghosts are too many to tell apart; give at most {len(_GHOST_NAMES) - 1}.")
-    for entry in ghosts:
-        name, path = ghost_of(entry)
-        ghost = read(Path(path))
+    named = [ghost_of(entry) for entry in ghosts]
+    main, *others = read([recording, *(Path(path) for _, path in named)])
+    runs = [Trajectory.from_recording(main, label or ("simulated" if _is_simulated(main, crane) else "measured"))]
+    for (name, _), ghost in zip(named, others, strict=True):
         taken = {run.label for run in runs}
         free = (n for n in _GHOST_NAMES if n not in taken)
         if not name and _is_simulated(ghost, crane):

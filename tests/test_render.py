@@ -13,6 +13,7 @@ import pytest
 
 from crane_exudyn import Crane, CraneError, Recording, channels, film, mechanism, render, screen, simulate
 from crane_exudyn import render_shapes as shapes
+from crane_exudyn import render_text as text
 from crane_exudyn.geometry import pose
 from crane_exudyn.machine import GROUND
 from crane_exudyn.render import Scene
@@ -217,11 +218,11 @@ def test_camera_shows_points_where_the_legend_thinks_they_are(view):
 @pytest.mark.parametrize("name", MACHINES)
 def test_every_machine_stays_in_the_picture_and_fills_it(name, view):
     crane = MACHINES[name]
-    scene = Scene(crane, [motion(crane=crane), motion("simulated", 5.0, crane)], size=SMALL, view=view)
+    scene = Scene(crane, [motion(crane=crane), motion("simulated", 5.0, crane)], size=(640, 360), view=view)
     reached = np.vstack([p for t in scene.trajectories for p in pose(crane, *t.positions.T).points.values()])
     pixels = scene.project(np.column_stack([reached, np.zeros(len(reached))]))
-    assert (pixels > 5).all() and (pixels < np.array(SMALL) - 5).all()
-    assert (np.ptp(pixels, axis=0) / SMALL).max() > 0.35
+    assert (pixels > 5).all() and (pixels < np.array((640, 360)) - 5).all()
+    assert (np.ptp(pixels, axis=0) / (640, 360)).max() > 0.35
 
 
 def test_the_floor_is_larger_than_the_picture_and_shadows_are_whole():
@@ -267,6 +268,48 @@ def test_residual_is_the_difference_between_the_runs():
     assert np.degrees(scene.value("z4", 2.0)) == pytest.approx(6.0)
     assert scene.value("p3", 2.0) == 0.0
     assert np.degrees(scene.scales["rad"]) == pytest.approx(6.0)
+
+
+def until(run_, end):
+    """Return the run up to a time in s."""
+    n = int((run_.time <= end).sum())
+    return Trajectory(run_.label, run_.time[:n], run_.positions[:n], {p: v[:n] for p, v in run_.pressures.items()})
+
+
+def test_there_is_no_residual_beyond_a_ghosts_end():
+    """A run against its own beginning: it goes on, and nothing differs."""
+    from matplotlib import colormaps
+
+    ghost = until(motion("short"), 1.5)
+    scene = Scene(CRANE, [motion(), ghost], colour="residual", size=SMALL)
+    assert np.degrees(scene.scales["rad"]) == pytest.approx(0.1) and scene.scales["Pa"] == pytest.approx(1e5)
+    for channel in ("z1", "p1"):
+        assert scene.value(channel, 1.5) == 0.0 and np.isnan(scene.value(channel, 1.6))
+    scene.show(3.0)
+    drawn = [np.reshape(g["colors"], (-1, 4))[0] for g in scene.moving_shapes(scene.mbs)]
+    assert not any(np.allclose(c, colormaps["YlOrRd"](0.0)) for c in drawn)
+    texts = scene.texts(3.0)
+    assert texts.legend[1].label == "short (0 to 1.5 s)"
+    assert all(np.isnan(value) for scale in texts.scales for value in scale.values.values())
+    late = Trajectory("late", TIME + 9.0, ghost.positions[[0] * 81])
+    with pytest.raises(CraneError, match="a time that both runs cover, but 'measured' goes from 0 to 4 s"):
+        Scene(CRANE, [motion(), late], colour="residual", size=SMALL)
+
+
+def test_a_channel_is_not_known_beyond_its_own_end():
+    z1, z4 = motion().positions.T
+    p1 = np.where(TIME < 2.0, 50e5, np.nan)
+    made = Trajectory.from_recording(Recording.from_arrays("r", TIME, {"z1": z1, "z4": z4, "p1": p1}))
+    assert made.pressure_at("p1", 1.9) == 50e5 and np.isnan(made.pressure_at("p1", 3.0))
+
+
+@pytest.mark.parametrize("colour", [None, "pressure", "residual"])
+def test_ghosts_are_told_apart(colour):
+    runs = [motion(), motion("a", 2.0), motion("b", 4.0), motion("c", 6.0)]
+    scene = Scene(CRANE, runs, colour=colour, size=SMALL)
+    colors = [entry.color for entry in scene.texts(1.0).legend]
+    assert min(np.hypot.reduce(np.subtract(a, b)) for i, a in enumerate(colors) for b in colors[:i]) > 0.2
+    assert all(scene.ghost_color(i) == colors[i] for i in (1, 2, 3))
 
 
 @pytest.mark.parametrize("name", MACHINES)
@@ -342,32 +385,120 @@ def test_an_error_while_drawing_is_not_swallowed():
         draw(scene)
 
 
-def test_a_name_is_clear_of_what_else_is_written():
-    """Under the heading, inside the picture, and not on another name or on what its arrow points at."""
-    from PIL import Image, ImageDraw
+def apart(a, b):
+    return a[0] >= b[2] or a[2] <= b[0] or a[1] >= b[3] or a[3] <= b[1]
 
-    from crane_exudyn import render_text as text
+
+def test_a_name_is_clear_of_what_else_is_written():
+    """Under the heading, inside the picture, and not on another name, an arrow, or a machine while there is room."""
+    from PIL import Image, ImageDraw
 
     draw_on, size = ImageDraw.Draw(Image.new("RGB", (700, 500))), (700, 500)
     heading = (20.0, 15.0, 310.0, 55.0)
     for tail, tip in (((283.0, 75.0), (283.0, 120.0)), ((5.0, 300.0), (60.0, 300.0)), ((400.0, 3.0), (400.0, 60.0))):
         mark = text.Mark("a long name", np.array(tail), np.array(tip))
-        box = text.write_mark(draw_on, mark, 0.7, [heading], size)
-        again = text.write_mark(draw_on, mark, 0.7, [heading, box], size)
-        for left, top, right, bottom in (box, again):
+        space = text.Space(size, np.array([[tail, (tail[0] + 20, tail[1]), (tail[0], tail[1] + 20)]]))
+        space.take(heading)
+        space.take_line(mark.tip, mark.tip, 1.0)
+        one, other = (text.write_mark(draw_on, mark, 0.7, space) for _ in range(2))
+        for left, top, right, bottom in (one, other):
             assert left >= 0.0 and top >= 0.0 and right <= 700.0 and bottom <= 500.0
-            assert left >= heading[2] or right <= heading[0] or top >= heading[3] or bottom <= heading[1]
+            assert apart((left, top, right, bottom), heading)
             assert not (left < tip[0] < right and top < tip[1] < bottom)
-        assert box[0] >= again[2] or box[2] <= again[0] or box[1] >= again[3] or box[3] <= again[1]
+            assert not (left < tail[0] + 3 < right and top < tail[1] + 3 < bottom)  # on the machine
+        assert apart(one, other)
     free = text.Mark("J", np.array([350.0, 200.0]), np.array([350.0, 260.0]))
-    left, top, right, bottom = text.write_mark(draw_on, free, 0.7, [heading], size)
-    assert (left + right) / 2.0 == pytest.approx(350.0, abs=1.0) and 165.0 < bottom < 200.0  # at its arrow's tail
+    left, top, right, bottom = text.write_mark(draw_on, free, 0.7, text.Space(size, np.empty((0, 3, 2))))
+    assert (left + right) / 2.0 == pytest.approx(350.0, abs=1.0) and 165.0 < bottom <= 200.0  # at its arrow's tail
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (640, 360), (320, 200), (160, 120)])
+@pytest.mark.parametrize("name", MACHINES)
+def test_what_is_written_is_inside_the_picture_and_clear_of_the_machine(name, size, monkeypatch):
+    """Every word is drawn inside the picture, and no machine reaches to where they stand; little pictures have few."""
+    from PIL import ImageDraw
+
+    crane = MACHINES[name]
+    runs = [motion(crane=crane), motion("simulated", 3.0, crane)]
+    scene = Scene(crane, runs, colour="residual", size=size, title="a title " * 12)
+    written, usual = [], ImageDraw.ImageDraw.text
+
+    def noting(self, xy, words, **look):
+        written.append(self.textbbox(xy, words, font=look["font"], anchor=look.get("anchor")))
+        usual(self, xy, words, **look)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", noting)
+    text.write_on(np.zeros((size[1], size[0], 3), dtype=np.uint8), scene.texts(2.0))
+    assert all(b[0] >= 0 and b[1] >= 0 and b[2] <= size[0] and b[3] <= size[1] for b in written)
+    assert all(apart(a, b) for i, a in enumerate(written) for b in written[:i])
+    reached = np.vstack([p for t in runs for p in pose(crane, *t.positions.T).points.values()])
+    covered = scene.project(np.column_stack([reached, np.zeros(len(reached))]))[:, 1]
+    top, bottom = text.margins(scene.texts(2.0), size)
+    assert covered.min() > top and covered.max() < size[1] - bottom
+    assert len(written) > 12 if size[0] > 320 else len(written) < 16
+
+
+def test_arrows_of_several_marks_stand_apart_and_in_front_of_the_payload():
+    crane = MACHINES["loader"]
+    scene = Scene(crane, [motion(crane=crane)], marks=["bucket", "lift", "p2", "p1"], size=(640, 360))
+    lines = [(m.tail, m.tip) for m in scene.texts(2.0).marks]
+    for i, (tail, tip) in enumerate(lines):
+        for other_tail, other_tip in lines[:i]:
+            assert np.hypot(*(tail - other_tail)) > 10 and np.hypot(*(tip - other_tip)) > 3
+    picture = draw(scene)
+    (x, y), (x_tip, y_tip) = lines[0]
+    for share in (0.3, 0.5, 0.8):  # along the arrow, over the soil
+        r, g, b = picture[round(y + share * (y_tip - y)), round(x + share * (x_tip - x))]
+        assert r > 100 and g < 60 and b > 40
 
 
 def test_a_machine_at_its_start_has_no_time():
     still, run_ = (Scene(CRANE, [t], size=SMALL) for t in (Trajectory.at_rest(CRANE), motion()))
     assert still.texts(1.0).time is None and run_.texts(1.0).time == 1.0
     draw(still, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Scene("loader", [motion()]), r"found 'loader', expected a Crane.*Crane.load\('loader'\)"),
+        (lambda: Scene(CRANE, ["run.csv"]), "found 'run.csv', expected trajectories"),
+        (lambda: Scene(CRANE, [motion()], view="top"), "no view 'top'. Known: side, oblique"),
+        (lambda: Scene(CRANE, [motion()], size=(0, 0)), r"size is \(0, 0\), expected width and height"),
+        (lambda: Scene(CRANE, [motion()], size="320x200"), "size is '320x200', expected width and height"),
+        (lambda: Scene(CRANE, [motion()], own=lambda mbs: mbs.nothing), "`own` failed: AttributeError"),
+        (lambda: Trajectory.from_recording("f.csv"), r"found 'f.csv', expected a Recording.*Recording.load"),
+        (lambda: Trajectory.at_rest("loader"), r"found 'loader', expected a Crane"),
+        (lambda: Trajectory("a", [0.0, 1.0], [[0.1, np.nan], [0.1, 0.2]]), "not finite in positions, sample 0"),
+        (lambda: Trajectory("a", [0.0, 1.0], np.zeros((3, 2))), r"time has the shape \(2,\) and positions"),
+        (lambda: Trajectory("a", [0.0, 1.0], np.zeros((2, 2)), {"p1": np.zeros(3)}), r"p1 has the shape \(3,\)"),
+        (lambda: Trajectory("a", [1.0, 0.0], np.zeros((2, 2))), "time does not increase"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told(make, message):
+    with pytest.raises(CraneError, match=message):
+        make()
+
+
+def test_a_recording_and_a_single_mark_are_taken_as_they_are():
+    z1, z4 = motion().positions.T
+    recording = Recording.from_arrays("lift", TIME, {"z1": z1, "z4": z4})
+    scene = Scene(CRANE, [recording], marks="lift", size=SMALL)
+    assert scene.marks == ("lift",) and [t.label for t in scene.trajectories] == ["lift"]
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "message"),
+    [
+        ("a.png", {"start": 0.1, "end": 0.2}, "start, end would change nothing in a picture"),
+        ("a.gif", {"time": 1.0}, "time would change nothing in a gif"),
+        ("a.png", {"renderer": "foo"}, "no renderer 'foo'"),
+    ],
+)
+def test_nothing_asked_for_is_ignored(name, words, message, tmp_path):
+    with pytest.raises(CraneError, match=message):
+        Scene(CRANE, [motion()], size=SMALL).save(tmp_path / name, **words)
+    assert not list(tmp_path.iterdir())
 
 
 # -- renderers ---------------------------------------------------------------------------------------------------------
@@ -496,6 +627,29 @@ def test_command_draws_the_crane_at_its_start_without_a_recording(tmp_path, caps
     assert "patu render --crane loader --open" in capsys.readouterr().out
 
 
+def test_without_a_run_there_are_no_ghosts(recording, tmp_path, capsys):
+    assert patu("render", "--ghost", recording, "-o", tmp_path / "a.png") == 2
+    assert "--ghost would change nothing: no recording REC is given" in capsys.readouterr().err
+
+
+def test_a_map_is_for_the_files_that_need_it(recording, tmp_path):
+    """Runs with the crane's own names beside a logger's recording, whichever comes first; else it is for REC."""
+    from patu.render import _read
+
+    z1, z4 = motion().positions.T
+    logger, signs = tmp_path / "logger.csv", tmp_path / "map.toml"
+    table = np.column_stack([TIME, -np.degrees(z1), np.degrees(z4)])
+    np.savetxt(logger, table, delimiter=",", header="Clock[s],Boom[deg],Arm[deg]", comments="")
+    signs.write_text('[time]\ncolumn="Clock"\n[z1]\ncolumn="Boom"\nsign=-1\n[z4]\ncolumn="Arm"\n')
+    for paths in ([logger, recording], [recording, logger], [logger, logger]):
+        for found in _read(paths, CRANE, None, signs):
+            assert found["z1"].values == pytest.approx(z1, abs=1e-9)
+    turned, same = _read([recording, recording], CRANE, ["z1=-z1"], None)
+    assert turned["z1"].values == pytest.approx(-z1) and same["z1"].values == pytest.approx(z1)
+    with pytest.raises(CraneError, match="no column 'Clock'"):
+        _read([recording], CRANE, None, signs)
+
+
 @pytest.mark.parametrize("name", MACHINES)
 def test_sketch_names_every_frame_point_joint_and_cylinder(name):
     from crane_exudyn.render_frames import sketch
@@ -544,6 +698,10 @@ def test_command_draws_the_frames(tmp_path, capsys):
         (["-o", "a.gif", "--fps", "0"], "--fps 0 is not positive"),
         (["-o", "a.gif", "--from", "3", "--to", "2"], "Give a later end"),
         (["-o", "missing/a.png"], "does not exist"),
+        (["-o", "a.gif", "--time", "1"], "--time would change nothing: a film"),
+        (["-o", "a.png", "--from", "0", "--fps", "3"], "--from, --fps would change nothing: a picture"),
+        (["-o", "a.png", "--frames", "--mark", "lift"], "--mark, REC would change nothing: --frames"),
+        (["--save-solution", "a.txt", "--size", "320x180"], "--size would change nothing: no picture"),
     ],
 )
 def test_bad_input_is_told_in_one_message(words, message, recording, capsys, monkeypatch, tmp_path):
