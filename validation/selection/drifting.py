@@ -15,9 +15,10 @@ from functools import cached_property
 from itertools import zip_longest
 
 from ..fit.data import Data
-from ..fit.solve import Fit
+from ..fit.solve import Fit, fit
 from ..fit.staged import SHORT, Stage, all_parameters, first_knots, informed_directions
 from ..fit.variables import CurveDirection, EffectParameter, stated_effects
+from ..fit.windows import cut
 from ..workers import in_parallel
 from .criteria import CRITERIA
 from .levels import Levels, levels_of
@@ -26,7 +27,7 @@ from .moves import scaled, starts
 from .proven import Proven, proven
 from .screen import best_starts, screen
 from .search import Move, Path, Problem, Progress, Regime, Round, Stages
-from .whole_runs import Standing, Taken, first_part, following, joined, judged, loose, run, typical
+from .whole_runs import Standing, Taken, first_part, joined, judged, loose, run, typical
 
 
 @dataclass(frozen=True)
@@ -146,13 +147,24 @@ def _promising(problem: Problem, now: Standing) -> dict[str, Mapping[str, float]
     machine's stands, so that an effect that changes all from there on (air) is seen at all.
     """
     begins = starts(now.fit.crane, now.learned(problem))
-    looks = (now.fit, CRITERIA.joined), (following(problem, now), 1.0)
+    looks = (now.fit, CRITERIA.joined), (_following(problem, now), 1.0)
     best = [best_starts(screen(f, begins, stiffness)) for f, stiffness in looks]
     chosen: dict[str, Mapping[str, float]] = {}
     for score in (s for pair in zip_longest(*best) for s in pair if s is not None):
         if len(chosen) < CRITERIA.tried:
             chosen.setdefault(score.start.key, scaled(score.start, score.amplitude))
     return chosen | dict(now.asked)
+
+
+def _following(problem: Problem, now: Standing) -> Fit:
+    """Return the current model in short, loosely joined windows, with the error levels that it has there."""
+    learned = data = now.learned(problem)
+    knots = first_knots(now.fit.crane, data, SHORT)
+    for _ in range(2):
+        windows = cut(data, SHORT)
+        found = fit(problem.crane, data, windows, knots, now.fit.variables, now.fit.u, stiffness=1.0, iterations=2)
+        data = levels_of(found, learned).raised(learned)
+    return replace(found, data=data, windows=tuple(cut(data, SHORT)))
 
 
 def _tried(path: DriftingPath, beam: Sequence[Standing], moves: Sequence[Move]) -> list[Standing]:

@@ -24,7 +24,7 @@ from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of
 from .moves import scaled, starts
 from .screen import best_starts, screen
 from .search import Problem, Progress, silent
-from .whole_runs import Judged, Standing, Taken, errors_of, first_part, following, joined, judged, run, typical
+from .whole_runs import Judged, Standing, Taken, errors_of, first_part, joined, judged, run, typical
 
 
 @dataclass(frozen=True)
@@ -149,9 +149,9 @@ def _grown(problem: Problem, now: Standing, most: int) -> Standing:
     grown = now
     while (room := most - len(grown.keys)) > 0 and left_over(_whole_errors(problem, grown.fit)) > CRITERIA.gained:
         parent = replace(grown, errors=_judged_apart(problem, grown), unseen=None) if grown is now else grown
-        likelier = _likelier(problem, parent, _one_more(problem, parent))
+        likelier = _likelier(problem, parent, _one_more(parent))
         if room > 1 and likelier and not any(one.serves(parent) for one in likelier):
-            likelier = _likelier(problem, parent, [way for one in likelier for way in _one_more(problem, one)])
+            likelier = _likelier(problem, parent, [way for one in likelier for way in _one_more(one)])
         further = next((one for one in likelier if one.serves(parent)), None)
         if further is None:
             break
@@ -189,20 +189,14 @@ def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Sta
     return likelier
 
 
-def _one_more(problem: Problem, now: Standing) -> list[_Way]:
-    """Return the ways to what two looks promise beside a model, at least half as much as the first of each.
-
-    One look is along its runs. The other is in short windows that follow the machine, and so do the windows that its
-    ways begin in: where a run has gone astray, a chamber of it is not as the machine's, and shows no air, say.
-    """
-    begins, ways = starts(now.fit.crane, now.fit.data), list[_Way]()
-    for look in (now.fit, following(problem, now)):
-        found = best_starts(screen(look, begins, 1.0))[: CRITERIA.tried]
-        for s in found:
-            if s.gain >= CRITERIA.serious * found[0].gain:
-                crane = now.fit.crane.with_effect(s.start.key, scaled(s.start, s.amplitude))
-                before = now.fit if look is now.fit else _on_machine(now.fit, crane)
-                ways.append(_Way(now, (*now.keys, s.start.key), crane, before))
+def _one_more(now: Standing) -> list[_Way]:
+    """Return the ways to what a look along its runs promises beside a model, at least half as much as the first."""
+    found = best_starts(screen(now.fit, starts(now.fit.crane, now.fit.data), 1.0))[: CRITERIA.tried]
+    ways = []
+    for s in found:
+        if s.gain >= CRITERIA.serious * found[0].gain:
+            crane = now.fit.crane.with_effect(s.start.key, scaled(s.start, s.amplitude))
+            ways.append(_Way(now, (*now.keys, s.start.key), crane, now.fit))
     return ways
 
 
@@ -243,40 +237,30 @@ def _whole_run(problem: Problem, last: Sequence[Standing]) -> Standing:
     ways = []
     for standing in last:
         found, fresh = standing.extended(problem), typical(problem.crane, standing.effects)
-        begins = (found.crane, found), *((c, _on_machine(found, c)) for c in (found.crane, fresh))
+        windows = tuple(cut(found.data, CRITERIA.window))
+        machine = [
+            replace(found, windows=windows, knots=first_knots(c, found.data, CRITERIA.window))
+            for c in (found.crane, fresh)
+        ]
+        begins = (found.crane, found), (found.crane, machine[0]), (fresh, machine[1])
         ways += [_Way(standing, standing.keys, crane, fit) for crane, fit in begins]
     return _settled(problem, ways)[0][0]
 
 
-def _on_machine(found: Fit, crane: Crane) -> Fit:
-    """Return a fit in long windows that begin where the machine stood, as a crane tells of what was not measured."""
-    windows = tuple(cut(found.data, CRITERIA.window))
-    return replace(found, windows=windows, knots=first_knots(crane, found.data, CRITERIA.window))
-
-
 def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) -> list[tuple[Standing, float]]:
-    """Return where several ways lead, the best of those to the same effects, the likeliest carried to their ends with
-    the error levels that they leave; and by how much each is likelier than a fit beside them (than the first); best
-    first.
+    """Return where several ways lead, the likeliest carried to their ends with the error levels that they leave, and by
+    how much each is likelier than a fit beside them (than the first); best first.
     """
     fits: list[Fit] = in_parallel(problem.jobs, [(_open_loop, problem, w, 6) for w in ways])
     likely = likelihoods(fits, problem.data)
-    leading = _leading([w.keys for w in ways], likely)
+    leading = sorted(range(len(ways)), key=lambda k: -likely[k])[: CRITERIA.finished]
     ended: list[Fit] = in_parallel(problem.jobs, [(_at_own_levels, problem, fits[k]) for k in leading])
     for k, fit in zip(leading, ended, strict=True):
         fits[k] = fit
     first, *likely = likelihoods([fits[0] if beside is None else beside, *fits], problem.data)
     rows = zip(ways, fits, likely, strict=True)
     found = [(_with_fit(w.parent, fit, w.keys), gain - first) for w, fit, gain in rows]
-    best = {frozenset(one.keys): (one, gain) for one, gain in sorted(found, key=lambda one: one[1])}
-    return sorted(best.values(), key=lambda one: -one[1])
-
-
-def _leading(keys: Sequence[Sequence[str]], likely: Sequence[float]) -> list[int]:
-    """Return which of several fits are carried to their ends: the likeliest, each of other effects where there are."""
-    best = sorted(range(len(keys)), key=lambda k: -likely[k])
-    first = {frozenset(keys[k]): k for k in reversed(best)}
-    return (sorted(first.values(), key=best.index) if len(first) > 1 else best)[: CRITERIA.finished]
+    return sorted(found, key=lambda one: -one[1])
 
 
 def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
@@ -325,8 +309,9 @@ def _best_run(problem: Problem, now: Standing, without: str) -> Fit:
     final, data = now.fit, now.fit.data
     crane, keys = final.crane.without_effect(without), [k for k in now.keys if k != without]
     straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
-    begins = final, _on_machine(final, crane)
-    ways = [straight, *(_open_loop(problem, _Way(now, keys, crane, start), 4) for start in begins)]
+    knots = first_knots(crane, data, CRITERIA.window)
+    measured = replace(final, windows=tuple(cut(data, CRITERIA.window)), knots=knots)
+    ways = [straight, *(_open_loop(problem, _Way(now, keys, crane, start), 4) for start in (final, measured))]
     return max(ways, key=log_evidence)
 
 

@@ -17,7 +17,7 @@ from ..fit.staged import LONG, SHORT, Stage, first_knots, residuals
 from ..fit.variables import Timing
 from ..fit.windows import cut
 from .criteria import CRITERIA
-from .levels import Errors, Levels, each_part, falls, left_over, levels_of
+from .levels import Errors, Levels, each_part, falls, left_over
 from .model import Fitted
 from .search import Problem
 
@@ -124,17 +124,6 @@ def first_part(whole: Data) -> Data:
 def end_of_learned(data: FitData) -> float:
     """Return the time (s) up to which a recording is learned from, where a choice is judged on the rest."""
     return float(data.time[0] + CRITERIA.learned * (data.time[-1] - data.time[0]))
-
-
-def following(problem: Problem, now: Standing) -> Fit:
-    """Return a model in short, loosely joined windows, with the error levels that it has there."""
-    learned = data = now.learned(problem)
-    knots = first_knots(now.fit.crane, data, SHORT)
-    for _ in range(2):
-        windows = cut(data, SHORT)
-        found = fit(problem.crane, data, windows, knots, now.fit.variables, now.fit.u, stiffness=1.0, iterations=2)
-        data = levels_of(found, learned).raised(learned)
-    return replace(found, data=data, windows=tuple(cut(data, SHORT)))
 
 
 def typical(crane: Crane, effects: Mapping[str, Mapping[str, float]]) -> Crane:
