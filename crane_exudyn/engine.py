@@ -13,7 +13,7 @@ import numpy as np
 from . import faulty_laws, geometry, mechanism, reduction, statics, trapezoidal
 from .crane import Crane, checked_crane
 from .effects import hooks
-from .errors import CraneError
+from .errors import CraneError, counted
 from .item_values import ItemValues
 from .row_values import RowValues
 from .static_start import static_start
@@ -49,7 +49,7 @@ class ExudynEngine:
         self._systems: OrderedDict[int, System] = OrderedDict()
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
         self.halved = 0
-        self._system(size)
+        self._system(counted(size, "ExudynEngine: size"))
 
     def __repr__(self) -> str:
         return f"<ExudynEngine of {self.crane!r}, states {' '.join(self.state_names)}>"

@@ -32,7 +32,7 @@ from . import reduction as red
 from . import trapezoidal
 from .channels import FULLY_OPEN
 from .compiled import njit
-from .crane import Crane
+from .crane import Crane, checked_crane
 from .effects import hooks
 from .errors import CraneError, nearest
 from .exudyn_quietly import exu, items
@@ -143,9 +143,11 @@ class Plant:
         `mbs.Assemble()`.
 
         Raises:
-            CraneError: the machine has no such point.
+            CraneError: the machine has no such point, or there is no such machine.
         """
         machine = self.crane.machine
+        if number not in range(self.size):
+            raise CraneError(f"There is no machine {number!r} of {self!r}. They count from 0 to {self.size - 1}.")
         if point not in machine.point_names:
             raise CraneError(f"{self.crane.name} has no point {point!r}.{nearest(point, list(machine.point_names))}")
         name = list(machine.points)[machine.point_names.index(point)]
@@ -206,9 +208,9 @@ def build(
         CraneError: states or inputs of another length, spools that are not in [-1, 1], a pose that cannot be reached,
             or a payload on a pendulum without mass.
     """
-    first = start_pose(crane)
+    first = start_pose(checked_crane(crane, "build"))
     rows = np.atleast_2d(first if states is None else np.asarray(states, dtype=float))
-    if rows.ndim != 2 or rows.shape[1] != first.size:
+    if rows.ndim != 2 or rows.shape[1] != first.size or not len(rows):
         raise CraneError(
             f"build: states have shape {rows.shape}, expected (n, {first.size}) or ({first.size},) for {crane.name}."
         )
@@ -553,9 +555,14 @@ def set_initial_rates(mbs: Any, plant: Plant, time: float = 0.0) -> None:
 
     Exudyn finds initial accelerations itself, but starts with pressure rates of zero, which spoils the first step of
     the trapezoidal rule where a valve is open or a cylinder moves at the start.
+
+    Raises:
+        CraneError: the system is not assembled.
     """
     data, initial = mbs.systemData, exu.ConfigurationType.Initial
     n, width, chambers = plant.size, plant.coordinates, len(plant.crane.layout.chambers)
+    if not len(data.GetODE2Coordinates(initial)):
+        raise CraneError("set_initial_rates: the system is not assembled. Call mbs.Assemble() before.")
     first = mbs.GetNodeODE2Index(next(iter(plant.nodes[0].values())))
     start = mbs.GetNodeODE1Index(plant.pressure_nodes[0][0])
     q = np.array(data.GetODE2Coordinates(initial))[first : first + n * width]
@@ -580,7 +587,12 @@ def settings(step: float, duration: float, *, sparse: bool = False) -> Any:
         step: step size in s.
         duration: end time in s.
         sparse: sparse linear algebra; worth it for more than a few cranes.
+
+    Raises:
+        CraneError: a step or duration that is not positive.
     """
+    if not (0.0 < step < math.inf and 0.0 < duration < math.inf):
+        raise CraneError(f"settings: step = {step:g} s and duration = {duration:g} s. Give positive times.")
     s = exu.SimulationSettings()
     t = s.timeIntegration
     t.numberOfSteps, t.endTime = max(1, round(duration / step)), duration

@@ -579,3 +579,18 @@ def test_linearised_as_the_engine_moves(crane):
         hertz = np.sqrt(stiffness * arm**2 / t["M_boom_boom"]) / (2.0 * np.pi)
         assert [f for f, _ in found.modes] == pytest.approx([hertz], rel=0.02)
         assert repr(found).startswith("<Linearised loader: rings with 17 Hz")
+
+
+def test_what_an_own_exudyn_script_asks_wrongly_is_told():
+    mbs = mechanism.main_system()[1]
+    plant = mechanism.build(mbs, CRANE)
+    for ask, said in (
+        (lambda: mechanism.build(mbs, "loader"), r"build: found 'loader' instead of a crane"),
+        (lambda: mechanism.build(mbs, CRANE, states=np.zeros((0, 8))), "states have shape"),
+        (lambda: plant.marker("E", 3), "There is no machine 3"),
+        (lambda: mechanism.set_initial_rates(mbs, plant), "is not assembled"),
+        (lambda: mechanism.settings(0.0, 1.0), "step = 0 s"),
+        (lambda: ExudynEngine(CRANE, 0), "ExudynEngine: size is 0"),
+    ):
+        with pytest.raises(CraneError, match=said):
+            ask()
