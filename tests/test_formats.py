@@ -464,7 +464,7 @@ def test_all_columns_without_a_unit_are_told_at_once(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("time,u1,z1,p1[bar],p2\n0,0,1,2,3\n1,0,1,2,3\n", encoding="utf-8")
     said = _refused(tmp_path / "log.csv")
     assert "columns time, z1, p2: no unit is given" in said
-    assert "time[s], z1[deg], p2[bar], or give --map time=time[s] --map z1=z1[deg] --map p2=p2[bar]." in said
+    assert "time[s], z1[deg], p2[bar], or give --map time=time[s] --map z1=z1[deg] --map p2=p2[bar]; " in said
 
 
 def test_gauge_pressures_are_told_with_what_a_map_file_says_of_them(tmp_path: Path) -> None:
