@@ -6,6 +6,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -334,9 +335,9 @@ def _objects_told(crane: Crane) -> Iterator[None]:
     """Tell what Exudyn raises of a crane with objects of one's own as theirs."""
     try:
         yield
+    except CraneError:
+        raise
     except Exception as problem:
-        if isinstance(problem, CraneError) or not crane.objects:
-            raise
         said = " ".join(str(problem).split())
         raise CraneError(f"{crane.name}: Exudyn refuses the objects of one's own: {said[:500]}") from problem
 
@@ -353,7 +354,9 @@ class System:
         self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)
         self.spoilt = False  # whether its items hold what nobody knows
         self.plant.guarded = False  # an iterate may be beyond a stroke where the step is not
-        with _objects_told(crane):
+        # who tells what Exudyn raises; without objects of one's own it is nobody's
+        self._telling = partial(_objects_told, crane) if crane.objects else nullcontext
+        with self._telling():
             self.mbs.Assemble()
         self._items = ItemValues(self.mbs, self.plant)
         self._push, self._has_objects = np.zeros((size, self.plant.coordinates)), bool(crane.objects)
@@ -361,7 +364,7 @@ class System:
             _refuse_coordinates(self.mbs, self.plant)
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
         self.solver = mechanism.new_solver()
-        with _objects_told(crane):
+        with self._telling():
             ready = self.solver.InitializeSolver(self.mbs, self._settings)
         if not ready:
             raise CraneError(f"{crane.name}: Exudyn cannot initialise its solver: {self.solver.GetErrorString()}")
@@ -467,7 +470,7 @@ class System:
         data.SetODE2Coordinates_tt(self._a.ravel())
         data.SetODE1Coordinates(self._p.ravel())
         data.SetODE1Coordinates_t(self._dp.ravel())
-        with _objects_told(self.plant.crane) if self._has_objects else nullcontext():
+        with self._telling():
             self.solver.ComputeNewtonResidual(self.mbs, self._settings)
         return self.solver.GetSystemResidual()
 

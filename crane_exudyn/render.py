@@ -548,7 +548,7 @@ class Scene:
         """
         from . import film
 
-        kind, picture = film.kind_of(path), {"time": time}
+        kind, picture, rate = film.kind_of(path), {"time": time}, _FPS if fps is None else fps
         whole = {"start": start, "end": end, "fps": fps, "speed": speed}
         idle = [name for name, given in (whole if kind == "picture" else picture).items() if given is not None]
         if idle:
@@ -558,11 +558,11 @@ class Scene:
             times = np.array([self._last if time is None else time])
         else:
             first, last = self.start if start is None else start, self.end if end is None else end
-            times = film.times(first, last, _FPS if fps is None else fps, 1.0 if speed is None else speed)
+            times = film.times(first, last, rate, 1.0 if speed is None else speed)
         self._check_times(times)
         self.center, self.height = self._frame(self._box(times))
         with replacing(path) as temporary:
-            film.write(temporary, kind, self.frames(list(times), renderer), len(times), fps or _FPS, progress)
+            film.write(temporary, kind, self.frames(list(times), renderer), len(times), rate, progress)
 
     @property
     def _last(self) -> float:
@@ -703,8 +703,8 @@ def _known(what: str, value: Any, known: Iterable[str]) -> Any:
 def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajectory], marks: Sequence[str]) -> None:
     if not trajectories:
         raise CraneError("A scene needs at least one trajectory.")
-    if colour is not None and colour not in MAPS:
-        raise CraneError(f"Scene: there is no colour {colour!r}.{nearest(str(colour), list(MAPS))}")
+    if colour is not None:
+        _known("colour", colour, MAPS)
     wanted = len(crane.layout.coordinates)
     for trajectory in trajectories:
         if trajectory.positions.ndim != 2 or trajectory.positions.shape[1] != wanted:
