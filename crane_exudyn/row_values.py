@@ -21,22 +21,15 @@ class _Plan:
 
     Attributes:
         places: (number of the table among P, E and w, column) of each.
-        limits: of nominal parameters and of effects by table: (table, columns (k,), what they are above (k,)).
+        tables: of each table that they stand in: (table, which of the parameters (k,), their columns (k,), what they
+            are above (k, 1)).
         rods: (column of the bore, of the rod) in P of cylinders of which one of these differs.
     """
 
     names: tuple[str, ...]
     places: tuple[tuple[int, int], ...]
-    limits: tuple[tuple[int, np.ndarray, np.ndarray], ...]
+    tables: tuple[tuple[int, np.ndarray, np.ndarray, np.ndarray], ...]
     rods: tuple[tuple[int, int], ...]
-
-    def possible(self, tables: tuple[np.ndarray, ...]) -> bool:
-        """Whether no row of the tables breaks a limit; what is not a number does."""
-        for table, columns, least in self.limits:
-            values = tables[table][:, columns]
-            if not ((values > least) & (values < math.inf)).all():
-                return False
-        return all((tables[0][:, bore] > tables[0][:, rod]).all() for bore, rod in self.rods)
 
 
 class RowValues:
@@ -53,7 +46,7 @@ class RowValues:
         """Return which of the tables P (0), E (1) and w (2) parameters of such names stand in. Raises CraneError for an
         unknown one.
         """
-        return {table for table, _ in self._planned(names).places}
+        return {table for table, *_ in self._planned(names).tables}
 
     def fill(self, parameters: Mapping[str, np.ndarray], P: np.ndarray, E: np.ndarray, w: np.ndarray) -> None:
         """Write values (n,) by name into P (n, .), E (n, .) and, disturbances, w (2, n, .); what does not differ may
@@ -62,19 +55,14 @@ class RowValues:
         Raises:
             CraneError: an unknown name, not one number a row, or a row that no crane can have.
         """
-        plan, tables = self._planned(tuple(parameters)), (P, E, w)
-        for (name, values), (table, column) in zip(parameters.items(), plan.places, strict=True):
-            try:
-                if np.ndim(values) > 1:
-                    raise ValueError
-                tables[table][..., column] = values
-            except (TypeError, ValueError):
-                raise CraneError(
-                    f"parameters: {name!r} has the shape {np.shape(values)}, expected ({_rows(tables)},) numbers in "
-                    "SI. Give one for each row of the states."
-                ) from None
-        if not plan.possible(tables):
-            self._refuse(plan, tables)
+        plan, filled = self._planned(tuple(parameters)), (P, E, w)
+        values, possible = _in_rows(parameters, _rows(filled)), True
+        for table, own, columns, least in plan.tables:
+            there = values[own]
+            filled[table][..., columns] = there.T
+            possible = possible and bool(((there > least) & (there < math.inf)).all())
+        if not (possible and all((P[:, bore] > P[:, rod]).all() for bore, rod in plan.rods)):
+            self._refuse(plan, filled)
 
     def _planned(self, names: tuple[str, ...]) -> _Plan:
         plan = self._plans.get(names)
@@ -84,15 +72,15 @@ class RowValues:
 
     def _plan(self, names: tuple[str, ...]) -> _Plan:
         places, index = tuple(map(self._place, names)), self._crane.machine.index
-        limits = []
-        for table in (0, 1):
-            own = [(column, self._below(n)) for n, (t, column) in zip(names, places, strict=True) if t == table]
-            if own:
-                columns, least = map(np.array, zip(*own, strict=True))
-                limits.append((table, columns, least))
+        tables = []
+        for table in sorted({table for table, _ in places}):
+            own = [i for i, (t, _) in enumerate(places) if t == table]
+            least = [-math.inf if table == 2 else self._below(names[i]) for i in own]
+            columns = np.array([places[i][1] for i in own])
+            tables.append((table, np.array(own), columns, np.array(least)[:, None]))
         ends = [(f"cylinders.{c}.bore", f"cylinders.{c}.rod") for c in self._crane.layout.cylinders]
         rods = tuple((index[bore], index[rod]) for bore, rod in ends if bore in names or rod in names)
-        return _Plan(names, places, tuple(limits), rods)
+        return _Plan(names, places, tuple(tables), rods)
 
     def _place(self, name: str) -> tuple[int, int]:
         layout, index = self._crane.layout, self._crane.machine.index
@@ -131,6 +119,32 @@ class RowValues:
                         )
             for c in self._crane.layout.cylinders:
                 check_rod(where, c, values[of[f"cylinders.{c}.bore"]], values[of[f"cylinders.{c}.rod"]])
+
+
+def _in_rows(parameters: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
+    """Return the values (k, rows) of parameters, each given for every row or once for all.
+
+    Raises:
+        CraneError: one has another shape.
+    """
+    try:
+        values = np.array([*parameters.values()], dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape == (len(parameters), rows):
+        return values
+    values = np.empty((len(parameters), rows))
+    for row, (name, given) in zip(values, parameters.items(), strict=True):
+        try:
+            if np.ndim(given) > 1:
+                raise ValueError
+            row[:] = given
+        except (TypeError, ValueError):
+            raise CraneError(
+                f"parameters: {name!r} has the shape {np.shape(given)}, expected ({rows},) numbers in SI. Give one for "
+                "each row of the states."
+            ) from None
+    return values
 
 
 def _rows(tables: tuple[np.ndarray, ...]) -> int:
