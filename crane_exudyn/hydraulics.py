@@ -79,12 +79,14 @@ def port_flows(topology, P, E, c, spool, pp, pt, pa, pb):
     cv = P[v + COEFFICIENT]
     load_b = float(topology[1 + topology[0, BODIES] + topology[0, LOOPS] + c, LOADED])
     if opening >= 0.0:
-        drawn = edge_flow(cv * P[v + PUMP_A], opening, hooks.supply_drop(E, c, pp - pa), laminar)
+        drop = hooks.supply_drop(E, c, pp - pa)
+        drawn = edge_flow(cv * P[v + PUMP_A], opening, drop, laminar) * hooks.supply_gain(E, c, drop)
         returned = edge_flow(cv * P[v + B_TANK], opening, pb - pt, laminar) * hooks.return_gain(
             E, c, pb, pa, load_b, pb - pt
         )
         return drawn, returned, drawn, returned
-    drawn = edge_flow(cv * P[v + PUMP_B], -opening, hooks.supply_drop(E, c, pp - pb), laminar)
+    drop = hooks.supply_drop(E, c, pp - pb)
+    drawn = edge_flow(cv * P[v + PUMP_B], -opening, drop, laminar) * hooks.supply_gain(E, c, drop)
     returned = edge_flow(cv * P[v + A_TANK], -opening, pa - pt, laminar) * hooks.return_gain(
         E, c, pa, pb, 1.0 - load_b, pa - pt
     )
@@ -115,7 +117,7 @@ def _solve_supply(topology, P, E, w, p, of_tank, start, other):
     b = start + fa
     fb = _mismatch(topology, P, E, w, p, of_tank, start, other, b)
     for _ in range(200):
-        if abs(fb) <= _LOOP_TOLERANCE * abs(start) or fa == fb:
+        if abs(fb) <= _LOOP_TOLERANCE * max(abs(start), abs(b)) or fa == fb:
             break
         x = b - fb * (b - a) / (fb - fa)
         fx = _mismatch(topology, P, E, w, p, of_tank, start, other, x)
@@ -148,6 +150,12 @@ def fluid(P):
 def vapour_pressure(P):
     """Return the pressure in Pa below which no chamber falls, as the crane's gauges read it."""
     return P[FLUID + VAPOUR] - P[REFERENCE] * P[AIR]
+
+
+@lean
+def outside_pressure(P):
+    """Return the pressure in Pa of the air around the machine, as the crane's gauges read it."""
+    return (1.0 - P[REFERENCE]) * P[AIR]
 
 
 @part
@@ -245,6 +253,13 @@ def settled_pressures(P, E, c, s, amount_a, amount_b, ya, yb):
     return ya, yb
 
 
+@lean
+def leakage(P, E, c, pa, pb):
+    """Return the leakages into both chambers of cylinder c in m^3/s; pressures count from the air outside there."""
+    outside = outside_pressure(P)
+    return hooks.leakage(E, c, pa - outside, pb - outside)
+
+
 @part
 def flows_in(topology, P, E, w, p, into):
     """Fill into (chambers,) with all flows into the chambers in m^3/s: ports, leakage and disturbances.
@@ -261,7 +276,7 @@ def flows_in(topology, P, E, w, p, into):
         _ports(topology, P, E, w, p, pp, pt, into)
     first = flow_disturbances(n)
     for c in range(n):
-        leak_a, leak_b = hooks.leakage(E, c, p[2 * c], p[2 * c + 1])
+        leak_a, leak_b = leakage(P, E, c, p[2 * c], p[2 * c + 1])
         into[2 * c] += leak_a + w[first + 2 * c]
         into[2 * c + 1] += leak_b + w[first + 2 * c + 1]
     return tied
@@ -401,17 +416,19 @@ def extra_force(P, E, c, s, v, ya, yb):
     pa, pb = max(ya, least), max(yb, least)
     la, lb = lengths(P, E, c, s, ya, yb)
     void = (pa - ya) * area_a - (pb - yb) * area_b
-    air = (1.0 - P[REFERENCE]) * P[AIR] * (area_a - area_b)
+    air = outside_pressure(P) * (area_a - area_b)
     return hooks.cylinder_force(E, c, v, pa, pb, la, lb) - friction_force(P, c, v) - air + void
 
 
 @njit
 def extra_forces(topology, P, E, w, lines, y, out):
     """Fill out (cylinders,) with the `extra_force` of each cylinder in N."""
+    balances = np.empty((0, 0))
     for c in range(out.size):
         if hooks.series_compliance(E, c) != 0.0:
-            balances = np.empty((N_BALANCES, y.size))
-            chamber_balances(topology, P, E, w, lines, y, balances)
+            if balances.size == 0:
+                balances = np.empty((N_BALANCES, y.size))
+                chamber_balances(topology, P, E, w, lines, y, balances)
             v = balances[SPEED, 2 * c]
         else:
             v = lines[c, RATE]

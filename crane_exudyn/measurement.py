@@ -17,7 +17,7 @@ import numpy as np
 from .compiled import njit
 from .crane import Crane
 from .effects import hooks
-from .effects.base import SENSORS
+from .effects.base import SENSING, SENSORS
 from .effects.registry import neutral_vector, slots_of
 from .errors import CraneError
 from .faulty_laws import check_law
@@ -26,8 +26,6 @@ from .hydraulics import vapour_pressure
 from .machine import CYLINDERS, Machine
 from .sensors import sensor
 
-#: hooks of what a sensor makes of its reading
-SENSING = frozenset({"measurement", "lag"})
 #: step of the difference quotient of a law: shares of a usual sensor's noise and of the reading
 _OF_NOISE, _OF_READING = 1e-3, 1e-6
 

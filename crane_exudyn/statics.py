@@ -252,7 +252,7 @@ def _pressure_terms(r: Reduction, p: np.ndarray, w: np.ndarray) -> dict[str, flo
         a, b = 2 * c + 1, 2 * c + 2
         pa, pb = real[2 * c], real[2 * c + 1]
         out[f"Q{a}"], out[f"Q{b}"], _, _ = hyd.port_flows(topology, P, E, c, w[c], pp, pt, pa, pb)
-        leak = hooks.leakage(E, c, pa, pb)
+        leak = hyd.leakage(P, E, c, pa, pb)
         out[f"leak{a}"], out[f"leak{b}"] = leak[0] + w[first + a - 1], leak[1] + w[first + b - 1]
         names = (f"l{a}", f"l{b}", f"V{a}", f"V{b}", f"Be{a}", f"Be{b}")
         out |= dict(zip(names, hyd.chambers(P, E, c, s, p[2 * c], p[2 * c + 1]), strict=True))

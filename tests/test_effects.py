@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pytest
 
-from crane_exudyn import Crane, CraneError
+from crane_exudyn import Crane, CraneError, ExudynEngine
 from crane_exudyn.effects import checks, curve, registry
 from crane_exudyn.effects.base import HOOKS
 
@@ -51,7 +51,42 @@ def test_laws_are_the_formulas():
     assert find("base_tilt").gravity(0.1, 0.0, -9.81) == pytest.approx((9.81 * math.sin(0.1), -9.81 * math.cos(0.1)))
     assert find("joint_coulomb_friction").joint_torque(500.0, -1.0) == pytest.approx(500.0)
     assert find("end_stop").cylinder_force(1e8, 0.0, 0.0, 1e5, 1e5, -1e-3, 0.5) == pytest.approx(1e5)
-    assert find("counterbalance_valve").return_gain(0.0, 3.0, 0.0, 0.0, 1.0) == 1.0
+    valve = find("counterbalance_valve").return_gain
+    assert valve(0.0, 3.0, 0.0, 0.0, 1.0, 1e5) == 1.0
+    assert valve(120e5, 3.0, 60e5, 25e5, 1.0, 59e5) == pytest.approx(0.75)
+    assert valve(120e5, 3.0, 0.2e5, 0.0, 1.0, -4.8e5) == 1.0, "oil comes back from the tank through the check"
+    leak = find("external_leakage").leakage
+    assert (leak(2e-12, 50e5), leak(2e-12, -1e5)) == (pytest.approx(-1e-5), 0.0)
+
+
+def test_nothing_leaks_where_the_pressure_is_that_of_the_air_outside():
+    """A gauge reads 0 there, and an absolute one the pressure of the air; both lose the same elsewhere."""
+    from validation.semi_recursive.engine import SemiRecursiveEngine
+
+    k, w = 5e-12, np.array([0.0, 0.0, 0.0, np.nan, np.nan])
+    crane = Crane.load("excavator")
+    leaking = crane.with_effect(f"external_leakage@{crane.layout.chambers[0]}", {"k": k})
+    air = crane["supply.air_pressure"]
+    gauge = leaking.with_parameters({"supply.pressure_reference": 1.0})
+    for engine in (ExudynEngine, SemiRecursiveEngine):
+        for over, lost in ((0.0, 0.0), (50e5, k * 50e5)):
+            for machine, zero in ((leaking, air), (gauge, 0.0)):
+                x = engine(machine).static_start(*crane.initial.pose)
+                x[crane.layout.pressures] = over + zero
+                assert engine(machine).terms(x, w)["leak1"] == pytest.approx(-lost, abs=1e-18)
+
+
+def test_a_learned_factor_on_the_flow_is_one_at_any_pressure_drop():
+    """Below 2 bar the flow is laminar, and goes with the drop instead of its root."""
+    x_y = [0.0, 100e5], [0.5, 0.5]
+    crane = Crane.load("patu655")
+    half = crane.with_effect(
+        "learned_opening@lift", registry.find("learned_opening").curve.values("pressure_drop", *x_y)
+    )
+    x, w = np.array([0.3, -0.9, 0.0, 0.0, 99.5e5, 1.5e5, 20e5, 20e5]), np.array([0.3, 0.0, 100e5, 1e5])
+    flows, whole = (ExudynEngine(c).terms(x, w) for c in (half, crane))
+    for name in ("Q1", "Q2"):
+        assert flows[name] == pytest.approx(0.5 * whole[name], rel=1e-12)
 
 
 def test_a_value_outside_its_range_is_refused_with_the_range():

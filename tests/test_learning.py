@@ -15,8 +15,7 @@ import pytest
 import crane_exudyn
 from crane_exudyn import Crane, Recording
 from crane_exudyn.drive import spool_on
-from crane_exudyn.effects import registry
-from crane_exudyn.errors import CraneError
+from crane_exudyn.effects import hooks, registry
 from crane_exudyn.geometry import chamber_lengths
 from crane_exudyn.measurement import Measurement
 from validation import improvement
@@ -226,11 +225,36 @@ def test_a_progressive_spool_is_learned_and_read_and_predicts(tmp_path):
     assert float(said) == pytest.approx(law.y[0], rel=1e-4)
 
 
-def test_only_what_one_hook_can_do_is_written_as_an_effect():
-    """A learned opening over the pressure drop acts on both edges, and half of it would be another law."""
-    law = SimpleNamespace(effect="learned_opening@lift", over="pressure_drop", against_motion=True)
-    with pytest.raises(CraneError, match="cannot be written as an effect of one hook"):
-        own_effect(law, CRANE, "learn", "mine")
+@pytest.mark.parametrize(
+    ("effect", "over", "against", "x", "y", "given"),
+    [
+        ("learned_opening@lift", "pressure_drop", False, [0.0, 50e5, 100e5], [1.0, 0.8, 0.7],
+         {"supply_gain": (0, 30e5), "return_gain": (0, 80e5, 20e5, 0.0, 79e5)}),
+        ("learned_torque@O", "angle", False, [-1.5, 0.0, 1.5], [900.0, 0.0, -400.0], {"joint_torque": (0, 0.1, 0.7)}),
+        ("learned_torque@O", "angle", True, [-1.5, 0.0, 1.5], [900.0, 0.0, 400.0], {"joint_torque": (0, 0.1, 0.7)}),
+        ("learned_leakage@lift", "pressure_drop", False, [0.0, 50e5, 100e5], [0.0, 1e-5, 3e-5],
+         {"leakage": (0, 20e5, 70e5)}),
+    ],
+)  # fmt: skip
+def test_a_law_written_as_an_effect_does_what_the_learned_one_does(tmp_path, effect, over, against, x, y, given):
+    name, curve = effect.partition("@")[0], registry.find(effect.partition("@")[0]).curve
+    argument, E = (
+        curve.argument(over, "test"),
+        CRANE.with_effect(effect, curve.values(over, x, y, against)).effect_vector(),
+    )
+    law = SimpleNamespace(
+        effect=effect, over=over, against_motion=against, knots=(np.array(x), np.array(y)), resembles="", unit_over="",
+        unit="", law=SimpleNamespace(over=argument),
+    )  # fmt: skip
+    file, code = tmp_path / "mine.py", f"import crane_exudyn; (e,) = crane_exudyn.load_effects(r'{tmp_path}/mine.py')\n"
+    file.write_text(own_effect(law, CRANE, "learn", "mine"), encoding="utf-8")
+    # c is the place's number, which an effect's own hooks are not given
+    code += f"for hook, (_, *given) in {given}.items(): print(getattr(e, hook)(1.0, *given[:len(e.given(hook))]))"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split("\n")
+    for line, (hook, values) in zip(said, given.items(), strict=False):
+        expected = hooks.plain(hook)(E, *values)
+        assert np.atleast_1d(eval(line)) == pytest.approx(np.atleast_1d(expected), rel=1e-9), (name, hook)
+        assert np.abs(expected).max() > 0.0
 
 
 def test_a_range_ends_where_it_was_met_within_more_than_a_block_of_time():

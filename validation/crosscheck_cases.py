@@ -10,6 +10,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
+from crane_exudyn.effects.base import COMMANDING, SENSING
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.hydraulics import vapour_pressure
@@ -19,8 +20,6 @@ from crane_exudyn.strokes import positions_in_strokes, run_while_possible, withi
 
 from .semi_recursive import SemiRecursiveEngine
 
-#: hooks that act before or after an engine (on commands, on sensors), in code that both engines are fed by
-OUTSIDE_ENGINES = {"command", "delay", "backlash", "creep", "measurement", "lag"}
 #: hooks that act on a payload
 OF_PAYLOAD = {"payload_mass", "pendulum", "tip_force"}
 #: smallest chamber length of a random state, m
@@ -189,7 +188,7 @@ def effect_probes(crane: Crane) -> dict[str, Crane]:
     probes = {}
     for key in registry.all_keys(crane.layout):
         effect, _ = registry.split_key(key)
-        if set(effect.hooks()) <= OUTSIDE_ENGINES or (effect.curve and key != effect.keys(crane.layout)[0]):
+        if set(effect.hooks()) <= COMMANDING | SENSING or (effect.curve and key != effect.keys(crane.layout)[0]):
             continue  # a curve is one law wherever it acts
         base = crane
         if "pendulum" in effect.hooks() and crane["payload.mass"] <= 0.0:  # nothing would swing

@@ -22,7 +22,7 @@ class Hook:
 
     `neutral` are the first results of an effect that is switched off; without, it returns what it is given.
 
-    What is measured from a recording (`Effect.curve`) is given `more` behind that.
+    A function that takes one argument more is given `more` behind that.
     """
 
     given: str
@@ -49,6 +49,7 @@ _NOTHING = (0.0,)
 HOOKS: Mapping[str, Hook] = {
     "command": Hook("u", "u"), "delay": Hook("", "T", _NOTHING), "backlash": Hook("", "b", _NOTHING),
     "creep": Hook("", "share, tau", _NOTHING), "opening": Hook("U", "U"), "supply_drop": Hook("dp", "dp"),
+    "supply_gain": Hook("dp", "factor", (1.0,)),
     "return_gain": Hook("p_own, p_other, load_side", "factor", (1.0,), "drop"),
     "leakage": Hook("pa, pb", "qa, qb", (0.0, 0.0)),
     "supply_pressure": Hook("pp, q", "pp"), "tank_pressure": Hook("pt, q", "pt"),
@@ -57,6 +58,8 @@ HOOKS: Mapping[str, Hook] = {
     "payload_mass": Hook("t, m", "m"), "tip_force": Hook("t", "fy", _NOTHING), "gravity": Hook("gx, gy", "gx, gy"),
     "pendulum": Hook("", "length, damping", _NOTHING), "measurement": Hook("y", "y"), "lag": Hook("", "tau", _NOTHING),
 }  # fmt: skip
+#: hooks that act on a command before the spool follows it, and on what a sensor shows: outside of the equations
+COMMANDING, SENSING = frozenset({"command", "delay", "backlash", "creep"}), frozenset({"measurement", "lag"})
 #: the form of `leakage` at a chamber
 CHAMBER_LEAKAGE = Hook("p", "q", _NOTHING)
 #: kinds of places at which a hook may act; one that is not here acts on the whole machine
@@ -73,6 +76,7 @@ ACTS_AT: Mapping[str, tuple[str, ...]] = {
             "creep",
             "opening",
             "supply_drop",
+            "supply_gain",
             "return_gain",
             "cylinder_force",
             "series_compliance",
@@ -105,6 +109,19 @@ class Effect:
     def hooks(cls) -> dict[str, Callable[..., object]]:
         """Return the hooks that this effect defines, by name."""
         return {hook: getattr(cls, hook) for hook in HOOKS if hook in cls.__dict__}
+
+    @classmethod
+    def given(cls, hook: str) -> tuple[str, ...]:
+        """Return the names of what a hook of this effect is given after the effect's own parameters."""
+        form = cls.form(hook)
+        own = len(cls.parameters) if cls.curve is None else len(("E", "at"))
+        asks = len(inspect.signature(getattr(cls, hook)).parameters) > own + len(form.arguments)
+        return (*form.arguments, form.more) if asks and form.more else form.arguments
+
+    @classmethod
+    def form(cls, hook: str) -> Hook:
+        """Return the form that a hook must have at the places of this effect."""
+        return CHAMBER_LEAKAGE if hook == "leakage" and cls.places == CHAMBERS else HOOKS[hook]
 
     @classmethod
     def law(cls) -> str:

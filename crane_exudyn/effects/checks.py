@@ -23,7 +23,6 @@ from ..layout import MOST
 from ..units import factor_to_si
 from .base import (
     ACTS_AT,
-    CHAMBER_LEAKAGE,
     CHAMBERS,
     EVERYWHERE,
     HOOKS,
@@ -42,7 +41,7 @@ _TRIED: Mapping[str, tuple[float, ...]] = {
     "pp": (1e5, 100e5), "pt": (1e5, 20e5), "q": (-1e-3, 0.0, 1e-3),
     "v": (-0.5, -1e-3, 0.0, 1e-3, 0.5), "la": (0.01, 0.3, 1.0), "lb": (0.01, 0.3, 1.0),
     "omega": (-1.0, -1e-3, 0.0, 1e-3, 1.0),
-    "drop": (0.0, 1e5, 100e5), "angle": (-1.0, 0.0, 1.0),
+    "drop": (-1e5, 0.0, 1e5, 100e5), "angle": (-1.0, 0.0, 1.0),
     "t": (0.0, 7.0, 600.0), "m": (0.0, 100.0), "gx": (-1.0, 0.0), "gy": (-9.81,), "y": (-1.0, 0.0, 0.5, 60e5),
 }  # fmt: skip
 #: s that all trials of a hook may take together; they take some ms
@@ -58,7 +57,7 @@ def checked(effect: type[Effect], where: str) -> type[Effect]:
     where = f"{where}: effect {effect.name or effect.__name__!r}"
     _check_description(effect, where)
     for name, function in effect.hooks().items():
-        _check_hook(effect, f"{where}, line {_line(function)}", name, _form(effect, name), function)
+        _check_hook(effect, f"{where}, line {_line(function)}", name, function)
     return effect
 
 
@@ -131,12 +130,7 @@ def _check_parameter(parameter: Any, where: str) -> None:
             )
 
 
-def _form(effect: type[Effect], name: str) -> Hook:
-    """Return the form that a hook must have at the places of its effect."""
-    return CHAMBER_LEAKAGE if name == "leakage" and effect.places == CHAMBERS else HOOKS[name]
-
-
-def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, function: Callable[..., Any]) -> None:
+def _check_hook(effect: type[Effect], where: str, name: str, function: Callable[..., Any]) -> None:
     """Refuse a hook of another signature, one that does not compile, is not neutral when it should be, or returns no
     numbers.
     """
@@ -145,7 +139,7 @@ def _check_hook(effect: type[Effect], where: str, name: str, hook: Hook, functio
         known = " or ".join(kind or "the whole machine" for kind in kinds)
         raise CraneError(f"{where}: hook {name} cannot act at {effect.places}. Its places: {known}.")
     own = [p.name for p in effect.parameters] if effect.curve is None else ["E", "at"]
-    told = [*hook.arguments, *filter(None, [hook.more if effect.curve else ""])]
+    hook, told = effect.form(name), effect.given(name)
     expected = f"{name}({', '.join([*own, *told])}) -> {hook.returns}"
     _check_signature(function, where, name, expected, len(own) + len(told))
     neutral = _given(effect, [p.typical if p.shape else p.neutral for p in effect.parameters])

@@ -10,8 +10,8 @@ class CounterbalanceValve(Effect):
     """The loaded chamber drains only as far as the valve is opened by p_load + ratio * p_pilot over its setting.
 
     Opening = (p_load + ratio * p_pilot - setting) / 20 bar, within 0 and 1, on the flow of that chamber's edge to tank;
-    flow into the chamber is free. The crane file says which chamber is the loaded one (of the log crane p1 and p4); the
-    pilot is the opposite chamber.
+    flow into the chamber is free, through the valve's check. The crane file says which chamber is the loaded one (of
+    the log crane p1 and p4); the pilot is the opposite chamber.
 
     Signature: lowering a load needs pressure on the opposite side, which builds up before anything moves; both
     pressures are high while lowering, and lifting is as before.
@@ -43,8 +43,8 @@ class CounterbalanceValve(Effect):
     )
 
     @staticmethod
-    def return_gain(setting, ratio, p_own, p_other, load_side):
-        if setting <= 0.0 or load_side == 0.0:
+    def return_gain(setting, ratio, p_own, p_other, load_side, drop):
+        if setting <= 0.0 or load_side == 0.0 or drop < 0.0:
             return 1.0
         opening = (p_own + ratio * p_other - setting) / OPENING_RANGE
         return min(max(opening, 0.0), 1.0)

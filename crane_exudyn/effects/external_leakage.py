@@ -4,7 +4,7 @@ from .base import CHAMBERS, Effect, Parameter
 
 
 class ExternalLeakage(Effect):
-    """Flow k p out of one chamber.
+    """Flow k p out of one chamber, p over the air outside; no oil comes back from there.
 
     Signature: the chamber loses pressure at rest and the cylinder gives way on that side only; the opposite chamber
     follows.
@@ -17,4 +17,4 @@ class ExternalLeakage(Effect):
 
     @staticmethod
     def leakage(k, p):
-        return -k * p
+        return -k * max(p, 0.0)

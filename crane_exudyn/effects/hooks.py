@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import functools
 import linecache
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..compiled import njit
-from .base import CHAMBERS, HOOKS, SENSORS, Effect
+from .base import CHAMBERS, SENSORS, Effect
 from .curve import with_compiled_value
 from .registry import known, starts
 
@@ -30,6 +30,7 @@ _FORM = {
     ),
     "opening": ("c, U", "", "U = {call}", "U"),
     "supply_drop": ("c, dp", "", "dp = {call}", "dp"),
+    "supply_gain": ("c, dp", "g = 1.0", "g *= {call}", "g"),
     "return_gain": ("c, p_own, p_other, load_side, drop", "g = 1.0", "g *= {call}", "g"),
     "supply_pressure": ("pp, q", "", "pp = {call}", "pp"),
     "tank_pressure": ("pt, q", "", "pt = {call}", "pt"),
@@ -57,23 +58,22 @@ def _compiled_value(value: Any) -> Any:
     return njit(value, cache=False)
 
 
-def _call(effect: type[Effect], place: str, hook: str, arguments: str) -> str:
+def _call(effect: type[Effect], place: str, hook: str, arguments: Sequence[str]) -> str:
     """Return the text of a call of an effect's hook at the place whose number the text `place` gives."""
     start, count = starts()[effect.name], len(effect.parameters)
     at = f" + {count} * ({place})" if place else ""
     if effect.curve is not None:
-        given = ("E", f"{start}{at}", arguments, HOOKS[hook].more)
-        return f"{effect.name}_{hook}({', '.join(filter(None, given))})"
+        return f"{effect.name}_{hook}({', '.join(['E', f'{start}{at}', *arguments])})"
     parameters = [f"E[{start + i}{at}]" for i in range(count)]
-    return f"{effect.name}_{hook}({', '.join([*parameters, *filter(None, [arguments])])})"
+    return f"{effect.name}_{hook}({', '.join([*parameters, *arguments])})"
 
 
 def _term_lines(effect: type[Effect], hook: str) -> list[str]:
     if effect.places == CHAMBERS:  # a leakage of each chamber of a cylinder
-        return [f"    q{s} += {_call(effect, f'2 * c + {k}', hook, f'p{s}')}" for k, s in enumerate("ab")]
+        return [f"    q{s} += {_call(effect, f'2 * c + {k}', hook, [f'p{s}'])}" for k, s in enumerate("ab")]
     _, _, enter, _ = _FORM[hook]
     known = "if c >= 0: " if effect.places == SENSORS else ""  # not every sensor has a place
-    return [f"    {known}{enter.format(call=_call(effect, 'c' if effect.places else '', hook, HOOKS[hook].given))}"]
+    return [f"    {known}{enter.format(call=_call(effect, 'c' if effect.places else '', hook, effect.given(hook)))}"]
 
 
 def source(hook: str) -> str:
@@ -123,6 +123,7 @@ backlash = _compose("backlash")
 creep = _compose("creep")
 opening = _compose("opening")
 supply_drop = _compose("supply_drop")
+supply_gain = _compose("supply_gain")
 return_gain = _compose("return_gain")
 leakage = _compose("leakage")
 supply_pressure = _compose("supply_pressure")

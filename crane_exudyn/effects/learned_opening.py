@@ -27,11 +27,8 @@ class LearnedOpening(Effect):
         return value(E, at, U) if E[at] > 0.0 and E[at + 1] == 0.0 else U
 
     @staticmethod
-    def supply_drop(E, at, dp):
-        if E[at] == 0.0 or E[at + 1] == 0.0:
-            return dp
-        factor = max(value(E, at, dp), 0.0)
-        return factor * factor * dp  # the flow grows with its root
+    def supply_gain(E, at, dp):
+        return max(value(E, at, dp), 0.0) if E[at] > 0.0 and E[at + 1] > 0.0 else 1.0
 
     @staticmethod
     def return_gain(E, at, p_own, p_other, load_side, drop):

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.effects.base import SENSING
 from crane_exudyn.effects.registry import events, slots_of, slots_of_events
-from crane_exudyn.measurement import SENSING
 
 from .data import FitData
 from .model import Model, model_of

@@ -13,6 +13,7 @@ from scipy.optimize import isotonic_regression
 
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.curve import KNOTS, NUMBER, Argument, Table, X, Y, value
+from crane_exudyn.hydraulics import outside_pressure
 from crane_exudyn.layout import Layout
 from crane_exudyn.statics import vapour_pressure
 
@@ -223,7 +224,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], tuple[np.ndarray, tuple[f
     t = SemiRecursiveEngine(fit.crane).terms_along(X, W, time)
     clock = _EVERY * np.arange(len(X))
     found: dict[tuple[str, str, str], tuple[np.ndarray, tuple[float, float]]] = {}
-    vacuum = vapour_pressure(fit.crane)
+    P, vacuum = fit.crane.parameter_vector(), vapour_pressure(fit.crane)
 
     def met(effect: str, place: str, over: str, values: np.ndarray, where: np.ndarray | None = None) -> None:
         where = np.ones(len(values), dtype=bool) if where is None else where
@@ -248,7 +249,7 @@ def visited(fit: Fit) -> Mapping[tuple[str, str, str], tuple[np.ndarray, tuple[f
         met("learned_force", place, "pressure_drop", np.abs(p[:, 0] - p[:, 1]), moves)
         met("learned_leakage", place, "pressure_drop", np.abs(p[:, 0] - p[:, 1]))
         for side, chamber in enumerate(lay.sides[c]):
-            met("learned_flow", chamber, "pressure", p[:, side])
+            met("learned_flow", chamber, "pressure", p[:, side] - outside_pressure(P))
     for i, place in enumerate(lay.joints):
         rate = np.abs(X[:, lay.velocities][:, i])
         met("learned_torque", place, "angle", X[:, lay.positions][:, i])

@@ -4,33 +4,42 @@ from __future__ import annotations
 
 import inspect
 import textwrap
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.base import HOOKS
-from crane_exudyn.errors import CraneError
 
 if TYPE_CHECKING:
     from .learned_law import LearnedLaw
 
-#: by effect and argument: the hook, where the curve is looked up, and what the hook returns of its value y
-_HOOKS = {
-    ("learned_opening", "spool"): ("opening", "U", "U + share * (y - U)"),
-    ("learned_force", "speed"): ("cylinder_force", "abs(v)", "-share * max(y, 0.0) * math.tanh(v / 2e-3)"),
-    ("learned_force", "stroke"): ("cylinder_force", "la", "-share * max(y, 0.0) * math.tanh(v / 2e-3)"),
-    ("learned_force", "pressure_drop"): ("cylinder_force", "abs(pa - pb)", "-share * max(y, 0.0) * math.tanh"
-                                                                          "(v / 2e-3)"),
-    ("learned_leakage", "pressure_drop"): ("leakage", "abs(pa - pb)", "-share * math.copysign(y, pa - pb), share * "
-                                                                      "math.copysign(y, pa - pb)"),
-    ("learned_flow", "pressure"): ("leakage", "p", "-share * y"),
-    ("learned_torque", "rate"): ("joint_torque", "abs(omega)", "-share * max(y, 0.0) * math.tanh(omega / 2e-3)"),
-    ("learned_supply", "flow"): ("supply_pressure", "q", "pp - share * y if q > 0.0 else pp"),
-    ("learned_return", "flow"): ("tank_pressure", "q", "pt + share * y if q > 0.0 else pt"),
+_RUBS = "-share * max(y, 0.0) * math.tanh({} / 2e-3)"
+_FORCE, _FACTOR = "v, pa, pb, la, lb", "1.0 + share * (max(y, 0.0) - 1.0)"
+#: by effect and argument: hooks, each with what it is given, where the curve is looked up, and what it returns of its
+#: value y
+_HOOKS: Mapping[tuple[str, str], tuple[tuple[str, str, str, str], ...]] = {
+    ("learned_opening", "spool"): (("opening", "U", "U", "U + share * (y - U)"),),
+    ("learned_opening", "pressure_drop"): (
+        ("supply_gain", "dp", "dp", _FACTOR),
+        ("return_gain", "p_own, p_other, load_side, drop", "drop", _FACTOR),
+    ),
+    ("learned_force", "speed"): (("cylinder_force", _FORCE, "abs(v)", _RUBS.format("v")),),
+    ("learned_force", "stroke"): (("cylinder_force", _FORCE, "la", _RUBS.format("v")),),
+    ("learned_force", "pressure_drop"): (("cylinder_force", _FORCE, "abs(pa - pb)", _RUBS.format("v")),),
+    ("learned_leakage", "pressure_drop"): (
+        ("leakage", "pa, pb", "abs(pa - pb)",
+         "-share * math.copysign(y, pa - pb), share * math.copysign(y, pa - pb)"),
+    ),
+    ("learned_flow", "pressure"): (("leakage", "p", "p", "-share * y"),),
+    ("learned_torque", "angle"): (("joint_torque", "omega, angle", "angle", _RUBS.format("omega")),),
+    ("learned_torque", "rate"): (("joint_torque", "omega", "abs(omega)", _RUBS.format("omega")),),
+    ("learned_supply", "flow"): (("supply_pressure", "pp, q", "q", "pp - share * y if q > 0.0 else pp"),),
+    ("learned_return", "flow"): (("tank_pressure", "pt, q", "q", "pt + share * y if q > 0.0 else pt"),),
 }  # fmt: skip
-_GIVEN = {"learned_flow": "p"}
+#: what a law that is no friction returns where one could be
+_SPRING = "share * y"
 
 _TEXT = '''"""{title}."""
 
@@ -77,12 +86,14 @@ class {cls}(Effect):
     name = "{name}"
     places = ("{place}",)
     parameters = (Parameter("share", "", 0.0, 0.0, 10.0, 1.0, "1: the curve as it was learned"),)
+{hooks}'''
 
+_HOOK = """
     @staticmethod
     def {hook}(share, {given}):
         y = curve({at})
         return {result}
-'''
+"""
 
 
 def own_effect(law: LearnedLaw, crane: Crane, recording: str, name: str) -> str:
@@ -90,32 +101,21 @@ def own_effect(law: LearnedLaw, crane: Crane, recording: str, name: str) -> str:
     as learned.
     """
     effect, place = registry.split_key(law.effect)
-    hook, at, result = _of(law)
     origin = law.law.over.origin
-    at += f" + {crane[f'cylinders.{place}.{origin}']:.6g}" if origin else ""
-    given, (x, y) = _GIVEN.get(effect.name, HOOKS[hook].given), law.knots
-    signature = inspect.cleandoc(effect.__doc__ or "").partition("Signature: ")[2]
+    begin = f" + {crane[f'cylinders.{place}.{origin}']:.6g}" if origin else ""
+    spring = True in law.law.over.against and not law.against_motion
+    hooks = "".join(
+        _HOOK.format(hook=hook, given=given, at=at + begin, result=_SPRING if spring else result)
+        for hook, given, at, result in _HOOKS[effect.name, law.over]
+    )
+    (x, y), signature = law.knots, inspect.cleandoc(effect.__doc__ or "").partition("Signature: ")[2]
     return _TEXT.format(
         title=f"A {effect.name.replace('_', ' ')} at {place or 'the whole machine'}: "
               f"{law.resembles or 'a curve'}", over=law.over.replace("_", " "),
         unit_over=law.unit_over or "1", unit=law.unit or "1", recording=recording, x=_numbers(x), y=_numbers(y),
         cls=name.title().replace("_", ""),
-        signature=textwrap.fill(signature, 110, subsequent_indent="    "), name=name, place=place, hook=hook,
-        given=given, at=at, result=result,
+        signature=textwrap.fill(signature, 110, subsequent_indent="    "), name=name, place=place, hooks=hooks,
     )  # fmt: skip
-
-
-def _of(law: LearnedLaw) -> tuple[str, str, str]:
-    key = (law.effect.partition("@")[0], law.over)
-    if key not in _HOOKS:
-        raise CraneError(
-            f"{law.effect} over {law.over} cannot be written as an effect of one hook. Keep it in the crane file, with "
-            "-o."
-        )
-    hook, at, result = _HOOKS[key]
-    if law.over == "stroke" and not law.against_motion:
-        result = "share * y"
-    return hook, at, result
 
 
 def _numbers(values: np.ndarray) -> str:

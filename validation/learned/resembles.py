@@ -35,7 +35,7 @@ class Form:
     name: str
     law: Callable[[np.ndarray, np.ndarray], np.ndarray]
     starts: Callable[[np.ndarray, np.ndarray], Sequence[Sequence[float]]]
-    words: Callable[[np.ndarray, np.ndarray, str, str], str]
+    words: Callable[[np.ndarray, str, str], str]
 
 
 @dataclass(frozen=True)
@@ -85,31 +85,31 @@ FORMS = (
         "constant",
         lambda x, p: np.full_like(x, p[0]),
         lambda x, y: [[float(np.mean(y))]],
-        lambda p, s, u, v: f"{p[0]:.3g} {u} throughout",
+        lambda p, u, v: f"{p[0]:.3g} {u} throughout",
     ),
     Form(
         "linear",
         lambda x, p: p[0] * x,
         lambda x, y: [[float(x @ y / (x @ x))]],
-        lambda p, s, u, v: f"{p[0]:.3g} {_per(u, v)}",
+        lambda p, u, v: f"{p[0]:.3g} {_per(u, v)}",
     ),
     Form(
         "spring",
         lambda x, p: p[0] * (x - p[1]),
         lambda x, y: [list(_line(x, y))],
-        lambda p, s, u, v: f"{p[0]:.3g} {_per(u, v)} about {p[1]:.3g} {v}",
+        lambda p, u, v: f"{p[0]:.3g} {_per(u, v)} about {p[1]:.3g} {v}",
     ),
     Form(
         "square root",
         lambda x, p: p[0] * np.sign(x) * np.sqrt(np.abs(x)),
         lambda x, y: [[_greatest(y) / math.sqrt(float(np.abs(x).max()))]],
-        lambda p, s, u, v: f"{p[0]:.3g} {_per(u, f'√{v}' if v else '')}",
+        lambda p, u, v: f"{p[0]:.3g} {_per(u, f'√{v}' if v else '')}",
     ),
     Form(
         "power",
         lambda x, p: p[0] * np.sign(x) * np.abs(x) ** abs(p[1]),
         lambda x, y: [[_greatest(y) / float(np.abs(x).max()) ** n, n] for n in (0.5, 1.5, 2.0)],
-        lambda p, s, u, v: f"{p[0]:.3g} {u} times the power {abs(p[1]):.3g}{_of(v)}",
+        lambda p, u, v: f"{p[0]:.3g} {u} times the power {abs(p[1]):.3g}{_of(v)}",
     ),
     Form(
         "dead zone",
@@ -117,25 +117,25 @@ FORMS = (
         lambda x, y: [
             [_greatest(y) / float(np.abs(x).max()) / (1.0 - a), a * float(np.abs(x).max())] for a in (0.1, 0.4, 0.7)
         ],
-        lambda p, s, u, v: f"nothing up to {abs(p[1]):.3g} {v}, then {p[0]:.3g} {_per(u, v)}",
+        lambda p, u, v: f"nothing up to {abs(p[1]):.3g} {v}, then {p[0]:.3g} {_per(u, v)}",
     ),
     Form(
         "saturation",
         lambda x, p: p[0] * np.tanh(x / p[1]),
         lambda x, y: [[_greatest(y), a * float(np.abs(x).max())] for a in (0.1, 0.4)],
-        lambda p, s, u, v: f"rises to {p[0]:.3g} {u} within {abs(p[1]):.3g} {v}",
+        lambda p, u, v: f"rises to {p[0]:.3g} {u} within {abs(p[1]):.3g} {v}",
     ),
     Form(
         "bump",
         lambda x, p: p[0] * np.exp(-(((x - p[1]) / p[2]) ** 2)),
         lambda x, y: [[_greatest(y), float(x[np.argmax(np.abs(y))]), a * float(np.ptp(x))] for a in (0.1, 0.3)],
-        lambda p, s, u, v: f"{p[0]:.3g} {u} within {p[1]:.3g} ± {abs(p[2]):.2g} {v}",
+        lambda p, u, v: f"{p[0]:.3g} {u} within {p[1]:.3g} ± {abs(p[2]):.2g} {v}",
     ),
     Form(
         "Stribeck",
         lambda x, p: p[0] + p[1] * np.exp(-np.abs(x / p[2])),
         lambda x, y: [[float(y[-1]), float(y[0] - y[-1]), 0.15 * float(np.ptp(x))]],
-        lambda p, s, u, v: f"from {p[0] + p[1]:.3g} {u} at 0 to {p[0]:.3g} {u} within {abs(p[2]):.3g} {v}",
+        lambda p, u, v: f"from {p[0] + p[1]:.3g} {u} at 0 to {p[0]:.3g} {u} within {abs(p[2]):.3g} {v}",
     ),
 )
 
@@ -178,7 +178,7 @@ def resembles(
     departure = np.abs(Y - [over.neutral(v * fx) / fy for v in X]).max()
     if math.sqrt(squares / len(X)) > _ERRORS and left > _SHARE * departure:
         return Resemblance("", "")
-    words = form.words(p, spread, y_unit, x_unit).replace("  ", " ").strip()
+    words = form.words(p, y_unit, x_unit).replace("  ", " ").strip()
     text = _told(form, p, words, over)
     law = lambda s, q: form.law(np.asarray(s) / fx, q) * fy  # noqa: E731
     return Resemblance(form.name, text, tuple(p), _library(form, key, over, against), law)

@@ -101,7 +101,7 @@ def equations(fit: Fit, laws: Sequence[Law], stiffness: float) -> tuple[np.ndarr
             moves.append((law.key, law.values(law.neutral if still else law.neutral + moved)))
 
     def probes(base: Model, data: FitData, recording: int) -> Columns:
-        models = [model_of(base.crane.with_effect(key, values), data, base.late) for key, values in moves]
+        models = [model_of(base.crane.with_effect(key, values), data, base.late, base) for key, values in moves]
         return pack(base, models, sizes)
 
     found, n = projected(fit, fit.knots, probes, stiffness), len(sizes)

@@ -10,7 +10,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
-from crane_exudyn.effects.base import SENSORS, Effect, Parameter
+from crane_exudyn.effects.base import SENSING, SENSORS, Effect, Parameter
 from crane_exudyn.geometry import chamber_lengths
 from crane_exudyn.layout import Layout
 
@@ -68,7 +68,7 @@ def _is_measured(effect: type[Effect], data: Data) -> bool:
 
 def _can_show(effect: type[Effect], place: str, data: Data, layout: Layout) -> bool:
     """Whether a sensor's effect stands at a sensor that was recorded; other effects always may show."""
-    if effect.places != SENSORS or not set(effect.hooks()) <= {"measurement", "lag"}:
+    if effect.places != SENSORS or not set(effect.hooks()) <= SENSING:
         return True
     return any(layout.sensors[name].place == place for name in data.channels)
 
@@ -84,8 +84,7 @@ def _values(effect: type[Effect], first: Parameter, data: Data, length: float) -
     """
     if effect.probes:
         return [dict(p) for p in effect.probes]
-    size = first.typical * (0.5 if effect.parameters[0].unit == "channel" else 1.0)
-    along = next((p for p in effect.parameters if p.along_stroke), None)
+    size, along = first.typical, next((p for p in effect.parameters if p.along_stroke), None)
     if along is not None:
         places = (length + away for away in PLACES)  # a fit may have moved the pins far
         return [{first.name: size, along.name: x} for x in places if along.lower <= x <= along.upper]

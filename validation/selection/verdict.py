@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from crane_exudyn.effects import registry
+from crane_exudyn.effects.base import COMMANDING
 
 from ..fit.data import FitData
 from ..fit.model import spool_path
@@ -17,8 +18,6 @@ from .search import Problem
 from .white import WhitePath
 
 Kind = Literal["adequate", "parameters", "effect", "tied", "unknown"]
-#: hooks that act on commands before the spool follows them
-_BEFORE_THE_SPOOL = {"command", "delay", "backlash", "creep"}
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,7 @@ def verdict_of(path: WhitePath) -> Verdict:
         at_once = _at_once(path, path.fewest, moved.evidence)
         if at_once is not None:
             return Verdict("tied", at_once, (path.fewest,), _bounds(at_once))
-        adequate = path.given.good and moved.evidence < path.given.evidence + CRITERIA.proof
-        return Verdict("adequate", path.given) if adequate else Verdict("parameters", path.fewest)
+        return Verdict("adequate", path.given) if path.adequate else Verdict("parameters", path.fewest)
     if best is None or not explains(path, best):
         return Verdict("unknown", path.given)
     at_once = _at_once(path, best, best.evidence)
@@ -94,7 +92,7 @@ def within_clocks(problem: Problem, w: Fitted) -> bool:
     """Whether all that the effects do is what commands do that come less than a sampling interval later: when in it
     they came is not recorded.
     """
-    if not all(set(registry.split_key(k)[0].hooks()) <= _BEFORE_THE_SPOOL for k in w.keys):
+    if not all(set(registry.split_key(k)[0].hooks()) <= COMMANDING for k in w.keys):
         return False
     return all(_is_a_shift(problem, w, i, part) for i, part in enumerate(problem.data.parts))
 

@@ -681,7 +681,8 @@ def pump_edge(c, pp, P, E, s):
         if u > 0.0
         else (s.numbers[k, OIL_B + PRESSURE], P[i + PUMP_TO_B])
     )
-    return P[i] * edge * abs(u) * root_flow(hooks.supply_drop(E, c, pp - own), P[LAMINAR])
+    drop = hooks.supply_drop(E, c, pp - own)
+    return hooks.supply_gain(E, c, drop) * P[i] * edge * abs(u) * root_flow(drop, P[LAMINAR])
 
 
 @part
@@ -937,7 +938,8 @@ def cylinder(c, flow_a, flow_b, P, E, s):
     v, pa, pb = s.numbers[k, SPEED_S], s.numbers[k, OIL_A + PRESSURE], s.numbers[k, OIL_B + PRESSURE]
     pump, tank = s.numbers[k, DRAWN], s.numbers[k, RETURNED]
     Qa, Qb = (pump, tank) if s.numbers[k, OPENING] > 0.0 else (-tank, -pump)
-    leak_a, leak_b = hooks.leakage(E, c, pa, pb)
+    outside = P[AIR] - P[REFERENCE] * P[AIR]
+    leak_a, leak_b = hooks.leakage(E, c, pa - outside, pb - outside)
     leak_a, leak_b = leak_a + flow_a, leak_b + flow_b
     Ga, Gb = s.numbers[k, OIL_A + DENSITY] * (Qa + leak_a), s.numbers[k, OIL_B + DENSITY] * (leak_b - Qb)
     compliance = hooks.series_compliance(E, c)
