@@ -90,7 +90,7 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column], layout:
     }
     return {
         "name": path.name.partition(".")[0], "channels": channels, "source": str(path), "notes": tuple(notes),
-        "columns": read_from, "ignored": tuple(ignored),
+        "columns": read_from, "ignored": tuple(ignored), "held": any(column.held for column in mapping.values()),
         "layout": layout,
     }  # fmt: skip
 

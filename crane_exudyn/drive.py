@@ -12,21 +12,22 @@ from .inputs import SpoolPath
 _STEP, _RATIO = 0.02, 4.0
 
 
-def with_steps(time: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def with_steps(time: np.ndarray, commands: np.ndarray, held: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Return commands in which steps stay steps: time (n + k,), commands (n + k, valves), linear between the points.
 
     A ramp shows in many samples, a step in one: joining the two samples around a step by a line would begin it up to a
-    sampling interval early. A command that jumps is held until the sample that shows the new value.
+    sampling interval early. A command that jumps is held until the sample that shows the new value; with `held` every
+    change is such a jump, as of a controller whose output is logged in its own cycle.
     """
     change = np.abs(np.diff(commands, axis=0))
     around = np.maximum(np.pad(change[:-1], ((1, 0), (0, 0))), np.pad(change[1:], ((0, 1), (0, 0))))
-    jumps = np.flatnonzero(((change > _STEP) & (change > _RATIO * around)).any(axis=1))
+    stepped = change > 0.0 if held else (change > _STEP) & (change > _RATIO * around)
+    jumps = np.flatnonzero(stepped.any(axis=1))
     jumps = jumps[np.diff(time)[jumps] > 2.0 * JUST_BEFORE]
-    stepped = (change > _STEP) & (change > _RATIO * around)
-    held = np.where(stepped[jumps], commands[jumps], commands[jumps + 1])
+    before = np.where(stepped[jumps], commands[jumps], commands[jumps + 1])
     return (
         np.insert(time, jumps + 1, time[jumps + 1] - JUST_BEFORE),
-        np.insert(commands, jumps + 1, held, axis=0),
+        np.insert(commands, jumps + 1, before, axis=0),
     )
 
 

@@ -20,7 +20,7 @@ from .tables import split_header
 from .toml_reading import why_no_toml
 from .units import factor_to_si, to_si
 
-_KEYS = ("column", "unit", "sign", "scale", "offset", "late", "drift")
+_KEYS = ("column", "unit", "sign", "scale", "offset", "late", "drift", "held")
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Column:
         unit: that the values have, whatever the file says; None: as the file, or the header here, says.
         factor: sign and scale; offset: in SI.
         late: s by which the file's stamps come after what they stand beside; drift: by how much more in each second.
+        held: of a command, whether all commands keep their value until the next sample.
         said: where that was said, for messages.
     """
 
@@ -41,6 +42,7 @@ class Column:
     offset: float = 0.0
     late: float = 0.0
     drift: float = 0.0
+    held: bool = False
     said: str = "--map"
 
     @classmethod
@@ -120,6 +122,9 @@ def load_map(path: Path, layout: Layout) -> dict[str, Column]:
         late = "0.1 s"        # the stamps come so much after the event,
         drift = 0.001         # and by so much more in each second
 
+        [u1]
+        held = true           # commands keep their value until the next sample, instead of going there in a line
+
     Raises:
         CraneError: names the file, the table and the key, what was found, what was expected and how to mend it.
     """
@@ -162,7 +167,10 @@ def _column(where: str, name: str, table: Any, layout: Layout) -> Column:
             f"{where}: drift = {drift:g}, expected a small number: seconds by which the stamps fall behind in each "
             "second."
         )
-    return Column(column, unit, sign * scale, offset, late, drift, where)
+    held = table.get("held", False)
+    if not isinstance(held, bool) or (held and name not in (*layout.commands, *layout.voltages)):
+        raise CraneError(f"{where}: held = {held!r}, expected true or false, of a command.")
+    return Column(column, unit, sign * scale, offset, late, drift, held, where)
 
 
 def _check_unit(where: str, unit: str, si: str) -> None:
@@ -199,6 +207,7 @@ def keys_of(column: Column, si: str) -> dict[str, str]:
         "offset": _quoted(f"{column.offset / one:.12g} {unit}".strip()) if column.offset else None,
         "late": f'"{column.late:.6g} s"' if column.late else None,
         "drift": f"{column.drift:.6g}" if column.drift else None,
+        "held": "true" if column.held else None,
     }
     return {key: value for key, value in found.items() if value is not None}
 

@@ -45,6 +45,8 @@ class Recording:
         ignored: columns of the file that are no channel of the layout.
         vouched: whether its contents have been looked at, or are to be used anyway (`vetting`).
         exact: whether it is a simulation's, whose sensors are known to be free of noise.
+        held: whether commands keep their value until the next sample; else they are linear between samples, but for
+            jumps.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Recording:
     ignored: tuple[str, ...] = field(default=(), repr=False)
     vouched: bool = False
     exact: bool = False
+    held: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", frozen(self.channels))
@@ -195,6 +198,8 @@ class Recording:
     def commands(self, crane: Crane | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return time (n,) in s and spool commands (n, valves) in [-1, 1], linear between samples; steps stay steps.
 
+        Where commands are `held` every change is a step.
+
         Valve voltages become commands through the calibration of `crane`. Where all commands have one clock it is
         returned as it is; otherwise the union of theirs. Where a command jumps, one more instant just before the sample
         that shows the new value holds the old one (see `drive.with_steps`). In a gap the last value is held; see
@@ -209,16 +214,16 @@ class Recording:
                 "Read it with the crane's names: Recording.load(path, layout=crane.layout)."
             )
         names = self._command_names
-        held = [self[name].held_until(self._gaps(name)[:, 1]) for name in names]
-        time = _union([channel.time for channel in held])
-        values = np.column_stack([channel.held(time) for channel in held])
+        known = [self[name].held_until(self._gaps(name)[:, 1]) for name in names]
+        time = _union([channel.time for channel in known])
+        values = np.column_stack([channel.held(time) for channel in known])
         if names == self.layout.commands:
-            return with_steps(time, np.clip(values, -1.0, 1.0))
+            return with_steps(time, np.clip(values, -1.0, 1.0), self.held)
         if crane is None:
             raise CraneError(
                 f"{self.source or self.name}: holds valve voltages; a crane's calibration makes commands of them."
             )
-        return with_steps(time, crane.commands_from_voltages(values))
+        return with_steps(time, crane.commands_from_voltages(values), self.held)
 
     def unknown_commands(self) -> dict[str, np.ndarray]:
         """Return {command: spans (g, 2) in s} in which a command was not recorded while the recording went on; empty if

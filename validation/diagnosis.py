@@ -233,9 +233,19 @@ def searched(
     jobs: int,
     progress: Progress,
 ) -> tuple[WhitePath, list[str]]:
-    """Return the path of the search, and notes on the recordings, after they were looked at."""
+    """Return the path of the search, and notes on the recordings, after they were looked at.
+
+    Between samples commands are taken as lines first. Where what was found is clearly likelier with commands that keep
+    their value, the search is made again with these.
+    """
     problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
-    return search(WHITE, problem, most, progress), notes
+    path = search(WHITE, problem, most, progress)
+    held = problem.held(path.best or path.parameters)
+    if held is None:
+        return path, notes
+    progress("searching again, with commands that keep their value until the next sample", 0.3)
+    note = "commands act as if they kept their value until the next sample: say so by held = true in a map file"
+    return search(WHITE, held, most, progress), [*notes, note]
 
 
 def looked_at(
@@ -261,6 +271,7 @@ def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] 
     chooses nothing.
     """
     verdict, problem = verdict_of(path), path.problem
+    check = problem.alike(check)
     named = verdict.kind in ("effect", "tied")
     lean = leaner(problem.crane, problem.data, verdict.chosen) if named else verdict.chosen
     result = Diagnosis(
@@ -300,6 +311,10 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
         misses_check=not drifts,
         notes=(note, *d.notes),
         error_after=d.error_before, check_error_after=before,
+        recordings=tuple(
+            {"recording": r["recording"], "error_before": r["error_before"], "error_after": r["error_before"]}
+            for r in d.recordings
+        ),
     )  # fmt: skip
 
 
@@ -379,10 +394,12 @@ def left_over(w: Fitted) -> tuple[Mapping[str, Any], ...]:
     for k in np.flatnonzero(w.bad):
         window, error = w.fit.windows[k].data, float(w.fit.linear.window_error[k])
         start, end = float(window.time[0]), float(window.time[-1])
-        if found and found[-1]["to"] >= start - 1e-9:
+        if found and found[-1]["recording"] == window.name and found[-1]["to"] >= start - 1e-9:
             found[-1] |= {"to": end, "score": max(found[-1]["score"], error)}
         else:
-            found.append({"channel": "all", "from": start, "to": end, "phase": "", "score": error})
+            found.append(
+                {"recording": window.name, "channel": "all", "from": start, "to": end, "phase": "", "score": error}
+            )
     for entry in found:
         entry["text"] = (
             f"from {entry['from']:.2f} to {entry['to']:.2f} s errors reach {entry['score']:.1f} times the noise"

@@ -24,7 +24,6 @@ from .comparison import filtered, longest_stretch
 from .diagnosis import Candidate, Diagnosis, OneRecording, diagnosis_of, loaded, searched, sentence
 from .fit.data import FINE, FitData
 from .fit.staged import residuals, rms
-from .fitness import usable
 from .history import added, learned, without_learned
 from .learning import Learned
 from .learning import learn as learn_laws
@@ -169,7 +168,13 @@ def improve(
         named, _ = path_of(without_learned(crane))
         path, replaced = (named, replaced) if _as_well(named, path) else (path, ())
     d = replace(diagnosis_of(path, checked, notes), given=crane)
-    judge = Judge(path.problem.recordings, checked, path.problem.data.own, jobs, noise_level(path.problem.data))
+    judge = Judge(
+        path.problem.recordings,
+        path.problem.alike(checked),
+        path.problem.data.own,
+        jobs,
+        noise_level(path.problem.data),
+    )
     steps = [judge.step(None, crane, d.verdict, sentence(d))]
     told(steps[0])
     result = _named(
@@ -214,7 +219,7 @@ def _with_model_error(result: Improvement, judge: Judge, progress: Progress) -> 
     known: dict[str, GaussMarkov] = {}
     if result.verdict == "unknown":
         crane = result.crane
-        whole = [FitData.whole(usable(r), crane) for r in judge.recordings]
+        whole = [FitData.whole(r, crane) for r in judge.recordings]
         seen = [longest_stretch(data, crane.layout) for data in whole]
         known = lasting(crane, seen, progress=partial(progress, "finding how far the model is off"))
     return replace(result, crane=replace(result.crane, model_error=known))
@@ -353,7 +358,7 @@ def confirmed(crane: Crane, recording: Recording, own: Sequence[str], filters: b
     exudyn = rms(residuals(fit.crane, data, fit.starts, fit.late, ExudynEngine(fit.crane).simulate))
     if not filters:
         return Confirmed(exudyn, searched, math.nan)
-    seen = FitData.of(usable(recording), fit.crane).with_step(FINE).shifted(fit.late)
+    seen = FitData.of(recording, fit.crane).with_step(FINE).shifted(fit.late)
     return Confirmed(exudyn, searched, filtered(fit.crane, seen, "semi-recursive").nis_mean)
 
 

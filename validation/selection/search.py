@@ -20,9 +20,10 @@ from crane_exudyn.recording import Recording
 
 from ..fit.data import Data, data_of
 from ..fit.solve import Fit
-from ..fit.staged import Stage, all_parameters, informed_directions
+from ..fit.staged import STIFF, Stage, all_parameters, informed_directions
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
+from .criteria import CRITERIA
 from .manoeuvre import best_manoeuvre
 from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of
 from .moves import scaled
@@ -139,6 +140,23 @@ class Problem:
         data = data_of(recordings, crane, own)
         base = all_parameters(crane, data)
         return cls(crane, tuple(recordings), data, jobs, base, (*informed_directions(base), *stated_effects(crane)))
+
+    def held(self, w: Fitted) -> Problem | None:
+        """Return the problem with commands that keep their value until the next sample, as a controller puts them out;
+        None where a model that was fitted with lines between them is not clearly likelier so.
+        """
+        recordings = [replace(r, held=True) for r in self.recordings]
+        data = data_of(recordings, self.crane, self.data.own)
+        if all(len(a.commands) == len(b.commands) for a, b in zip(data.parts, self.data.parts, strict=True)):
+            return None
+        again = fitted(self.crane, data, w.model, w.fit, (STIFF,))
+        if again.evidence < w.evidence + CRITERIA.proof:
+            return None
+        return Problem.of(self.crane, recordings, self.data.own, self.jobs)
+
+    def alike(self, check: Recording | None) -> Recording | None:
+        """Return another recording of the machine, its commands taken as those of the problem's."""
+        return None if check is None else replace(check, held=check.held or self.recordings[0].held)
 
     @cached_property
     def nominal(self) -> Fit:
