@@ -29,7 +29,8 @@ from validation import balances, phases
 from validation.balances import Balances, Steps, spread_of
 from validation.comparison import Comparison, compare
 from validation.findings import scores_of, violation
-from validation.fitness import check_recording, noise_at_rest, usable
+from validation.fit.data import usable
+from validation.fitness import check_recording, noise_at_rest
 from validation.improvement import Judge
 from validation.phases import phases_of
 from validation.semi_recursive import SemiRecursiveEngine

@@ -84,7 +84,7 @@ def test_every_effect_agrees_and_acts(key: str) -> None:
     engines = ExudynEngine(probe), SemiRecursiveEngine(probe)
     assert_ok([cc.check_effect(key, *engines, 40, np.random.default_rng(SEED))])
     if key in ALONG:
-        assert_ok([cc.run_effect(key, *engines)])
+        assert_ok([cc.run_effect(key, probe, ExudynEngine, SemiRecursiveEngine)])
 
 
 def test_other_cranes_agree(crane: Crane) -> None:
@@ -344,8 +344,8 @@ class Weak(SemiRecursiveEngine):
 
 def test_a_stop_that_is_struck_too_hard_is_struck_gently(crane: Crane) -> None:
     probe = cases.effect_probes(crane)["end_stop@lift"]
-    assert "gently" not in cc.run_effect("end_stop@lift", SemiRecursiveEngine(probe), SemiRecursiveEngine(probe)).reason
-    quantity = cc.run_effect("end_stop@lift", Weak(probe), SemiRecursiveEngine(probe))
+    assert "gently" not in cc.run_effect("end_stop@lift", probe, SemiRecursiveEngine, SemiRecursiveEngine).reason
+    quantity = cc.run_effect("end_stop@lift", probe, Weak, SemiRecursiveEngine)
     assert quantity.ok and quantity.reason.endswith("driven gently")
     whole = cases.without_short_strokes(probe)
     engine = SemiRecursiveEngine(whole)

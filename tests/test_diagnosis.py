@@ -302,7 +302,9 @@ def test_what_does_not_predict_the_check_recording_is_said_first_and_is_no_plain
 @pytest.mark.parametrize("verdict", ["effect", "parameters", "adequate"])
 def test_what_leaves_much_in_one_run_is_no_explanation_though_short_windows_forgive_it(verdict):
     given = replace(concluded(verdict, 60.0, 6.0), error_before=50.0, error_after=2.7)
-    found = held_to_runs(given)
+    entry = {"recording": "a", "error_before": 50.0, "error_after": 2.7, "parameters": {"payload.mass": {}}}
+    found = held_to_runs(replace(given, recordings=(entry,)))
+    assert found.recordings == ({"recording": "a", "error_before": 50.0, "error_after": 50.0},)
     assert found.verdict == "unknown" and not found.effects and not found.parameters and not found.misses_check
     assert found.error_after == 50.0 and "leaves 2.7 times the noise in one run" in found.notes[0]
     assert held_to_runs(replace(given, error_after=1.3)).verdict == verdict

@@ -13,7 +13,7 @@ from crane_exudyn import Crane, Recording
 from crane_exudyn.measurement import Measurement
 from validation.fit import linear, sweeps
 from validation.fit.columns import columns_of, model_at, pack
-from validation.fit.data import ACCURACY, ACCURATE, FitData, Samples
+from validation.fit.data import ACCURACY, ACCURATE, FitData, Samples, data_of
 from validation.fit.knots import begun_anew, reknot
 from validation.fit.linear import linearised, near, normal_equations, robust
 from validation.fit.model import model_of
@@ -33,6 +33,8 @@ from validation.fit.sweeps import RATE, forgotten, sweep
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.fit.windows import Group, cut
 from validation.selection.criteria import CRITERIA
+from validation.selection.levels import levels_of
+from validation.selection.model import moved_to
 from validation.selection.screen import likely, screened
 from validation.semi_recursive import kernel, sensitivity
 from validation.semi_recursive.engine import SemiRecursiveEngine
@@ -326,7 +328,8 @@ def test_a_window_swept_in_pieces_is_the_window_swept_at_once():
     x0 = first_knots(crane, data, 10.0)[0]
     x0 = np.pad(x0, (0, base.nx - len(x0)))
     group = Group((window,))
-    (whole,), (pieces,) = (sweep(group, x0[None], base, columns, n) for n in (10**6, 333))
+    numbers = len(x0) * (len(x0) + len(columns.size))
+    (whole,), (pieces,) = (sweep(group, x0[None], base, columns, n * numbers) for n in (10**6, 333))
     assert pieces.counts == whole.counts
     assert pieces.squares == pytest.approx(whole.squares, rel=1e-6)
     assert pieces.end == pytest.approx(whole.end, rel=1e-6, abs=1e-7)
@@ -511,3 +514,66 @@ def test_whole_runs_do_not_add_up_what_short_windows_may_be_off_by():
     loose = rms(residuals(crane, FitData.of(recording, crane), start))
     assert loose > 1.5 > 1.05 > rms(residuals(crane, FitData.whole(recording, crane), start))
     assert run_fitted(crane, FitData.of(recording, crane)).error < 1.05
+
+
+def _slowed(recording: Recording, every: int, keep: slice = slice(None), only: str = "") -> Recording:
+    """Return a recording with every so many samples of its sensors, and of one of them only a part."""
+    channels = {}
+    for name, c in recording.channels.items():
+        rows = np.arange(len(c.time))[:: every if name in recording.sensors else 1]
+        rows = rows[keep] if name == only else rows
+        channels[name] = replace(c, time=c.time[rows], values=c.values[rows])
+    return replace(recording, channels=channels)
+
+
+def test_no_window_is_shorter_than_from_one_sample_to_the_next():
+    crane = Crane.load("patu655")
+    data = FitData.of(_slowed(recorded(crane), 80), replace(crane, sensors=NOISE))  # 2.5 Hz
+    for seconds in (LOOSE.window, STIFF.window):
+        windows = cut(data, seconds)
+        assert min(len(w.data.time) for w in windows) > 1
+        assert windows[0].data.time[0] == data.time[0] and windows[-1].data.time[-1] == data.time[-1]
+
+
+def test_a_sensor_that_comes_late_tells_nothing_before():
+    crane = replace(Crane.load("patu655"), sensors=NOISE)
+    late = FitData.of(_slowed(recorded(crane), 1, slice(1000, None), "p2"), crane)
+    early = late.part(0, round(4.0 / late.step))
+    assert next(len(s.values) for s in early.samples if s.channel == "p2") == 0
+    found = staged(crane, early, (), np.zeros(0), first_knots(crane, early), (LOOSE,))
+    assert np.isfinite(found.knots).all() and found.error < 1.1
+    assert levels_of(found, early).of["p2"] == 1.0
+
+
+def test_a_sensor_that_shows_one_value_throughout_is_left_out():
+    crane, recording = Crane.load("patu655"), recorded(Crane.load("patu655"))
+    still = replace(recording.channels["z4"], values=np.full(len(recording["z4"]), -0.8))
+    data = FitData.of(replace(recording, channels={**recording.channels, "z4": still}), crane)
+    assert data.channels == ("z1", "p1", "p2", "p3", "p4")
+
+
+def test_no_mean_of_several_samples_spans_a_gap():
+    crane = replace(Crane.load("patu655"), sensors=NOISE)
+    fast = recorded(crane, rate=1000.0)
+    rows = np.concatenate([np.arange(2003), np.arange(3501, 6000)])
+    channels = {n: replace(c, time=c.time[rows], values=c.values[rows]) if n in fast.sensors else c
+                for n, c in fast.channels.items()}  # fmt: skip
+    data = FitData.of(replace(fast, channels=channels), crane)
+    around = next(s.around for s in data.samples if s.channel == "p1")
+    assert around is not None and np.abs(around * data.step).max() < 3e-3
+
+
+def test_a_parameter_that_differs_by_recording_is_the_recordings_own_if_it_is_the_only_one():
+    crane = Crane.load("patu655")
+    assert data_of([recorded(crane)], crane, ("payload.mass",)).own == ("payload.mass",)
+
+
+def test_a_fit_begins_where_a_fitted_crane_has_its_parameters_whatever_that_fit_began_at():
+    crane = replace(Crane.load("patu655"), sensors=NOISE)
+    data = FitData.of(recorded(crane, 3.0), crane)
+    moved = crane.with_parameters({"payload.mass": 60.0})
+    nothing = staged(moved, data, (), np.zeros(0), first_knots(moved, data), (LOOSE,))  # began at the moved crane
+    mass = next(v for v in uncertain_parameters(crane) if v.name == "payload.mass")
+    u = np.array([moved_to(mass, crane, nothing.crane, nothing)])
+    assert with_variables(crane, [mass], u)["payload.mass"] == pytest.approx(60.0)
+    assert moved_to(mass, crane, crane, nothing) == 0.0

@@ -116,7 +116,7 @@ def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, rubbi
     assert "pressure_compensation@lift" in found.needed
     assert any("friction" in key for key in found.needed)
     assert min(found.needed.values()) > 5.0
-    assert found.after["p1"] < 0.3 * found.before["p1"]
+    assert found.after["p1"] < 0.3 * found.nominal["p1"]
     assert found.predicted["p1"] < found.nominal["p1"]
     texts = explained(found)
     assert sum(t.startswith("Demanded: ") for t in texts) == len(found.needed)

@@ -39,7 +39,7 @@ from .fit.model import model_of, spool_path
 from .fit.objects import with_objects
 from .fit.solve import Fit
 from .fit.staged import residuals, run_fitted, timing_of
-from .fitness import check_recording, usable
+from .fitness import check_recording
 from .metrics import pn_rmse, r2, rmse
 from .phases import Phase, phases_of
 from .report import amount, three_digits
@@ -279,8 +279,7 @@ def compare(
     recording = given_recording(recording, crane.layout, "compare")
     done = progress or (lambda fraction: None)
     notes = check_recording(recording, crane)
-    kept = usable(recording)
-    data = with_objects(crane, FitData.of(kept, crane))
+    data = with_objects(crane, FitData.of(recording, crane))
     bare = replace(crane, objects=())  # what the objects do, the data know
     start = started(bare, data)
     late, starts = start.late, start.starts
@@ -290,8 +289,8 @@ def compare(
     balances = balances_of(bare, data)
     done(0.6)
     estimate = filtered(crane, data, engine, lambda f: done(0.6 + 0.3 * f))
-    estimate = replace(estimate, noise_slack=noise_slack(crane, kept, estimate.channel_names))
-    measured, simulated, channels = _open_loop_errors(crane, kept, starts, late, engine)
+    estimate = replace(estimate, noise_slack=noise_slack(crane, recording, estimate.channel_names))
+    measured, simulated, channels = _open_loop_errors(crane, recording, starts, late, engine)
     scores = scores_of(estimate, balances, _phases(crane, data, balances))
     done(1.0)
     for begin, end in balances.unsettled:
@@ -408,11 +407,11 @@ def from_one_start(recording: Recording, cranes: Mapping[str, Crane]) -> dict[st
     """Return what was measured, and open-loop runs of several cranes, by label, from the start that suits the last one
     best.
     """
-    kept, (*_, last) = usable(recording), cranes.values()
-    start = started(last, FitData.of(kept, last))
+    *_, last = cranes.values()
+    start = started(last, FitData.of(recording, last))
     lines: dict[str, Series] = {}
     for label, crane in cranes.items():
-        data = FitData.whole(kept, crane).shifted(start.late)
+        data = FitData.whole(recording, crane).shifted(start.late)
         own = start.starts[:, : model_of(crane, data).nx]  # of a pendulum that only the last one has, nothing
         measured, simulated = open_loop(crane, data, own, "semi-recursive")
         lines |= {"measured": measured, label: simulated}

@@ -582,7 +582,7 @@ def _effect(
         return [Quantity.not_run(key, problem)]
     return [
         *_each(key, lambda: [check_effect(key, *engines, count, rng)]),
-        *_each(_along(key), lambda: [run_effect(key, *engines)]),
+        *_each(_along(key), lambda: [run_effect(key, probe, make_first, make_second)]),
     ]
 
 
@@ -613,9 +613,8 @@ def check_effect(key: str, first: Engine, second: Engine, count: int, rng: np.ra
     return worst
 
 
-def run_effect(key: str, first: Engine, second: Engine) -> Quantity:
-    """Return how far two engines come apart along 5 s that excite the effect of their crane, at their default
-    accuracy.
+def run_effect(key: str, probe: Crane, make_first: Make, make_second: Make) -> Quantity:
+    """Return how far two engines come apart along 5 s that excite the effect of a crane.
 
     A machine for which the usual commands are too much, so that a cylinder comes to its end or strikes a stop too hard
     to be computed, is driven gently.
@@ -623,11 +622,9 @@ def run_effect(key: str, first: Engine, second: Engine) -> Quantity:
     Raises:
         CraneError: an engine cannot run it even so.
     """
-    crane = second.crane
     effect, place = registry.split_key(key)
-    if effect.beyond_stroke:
-        crane = cases.without_short_strokes(crane)
-        first, second = type(first)(crane), type(second)(crane)  # type: ignore[call-arg]
+    crane = cases.without_short_strokes(probe) if effect.beyond_stroke else probe
+    first, second = make_first(crane), make_second(crane)
     x0 = initial_state(crane, second)
 
     def apart(*, gently: bool) -> np.ndarray:

@@ -19,6 +19,8 @@ from crane_exudyn.recording import Recording
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
 from crane_exudyn.vetting import OPEN, Finding, accepted, vet, vetted, worst_first
 
+from .fit.data import is_constant
+
 Purpose = Literal["compare", "diagnose"]
 
 #: shortest recording, s; a spool alone needs a tenth of that to open
@@ -144,14 +146,6 @@ def same(one: Recording, other: Recording) -> bool:
     )
 
 
-def usable(recording: Recording) -> Recording:
-    """Return the recording without sensors that show one value throughout: they have no noise to be measured
-    against.
-    """
-    dead = _constant(recording)
-    return recording.select([n for n in recording.channels if n not in dead]) if dead else recording
-
-
 def _lacking(recording: Recording, crane: Crane, purpose: Purpose) -> Finding | None:
     """Return which channels are missing, None where none is: nothing tells then what moves the machine, or whether it
     does.
@@ -190,11 +184,7 @@ def _short(recording: Recording, command_time: np.ndarray) -> Iterator[Finding]:
 
 def _constant(recording: Recording) -> list[str]:
     """Return the sensors that show one value throughout."""
-    return [name for name in recording.sensors if _is_constant(recording[name])]
-
-
-def _is_constant(channel: Channel) -> bool:
-    return bool(np.ptp(channel.values) <= 1e-9 * max(float(np.max(np.abs(channel.values))), 1e-9))
+    return [name for name in recording.sensors if is_constant(recording[name])]
 
 
 def _left_out(name: str) -> str:
@@ -217,7 +207,7 @@ def _saturated(name: str, channel: Channel, time: np.ndarray, command: np.ndarra
     valve = np.abs(np.interp(channel.time, time, command)) > OPEN
     step = float(np.median(np.diff(channel.time)))
     limits = ((channel.values.max(), "largest"), (channel.values.min(), "smallest"))
-    for value, word in limits[:1] if _is_constant(channel) else limits:
+    for value, word in limits[:1] if is_constant(channel) else limits:
         stuck = channel.values == value
         share, through = float(stuck.mean()), float((stuck & valve).sum()) * step
         if share > _STUCK_SHARE and through > _STUCK_SECONDS:

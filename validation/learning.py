@@ -47,7 +47,6 @@ class Learned:
     error_after: float = math.nan
     check_error_before: float = math.nan
     check_error_after: float = math.nan
-    evidence: float = 0.0
     seconds: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
@@ -86,6 +85,7 @@ class FitData:
         accuracy: local error of a step of its runs, in units of the engine's.
         moments: (N, coordinates) in N m (N where a joint slides), what objects of one's own put on the joints; None
             without any.
+        own: names of parameters that are this recording's own, other than the machine's elsewhere.
         blind: spans (from, to) in s in which a command was not recorded, or is still felt; the model is not run through
             them.
     """
@@ -100,6 +100,7 @@ class FitData:
     blind: tuple[tuple[float, float], ...] = ()
     moments: np.ndarray | None = None
     accuracy: float = ACCURACY
+    own: tuple[str, ...] = ()
 
     @cached_property
     def stretches(self) -> list[tuple[int, int]]:
@@ -118,8 +119,6 @@ class FitData:
     def parts(self) -> tuple[FitData, ...]:
         """The recordings: this one."""
         return (self,)
-
-    own: ClassVar[tuple[str, ...]] = ()
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -143,12 +142,12 @@ class FitData:
 
         The commands are those that the crane's valve calibration makes of the recording. Noise standard deviations are
         the crane file's or, where it names none, estimated from the data; a channel free of noise, as of a simulation,
-        is given some.
+        is given some. A sensor that shows one value throughout is left out.
 
         Raises:
             CraneError: commands or sensors are missing, or no stretch with known commands is long enough.
         """
-        recording = recording.with_noise(crane.sensors)
+        recording = usable(recording).with_noise(crane.sensors)
         times, commands = recording.commands(crane)
         sensors = list(recording.sensors)
         if not sensors:
@@ -160,14 +159,8 @@ class FitData:
         step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
         grid = start + step * np.arange(int(np.floor((end - start) / step + 1e-6)) + 2)
         blind = _blind(recording, float(start), float(end))
-        samples = _sharing(
-            _without(
-                blind,
-                _samples(c, recording.channels[c], crane.sensors.get(c), grid, rate),
-                grid,
-            )
-            for c in sensors
-        )
+        each = (_samples(c, recording.channels[c], crane.sensors.get(c), grid, rate) for c in sensors)
+        samples = _sharing(_without(blind, s, grid) for s in each)
         return cls(recording.name, grid, step, times, commands, recording.supply(grid), samples, blind)
 
     @classmethod
@@ -257,6 +250,25 @@ class Joint:
 Data = FitData | Joint
 
 
+def usable(recording: Recording) -> Recording:
+    """Return the recording without sensors that show one value throughout: they have no noise to be measured
+    against.
+    """
+    alive = [n for n, c in recording.channels.items() if n not in recording.sensors or not is_constant(c)]
+    return recording if len(alive) == len(recording.channels) else recording.select(alive)
+
+
+def is_constant(channel: Channel) -> bool:
+    """Whether a channel shows one value throughout."""
+    return bool(np.ptp(channel.values) <= 1e-9 * max(float(np.max(np.abs(channel.values))), 1e-9))
+
+
+def noise_of(recording: Recording, crane: Crane) -> dict[str, float]:
+    """Return the noise (SI) of each sensor that `FitData.of` finds in a recording, or the crane file states."""
+    noisy = usable(recording).with_noise(crane.sensors)
+    return {c: crane.sensors.get(c) or float(noise_std(noisy[c].values)) for c in noisy.sensors}
+
+
 def data_of(recordings: Sequence[Recording], crane: Crane, own: Sequence[str] = ()) -> Data:
     """Return the data of one recording, or of several that are fitted together, of which parameters `own` differ from
     one to another.
@@ -266,7 +278,7 @@ def data_of(recordings: Sequence[Recording], crane: Crane, own: Sequence[str] = 
     """
     own = known_parameters(crane, own)
     parts = tuple(FitData.of(r, crane) for r in recordings)
-    return parts[0] if len(parts) == 1 else Joint(parts, own)
+    return replace(parts[0], own=own) if len(parts) == 1 else Joint(parts, own)
 
 
 def known_parameters(crane: Crane, names: Sequence[str]) -> tuple[str, ...]:
@@ -335,11 +347,14 @@ def _samples(name: str, channel: Channel, stated: float | None, grid: np.ndarray
     block = max(1, int(np.floor(1.0 / (rate * np.median(np.diff(time))) + 1e-6))) if len(time) > 1 else 1
     around = None
     if block > 1:
-        whole = len(time) // block * block
-        each = time[:whole].reshape(-1, block)
+        gaps = (
+            np.flatnonzero(np.diff(time) > block * np.median(np.diff(time))) + 1
+        )  # a mean over one is of neither side
+        runs = np.split(np.arange(len(time)), gaps)
+        rows = np.concatenate([run[: len(run) // block * block] for run in runs]).reshape(-1, block)
+        each, values = time[rows], values[rows].mean(axis=1)
         time = each.mean(axis=1)
         around = each - time[:, None]
-        values = values[:whole].reshape(-1, block).mean(axis=1)
         noise = noise / np.sqrt(block)
     return _placed(Samples(name, np.empty(0, int), np.empty(0), values, float(noise), unsure), time, around, grid)
 

@@ -96,7 +96,10 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None 
     spool = None if near is None else _extrapolated(near, crane, P, E, data, late)
     if spool is None:
         spool = _paths(crane, P, E, data, late)
-    return Model(crane, P, E, _inputs(crane, data, spool), late, data.accuracy)
+    W = _inputs(crane, data, spool)
+    if near is not None and np.array_equal(W, near.W, equal_nan=True):
+        W = near.W  # of hundreds of models that are screened most have the same
+    return Model(crane, P, E, W, late, data.accuracy)
 
 
 def _inputs(crane: Crane, data: FitData, spool: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ def knots_of(crane: Crane, data: FitData, windows: Sequence[Window]) -> np.ndarr
     Coordinates and rates come from straight lines through the samples around, of angles or of cylinders' lengths,
     pressures from their mean; a pressure that is not measured is the one that balances the load at rest.
     """
-    samples = {s.channel: s for s in data.samples}
+    samples = {s.channel: s for s in data.samples if len(s.values)}
     engine = SemiRecursiveEngine(crane.nominal())
     return np.array([_state(crane, engine, data, samples, data.time[w.start]) for w in windows])
 

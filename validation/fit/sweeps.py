@@ -18,12 +18,12 @@ from crane_exudyn.measurement import Measurement
 
 from ..semi_recursive import sensitivity
 from .columns import Columns, acting
-from .data import Samples
+from .data import ACCURACY, Samples
 from .model import Model
 from .windows import Group, Window, jump_of, pieces_of
 
-#: most grid points that are swept at once: the sensitivities of a piece of a window take some 50 MB
-_LARGE = 30_000
+#: most numbers that the sensitivities of a piece of a window may hold: 50 MB
+_LARGE = 6_000_000
 #: longest step of the runs that derivatives are taken of, s. What is left is told by a run in the data's own steps, so
 #: that the minimum is theirs; derivatives but for some hundredths lead to it as well. What probes do is then taken at
 #: every second step
@@ -113,10 +113,12 @@ def lost(window: Window, x0: np.ndarray, m: int, J: np.ndarray | None = None) ->
     )  # fmt: skip
 
 
-def sweep(group: Group, x0: np.ndarray, base: Model, columns: Columns, longest: int = _LARGE) -> list[Swept]:
+def sweep(group: Group, x0: np.ndarray, base: Model, columns: Columns, largest: int = _LARGE) -> list[Swept]:
     """Return residuals of windows and their derivative by their first states x0 (K, nx) and by all variables; pieces of
-    at most `longest` grid points of a single window are swept one after the other.
+    a single window whose sensitivities hold at most `largest` numbers are swept one after the other.
     """
+    nx = x0.shape[1]
+    longest = max(1, int(largest / (nx * (nx + len(columns.size))) * max(1.0, DERIVED / group.step)))
     pieces = [group] if len(group.windows) > 1 else [Group((p,)) for p in pieces_of(group.windows[0], longest)]
     swept, end = _sweep_piece(pieces[0], _Begun(x0), base, columns)
     for piece in pieces[1:]:
@@ -230,7 +232,8 @@ def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[
     sloped, run = np.flatnonzero(~here.by_run), np.flatnonzero(here.by_run)
     swept = sensitivity.sweep(
         begun.x, grid.first, grid.W, grid.steps, grid.time[grid.first], base.P, own_E, here.P[sloped],
-        here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology, allowed=base.accuracy,
+        here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology,
+        allowed=base.accuracy if grid.fine else max(base.accuracy, ACCURACY),
         thinned=bool(grid.steps[0] < 1.01 * DERIVED),
     )  # fmt: skip
     if begun.by_all is None and len(sloped) == m:

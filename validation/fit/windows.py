@@ -53,7 +53,7 @@ def cut(data: Data, seconds: float) -> list[Window]:
     for i, part in enumerate(data.parts):
         unit = max(1, round(part.interval / part.step))
         for first, last in part.stretches:
-            number = max(1, round((last - first) * part.step / seconds))
+            number = max(1, min(round((last - first) * part.step / seconds), (last - first) // unit))
             inner = first + unit * np.round(np.linspace(0, (last - first) / unit, number + 1)[1:-1]).astype(int)
             edges = [first, *inner.tolist(), last]
             windows += [Window(int(a), part.part(int(a), int(b)), i) for a, b in pairwise(edges)]

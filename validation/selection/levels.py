@@ -88,11 +88,12 @@ def levels_of(found: Fit, data: Data, most: Errors | None = None, apart: float |
     """
     apart = CRITERIA.independent if apart is None else apart
     errors = window_errors(found, data)
-    levels = {c: max(1.0, float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))) for c, parts in errors.items()}
+    each = [r for parts in errors.values() for r in parts if len(r)]
+    squares = {c: np.concatenate(parts) ** 2 for c, parts in errors.items()}
+    levels = {c: max(1.0, math.sqrt(float(r2.mean()))) if len(r2) else 1.0 for c, r2 in squares.items()}
     if most is not None:
         levels = {c: min(level, max(1.0, most[c])) for c, level in levels.items()}
     interval = max(p.interval for p in data.parts)
-    each = [r for parts in errors.values() for r in parts]
     worth = [len(r) / max(independent(r), len(r) * interval / apart) for r in each]
     return Levels(levels, math.sqrt(float(np.mean(worth))))
 

@@ -333,7 +333,7 @@ def retold(w: F) -> F:
     given = {v.name for v in stated_effects(crane)}
     nominal = uncertain_parameters(crane, data.own, len(data.parts))
     others = [(v, u) for v, u in zip(found.variables, found.u, strict=True) if not isinstance(v, NominalDirection)]
-    moved = [moved_to(v, found.crane, found) for v in nominal]
+    moved = [moved_to(v, crane, found.crane, found) for v in nominal]
     looked = fit(
         crane, data, found.windows, found.knots, [*nominal, *(v for v, _ in others)],
         np.array([*moved, *(u for _, u in others)]), stiffness=STIFF.stiffness, iterations=0,
@@ -346,13 +346,13 @@ def retold(w: F) -> F:
     return max(w, replace(w, model=replace(w.model, variables=shared), fit=again), key=lambda one: one.evidence)
 
 
-def moved_to(v: NominalDirection, crane: Crane, found: Fit) -> float:
-    """Return the value of a variable of one nominal parameter that gives it as a crane has it; one that differs by
-    recording as a fit found it.
+def moved_to(v: NominalDirection, given: Crane, crane: Crane, found: Fit) -> float:
+    """Return the value of a variable of one nominal parameter, beginning at a given crane, that makes it as a crane has
+    it; one that differs by recording as a fit found it.
     """
     ((name, weight),) = v.weights.items()
     has = crane if v.recording is None else found.of(v.recording).crane
-    return float((has[name] - found.origin[name]) / weight)
+    return float((has[name] - given[name]) / weight)
 
 
 def best_of_each(found: Sequence[F]) -> list[F]:

@@ -14,7 +14,7 @@ from crane_exudyn.crane import Crane
 
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
-from ..fit.staged import first_knots, run_fitted, staged, timings
+from ..fit.staged import first_knots, staged, timings
 from ..fit.variables import EffectParameter, NominalDirection, Variable, stated_effects, uncertain_parameters
 from ..fit.windows import cut
 from ..workers import in_parallel
@@ -34,7 +34,7 @@ class Proven:
 
     Attributes:
         taken: the rounds in their order, of the effects that stayed.
-        before, after: errors of the crane as given, its start fitted, and of the crane at the end.
+        after: errors of the crane at the end.
         needed, without: effect -> log evidence lost and errors when it is left out and all else is fitted again.
         nominal, predicted: errors on what was left out, of parameters alone and with effects, fitted to the rest only.
         deviations: parameter -> standard deviation (SI). alike: variables that can hardly be told apart -> their
@@ -46,7 +46,6 @@ class Proven:
 
     crane: Crane
     taken: tuple[Taken, ...]
-    before: Errors
     after: Errors
     needed: Mapping[str, float]
     without: Mapping[str, Errors]
@@ -92,13 +91,12 @@ def proven(
         if now is grown:
             break
     final, keys, parts = now.fit, now.keys, problem.data.parts
-    before = errors_of(problem, [run_fitted(problem.crane, p) for p in parts])
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
     shared = zip(final.variables, final.u, strict=True)
     moved = {v.name: float(u) for v, u in shared if isinstance(v, NominalDirection) and v.recording is None}
     return Proven(
         final.crane, tuple(t for t in now.taken if t.key in keys),
-        before, full, {k: w.brought for k, w in left.items()}, {k: w.errors for k, w in left.items()},
+        full, {k: w.brought for k, w in left.items()}, {k: w.errors for k, w in left.items()},
         nominal, now.predicted, _deviations(final, keys), _alike(final, keys), moved, ranges,
         noise_level(problem.data),
     )  # fmt: skip
@@ -271,7 +269,7 @@ def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane
     nominal = [believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
     stated, clocks, known = stated_effects(given), timings(data), values_of(before)
     values: list[float] = [known.get(v.name, 0.0) for v in clocks]
-    values += [moved_to(v, crane, before) for v in nominal]
+    values += [moved_to(v, given, crane, before) for v in nominal]
     values += [
         v.to_u(parameters_of(crane, v.key)[v.parameter.name]) if isinstance(v, EffectParameter) else v.begin
         for v in stated

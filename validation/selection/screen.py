@@ -55,7 +55,7 @@ def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
     by_run = np.array([_softens(s) or _stops(s) for s in starts], dtype=bool)
 
     def probes(base: Model, data: FitData, recording: int) -> Columns:
-        models = [model_of(base.crane.with_effect(s.key, s.values), data, base.late) for s in starts]
+        models = [model_of(base.crane.with_effect(s.key, s.values), data, base.late, base) for s in starts]
         columns = pack(base, models, np.ones(len(models)))
         return replace(columns, by_run=columns.by_run | by_run)
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from crane_exudyn.effects import registry
 
+from ..fit.data import noise_of
 from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
 from ..workers import in_parallel
 from .criteria import CRITERIA
@@ -47,6 +48,11 @@ class WhitePath(Path[Fitted]):
     def bare(self) -> float:
         """Evidence of the better model without effects."""
         return max(self.given.evidence, self.parameters.evidence)
+
+    @property
+    def adequate(self) -> bool:
+        """Whether the machine as it is leaves hardly more than noise, and moved parameters explain no more."""
+        return self.given.good and self.parameters.evidence < self.given.evidence + CRITERIA.proof
 
     @cached_property
     def whole(self) -> float:
@@ -116,9 +122,10 @@ def _begun(problem: Problem) -> WhitePath:
 def _with_parameters(path: WhitePath, parameters: Fitted) -> WhitePath:
     """Return the path with another fit of the machine without effects."""
     parameters = replace(parameters, loose=path.problem.base)
-    problem, enough = path.problem, parameters.good and not path.given.good
-    fewest = leaner(problem.crane, problem.data, parameters) if enough else parameters
-    return replace(path, parameters=parameters, fewest=fewest)
+    path, problem = replace(path, parameters=parameters, fewest=parameters), path.problem
+    if parameters.good and not path.adequate:
+        path = replace(path, fewest=leaner(problem.crane, problem.data, parameters))
+    return path
 
 
 def _beam(path: WhitePath, most: int) -> Sequence[Fitted]:
@@ -376,8 +383,14 @@ def _left_out(problem: Problem, w: Fitted) -> tuple[float, float]:
     ends = [(end_of_learned(p), float(p.time[-1])) for p in problem.data.parts]
     rest = [r.window(*span) for r, span in zip(problem.recordings, ends, strict=True)]
     found = fitted(problem.crane, first_part(problem.data), Model(w.model.variables, w.effects), w.fit, (STIFF,))
-    cranes = [problem.crane] * len(rest) + [found.fit.of(i).crane for i in range(len(rest))]
-    errors = in_parallel(problem.jobs, [(run_error, c, rest[k % len(rest)], None) for k, c in enumerate(cranes)])
+    noise = [noise_of(r, problem.crane) for r in problem.recordings]  # a part of one would tell another
+    pairs = [(problem.crane, found.fit.of(i).crane) for i in range(len(rest))]
+    runs = [
+        (run_error, replace(crane, sensors=noise[i]), rest[i], None)
+        for both in zip(*pairs, strict=True)
+        for i, crane in enumerate(both)
+    ]
+    errors = in_parallel(problem.jobs, runs)
     return together(rest, errors[: len(rest)]), together(rest, errors[len(rest) :])
 
 
