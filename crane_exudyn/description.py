@@ -100,6 +100,7 @@ class Description:
         for name in ("values", "voltage", "sensors", "uncertainty", "sources", "model_error"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         check(self.name, self.machine, self.values, self.effects)
+        object.__setattr__(self, "initial", _of_each(self.initial, self.name, self.layout))
 
     @property
     def layout(self) -> Layout:
@@ -121,6 +122,18 @@ class Description:
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names of the nominal parameters."""
         return iter(self.machine.names)
+
+
+def _of_each(initial: Initial, where: str, layout: Layout) -> Initial:
+    """Return a start with one pressure a cylinder, also where one is given for all. Raises CraneError for other
+    numbers of them, or of coordinates.
+    """
+    pose, low, n = initial.pose, initial.less_loaded_pressure, len(layout.cylinders)
+    low = tuple(low) * n if len(low) == 1 else tuple(low)
+    for what, found, names in (("pose", pose, layout.coordinates), ("less_loaded_pressure", low, layout.cylinders)):
+        if len(found) != len(names):
+            raise CraneError(f"{where}: initial.{what} has {len(found)} numbers. Give one each for {', '.join(names)}.")
+    return Initial(tuple(pose), low)
 
 
 def complete(effect: type[registry.Effect], values: Mapping[str, Any]) -> dict[str, float]:
@@ -197,6 +210,12 @@ def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> N
         raise CraneError(f"{where}: {missing[0]} is missing{more}. Give it, in {parameters.unit_of(missing[0])}.")
     for name, value in values.items():
         check_value(where, name, value)
+    if not machine.payload[0]:
+        for name in (n for n in values if n.startswith("payload.") and values[n] != 0.0):
+            raise CraneError(
+                f"{where}: {name} = {values[name]:g} {parameters.unit_of(name)}, but nothing carries a payload: give "
+                "body and at in [payload], which body and which of its points do."
+            )
     for c in machine.layout.cylinders:
         check_rod(where, c, values[f"cylinders.{c}.bore"], values[f"cylinders.{c}.rod"])
     if values["supply.pump_pressure"] <= values["supply.tank_pressure"]:
@@ -215,6 +234,7 @@ def range_of(name: str) -> tuple[float, bool, Mapping[float, str]]:
 
 
 def check_value(where: str, name: str, value: float) -> None:
+    """Raise CraneError for a value of a parameter that no crane can have; `where` begins the message."""
     least, allowed, choices = range_of(name)
     if least < value < math.inf and not choices:
         return
@@ -232,6 +252,7 @@ def check_value(where: str, name: str, value: float) -> None:
 
 
 def check_rod(where: str, cylinder: str, bore: float, rod: float) -> None:
+    """Raise CraneError for a rod that is not thinner than its bore, both in m; `where` begins the message."""
     if not rod < bore:
         raise CraneError(
             f"{where}: cylinders.{cylinder}.rod = {rod:g} m is not thinner than the bore of {bore:g} m. Swap or mend "

@@ -39,6 +39,7 @@ class Layout:
         driven: the coordinate that each cylinder drives.
         supply: pump and tank pressure.
         added: states that effects may add.
+        has_payload: whether there is one, for effects to act on.
     """
 
     coordinates: tuple[str, ...]
@@ -55,6 +56,7 @@ class Layout:
     slides: tuple[bool, ...] = ()
     supply: tuple[str, str] = ("pp", "pt")
     added: tuple[str, ...] = ()
+    has_payload: bool = True
 
     def __repr__(self) -> str:
         return f"<Layout: coordinates {', '.join(self.coordinates)}; chambers {', '.join(self.chambers)}>"

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 
 import numpy as np
 
@@ -134,20 +135,24 @@ class Machine:
         """Return the bodies from the ground to a body, itself included."""
         return () if body == GROUND else (*self.path(self.carriers[body].carrier), body)
 
-    def moving(self, body: str) -> frozenset[str]:
-        """Return the independent coordinates that a body's place depends on."""
-        found: set[str] = set()
-        for part in self.path(body):
-            if part in self.dependent:
-                found |= self.moving(self.dependent[part].body)
-            else:
-                found.add(self.carriers[part].coordinate)
-        return frozenset(found)
-
     def moved_by(self, cylinder: Cylinder) -> frozenset[str]:
         """Return the independent coordinates that a cylinder's length depends on."""
-        first, second = (self.moving(body) for body in cylinder.bodies)
-        return first ^ second
+        return self._between(*cylinder.bodies)
+
+    def _between(self, first: str, second: str) -> frozenset[str]:
+        """Return the independent coordinates that move one body against another."""
+        one, other = self.path(first), self.path(second)
+        shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False)))
+        return frozenset[str]().union(*map(self._turned_by, (*one[shared:], *other[shared:])))
+
+    def _turned_by(self, body: str) -> frozenset[str]:
+        """Return the independent coordinates that move a body against its carrier: its own, or those that move the ends
+        of its loop against each other.
+        """
+        if body not in self.dependent:
+            return frozenset({self.carriers[body].coordinate})
+        loop = self.dependent[body]
+        return self._between(self.carriers[self.carriers[loop.carrier].carrier].carrier, loop.body)
 
     # -- places ------------------------------------------------------------------------------------------------------
 
@@ -170,6 +175,7 @@ class Machine:
             voltages=tuple(c.voltage for c in self.cylinders),
             driven=self.driven,
             added=("theta", "dtheta"),
+            has_payload=bool(self.payload[0]),
         )
 
     def _parent(self, joint: Joint) -> str:
@@ -181,13 +187,23 @@ class Machine:
 
     @cached_property
     def driven(self) -> tuple[str, ...]:
-        """The coordinate that each cylinder drives, one each."""
-        free, found = list(self.independent), {}
+        """The coordinate that each cylinder drives, one each; "" for those for which none is left."""
+        owner: dict[str, Cylinder] = {}  # of each coordinate that is driven
+
+        def give(cylinder: Cylinder, tried: set[str]) -> bool:
+            """Give a cylinder a coordinate, also one whose owner can be given another."""
+            own = [name for name in reversed(self.independent) if name in self.moved_by(cylinder)]
+            for name in sorted(own, key=owner.__contains__):  # free ones first
+                if name not in tried:
+                    tried.add(name)
+                    if name not in owner or give(owner[name], tried):
+                        owner[name] = cylinder
+                        return True
+            return False
+
         for cylinder in sorted(self.cylinders, key=lambda c: len(self.moved_by(c))):
-            own = [name for name in free if name in self.moved_by(cylinder)]
-            if own:
-                found[cylinder.name] = own[-1]
-                free.remove(own[-1])
+            give(cylinder, set())
+        found = {c.name: name for name, c in owner.items()}
         return tuple(found.get(c.name, "") for c in self.cylinders)
 
     @cached_property

@@ -13,6 +13,7 @@ from typing import Any
 from .errors import CraneError, nearest, refuse_unknown
 from .layout import MOST_COORDINATES, Layout
 from .machine import GROUND, PRISMATIC, REVOLUTE, Cylinder, Joint, Machine
+from .toml_reading import table_of
 
 #: keys that describe a machine, by section; the other keys there are numbers
 OF_CYLINDER = ("bodies", "chambers", "loaded", "length", "command", "voltage")
@@ -45,6 +46,7 @@ def machine_of(document: Mapping[str, Any], where: str) -> Machine:
     joints = [_turned(j, carriers, independent, where) if j.closes else j for j in joints]
     ordered = _ordered(bodies, carriers, [j for j in joints if j.closes], where)
     joints = [*(carriers[b] for b in ordered), *(j for j in joints if j.closes)]
+    independent = tuple(j.coordinate for j in joints if j.coordinate in independent)  # carriers before what they carry
     cylinders, points = _cylinders(document, bodies, joints, where)
     payload = _payload(document, bodies, points, where)
     _check_points(document, joints, points, where)
@@ -83,8 +85,8 @@ def usual_layout() -> Layout:
 
 
 def _section(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
-    table = document.get(key, {})
-    if not isinstance(table, Mapping) or not all(isinstance(t, Mapping) for t in table.values()):
+    table = table_of(document, key, where)
+    if not all(isinstance(t, Mapping) for t in table.values()):
         raise CraneError(f"{where}: {key} should be tables, each headed by [{key}.NAME].")
     return table
 
@@ -172,7 +174,7 @@ def _carriers(bodies: Sequence[str], joints: Sequence[Joint], where: str) -> dic
 def _independent(document: Mapping[str, Any], joints: Sequence[Joint], where: str) -> tuple[str, ...]:
     """Return the independent coordinates: those stated, else those with a place at the start, else all."""
     names = [j.coordinate for j in joints if not j.closes]
-    stated = document.get("independent", [n for n in names if n in document.get("initial", {})] or names)
+    stated = document.get("independent", [n for n in names if n in table_of(document, "initial", where)] or names)
     if not isinstance(stated, list):
         raise CraneError(f"{where}: independent = {stated!r} should be a list of coordinates: {', '.join(names)}.")
     for name in stated:
@@ -317,7 +319,7 @@ def _cylinders(
 
 def _payload(document: Mapping[str, Any], bodies: Sequence[str], points: dict[str, str], where: str) -> tuple[str, str]:
     """Return body and point of the payload; the point becomes one of the points of the file."""
-    table = document.get("payload", {})
+    table = table_of(document, "payload", where)
     if "body" not in table and "at" not in table:
         return "", ""
     body = _known(f"{where}: payload.body", table.get("body"), bodies)
@@ -329,14 +331,12 @@ def _payload(document: Mapping[str, Any], bodies: Sequence[str], points: dict[st
 
 def _check_points(document: Mapping[str, Any], joints: Sequence[Joint], points: Mapping[str, str], where: str) -> None:
     """Refuse points that are named but not given in [joints], and those given there that nothing is at."""
-    given = document.get("joints", {})
-    if not isinstance(given, Mapping):  # told where its numbers are read
-        return
+    given = table_of(document, "joints", where)
     named = [p.removeprefix("joints.") for p in points if p.startswith("joints.")]
     idle = [name for name in given if name not in named]
     for name in (n for n in named if n not in given):
         like = nearest(name, idle) if idle else f' Give it, such as {name} = ["1.2 m", "0 m"].'
-        raise CraneError(f"{where}: {_asks_for(name, document, joints)}, but [joints] has no point {name!r}.{like}")
+        raise CraneError(f"{where}: {_asks_for(name, joints)}, but [joints] has no point {name!r}.{like}")
     if idle:
         raise CraneError(
             f"{where}: joints.{idle[0]} is a point that nothing is at, so nobody knows which body it is on. A point is "
@@ -345,7 +345,7 @@ def _check_points(document: Mapping[str, Any], joints: Sequence[Joint], points: 
         )
 
 
-def _asks_for(name: str, document: Mapping[str, Any], joints: Sequence[Joint]) -> str:
+def _asks_for(name: str, joints: Sequence[Joint]) -> str:
     """Return which key of a file names a point."""
     for joint in joints:
         if f"joints.{name}" in (joint.pin, joint.own_pin):

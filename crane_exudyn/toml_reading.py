@@ -5,6 +5,10 @@ from __future__ import annotations
 import re
 import textwrap
 import tomllib
+from collections.abc import Mapping
+from typing import Any
+
+from .errors import CraneError, shortened
 
 _PLACE = re.compile(r"\s*\(at line (\d+), column \d+\)")
 #: text in quotes, and a comment: what is left of a value was written without quotes
@@ -29,6 +33,16 @@ def why_no_toml(problem: tomllib.TOMLDecodeError, text: str) -> str:
         return f"{where}: {key} stands twice{within}. Remove one."
     shown = textwrap.shorten(line, 60, placeholder=" …")
     return f"{where}, {shown}: {said}.{_mend(key, value)}"
+
+
+def table_of(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    """Return a table of a document, empty where there is none. Raises CraneError for anything that is no table; `where`
+    names the file.
+    """
+    table = document.get(key, {})
+    if not isinstance(table, Mapping):
+        raise CraneError(f"{where}: {key} = {shortened(table)} should be a table [{key}].")
+    return table
 
 
 def _bare(header: str) -> str:

@@ -78,7 +78,8 @@ def tell(printer: Printer, effect: type[Effect], layout: Layout) -> None:
         for p in effect.parameters
     ]
     printer.table("", ("parameter", "unit", "neutral", "range", "meaning"), rows)
-    printer.line(f"patu add {next(iter(effect.keys(layout)))} --fit REC -o new.toml   adds it to a crane file, fitted.")
+    key = next(iter(effect.keys(layout)), effect.name)
+    printer.line(f"patu add {key} --fit REC -o new.toml   adds it to a crane file, fitted.")
 
 
 def _tell_curve(printer: Printer, curve: Curve) -> None:
@@ -94,7 +95,7 @@ _ACTS = {True: "against motion", False: "as it is"}
 
 
 def _places(effect: type[Effect], layout: Layout) -> str:
-    return " ".join(p or "whole machine" for p in effect.on(layout))
+    return " ".join(p or "whole machine" for p in effect.on(layout)) or "none on this machine"
 
 
 def _number(value: float) -> str:

@@ -303,3 +303,10 @@ def test_the_same_law_from_another_file_does_not_find_code_that_refers_to_the_fi
         for n in ("one.py", "two.py")
     }
     assert len(folders) == 2
+
+
+def test_an_effect_that_stands_in_no_file_is_refused():
+    """Compiled code, which is kept by the text of effects, could not be told from that of other ones."""
+    code = f"from crane_exudyn.effects import registry\n{CREEP}\nregistry.register(SlowSpool)\n"
+    told = subprocess.run([sys.executable, "-"], input=code, capture_output=True, text=True, check=False).stderr
+    assert "CraneError: Effect 'slow_spool' stands in no file" in told and "load_effects(FILE)" in told

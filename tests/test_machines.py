@@ -1,6 +1,5 @@
 """Machines as data: both engines agree on built-in and random ones, and what is impossible is refused with its mend."""
 
-import copy
 import re
 import tomllib
 from dataclasses import replace
@@ -11,11 +10,15 @@ import pytest
 from random_machine import random_machine
 
 from crane_exudyn.crane import Crane, built_in
+from crane_exudyn.effects import registry
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
+from crane_exudyn.machine import Cylinder, Joint, Machine
+from crane_exudyn.pose import shown_pose
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import initial_state, simulate
 from crane_exudyn.static_start import beyond_pump, static_start
+from crane_exudyn.trajectory import Trajectory
 from validation import crosscheck as cc
 from validation import crosscheck_cases as cases
 from validation.semi_recursive import SemiRecursiveEngine
@@ -66,8 +69,8 @@ def test_a_machine_of_an_earlier_file_is_the_patu():
     assert Crane.from_document(file, "earlier.toml") == Crane.load("patu655")
 
 
-def excavator():
-    return tomllib.loads((resources.files("crane_exudyn.data") / "excavator.toml").read_text(encoding="utf-8"))
+def file_of(name):
+    return tomllib.loads((resources.files("crane_exudyn.data") / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def _drop(name):
@@ -144,10 +147,87 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_an_impossible_machine_is_refused(case):
     change, message = REFUSED[case]
-    file = copy.deepcopy(excavator())
+    file = file_of("excavator")
     change(file)
     with pytest.raises(CraneError, match=message):
         Crane.from_document(file, "mine.toml")
+
+
+@pytest.mark.parametrize("ends", [("outer_boom", "bracket_1"), ("outer_boom", "bracket_2"), ("bracket_2", "lift_boom")])
+def test_a_cylinder_inside_a_loop_drives_what_turns_the_loop(ends):
+    file = file_of("patu655")
+    file["cylinders"]["tilt"] = {"bodies": [*ends], "base": [0.5, 0.4], "rod_end": [-0.2, 0.3]} | {
+        k: v for k, v in file["cylinders"]["tilt"].items() if k not in ("bodies", "base", "rod_end")
+    }
+    crane = Crane.from_document(file, "inside.toml")
+    assert crane.layout.driven == ("z1", "z4")
+    assert np.isfinite(static_start(crane, *crane.initial.pose)).all()
+
+
+def chain(*ends):
+    """Return a chain of revolute bodies 0, 1, … with cylinders between bodies by number, -1 for the ground."""
+    names = dict(enumerate("abcd")) | {-1: "ground"}
+    bodies = range(max(map(max, ends)) + 1)
+    joints = (Joint(f"J{k}", "revolute", names[k - 1], names[k], f"joints.J{k}", coordinate=f"q{k}") for k in bodies)
+    cylinders = (
+        Cylinder(f"c{i}", (names[a], names[b]), ("", ""), (f"p{i}", f"r{i}"), f"p{i}", f"s{i}", f"u{i}", f"U{i}")
+        for i, (a, b) in enumerate(ends)
+    )
+    names_of_all = tuple(names[k] for k in bodies), tuple(joints), tuple(f"q{k}" for k in bodies), tuple(cylinders)
+    return Machine(*names_of_all, payload=("", ""), points={})
+
+
+@pytest.mark.parametrize(
+    ("ends", "driven"),
+    [
+        (((-1, 0), (0, 1), (1, 2)), ("q0", "q1", "q2")),
+        (((-1, 1), (0, 2), (1, 2)), ("q0", "q1", "q2")),  # the second takes the only one that the first can do without
+        (((-1, 1), (0, 2), (1, 3), (2, 3)), ("q0", "q1", "q2", "q3")),
+        (((-1, 0), (-1, 0), (1, 2)), ("q0", "", "q2")),
+    ],
+)
+def test_each_cylinder_drives_a_coordinate_of_its_own_where_that_is_possible(ends, driven):
+    assert chain(*ends).driven == driven
+
+
+def test_joints_may_be_listed_outer_first():
+    file = file_of("patu655")
+    file["joint"].reverse()
+    crane, given = Crane.from_document(file, "reversed.toml"), Crane.load("patu655")
+    assert crane.layout == given.layout and crane.initial == given.initial
+    shown = {"z1": 0.3, "z4_abs": -0.1}
+    assert shown_pose(crane, shown) == pytest.approx([0.3, -0.4])
+    recorded = Recording.from_arrays(
+        "r", np.arange(2.0), {n: np.full(2, v) for n, v in shown.items()}, layout=crane.layout
+    )
+    assert Trajectory.from_recording(recorded).positions[0] == pytest.approx([0.3, -0.4])
+
+
+def without_payload():
+    file = file_of("loader")
+    for key in ("body", "at"):
+        del file["payload"][key]
+    del file["joints"]["bucket"]
+    return file
+
+
+def test_a_payload_that_nothing_carries_is_refused():
+    file = without_payload()
+    with pytest.raises(CraneError, match=r"payload.mass = 400 kg, but nothing carries a payload: give body and at"):
+        Crane.from_document(file, "mine.toml")
+    file["payload"] = dict.fromkeys(("mass", "width", "height"), 0.0)  # as a machine without one is written
+    crane = Crane.from_document(file, "mine.toml")
+    assert Crane.from_document(tomllib.loads(replace(crane, text="").to_toml()), "mine.toml") == crane
+    with pytest.raises(CraneError, match="nothing carries a payload"):
+        crane.with_parameters({"payload.mass": 50.0})
+
+
+@pytest.mark.parametrize("name", ["tip_contact_force", "payload_change", "payload_swing"])
+def test_an_effect_on_a_payload_acts_on_no_machine_without_one(name):
+    crane = Crane.from_document(without_payload() | {"payload": {}}, "mine.toml")
+    assert name in registry.all_keys(Crane.load("loader").layout) and name not in registry.all_keys(crane.layout)
+    with pytest.raises(CraneError, match=f"{name}.* acts on a payload, and the machine has none"):
+        crane.with_effect(name, {})
 
 
 def test_a_pose_that_cannot_be_is_refused_by_name():

@@ -84,6 +84,8 @@ ACTS_AT: Mapping[str, tuple[str, ...]] = {
         (CYLINDERS,),
     ),
 }
+#: hooks that act on a payload, or at its point
+ON_PAYLOAD = frozenset({"payload_mass", "tip_force", "pendulum"})
 
 
 class Effect:
@@ -142,7 +144,9 @@ class Effect:
 
     @classmethod
     def on(cls, layout: Layout) -> tuple[str, ...]:
-        """Return the places of a machine at which it may act."""
+        """Return the places of a machine at which it may act: none without the payload that it acts on."""
+        if not layout.has_payload and ON_PAYLOAD & cls.hooks().keys():
+            return ()
         return tuple(place for place in layout.places(cls.places) if not cls.only or place in cls.only)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import CraneError, nearest
+from ..errors import CraneError, named_file, nearest
 from ..layout import MOST, Layout
 from .base import Effect
 from .checks import checked
@@ -71,6 +71,10 @@ def split_key(key: str, layout: Layout | None = None) -> tuple[type[Effect], str
     """
     name, _, place = key.partition("@")
     effect = find(name)
+    if layout is not None and not place and not effect.places and not effect.on(layout):
+        raise CraneError(
+            f"Effect {name!r} acts on a payload, and the machine has none: [payload] gives no body and at."
+        )
     if (not place) != (not effect.places) or (layout is not None and place not in effect.on(layout)):
         known = ", ".join(effect.on(layout)) if layout else f"the machine's {effect.places}"
         raise CraneError(
@@ -158,7 +162,14 @@ def register(effect: type[Effect]) -> type[Effect]:
 
     Compiled code contains every effect, so this must come before the first engine is imported.
     """
-    checked(effect, inspect.getsourcefile(effect) or effect.__module__)
+    checked(effect, str(getattr(inspect.getmodule(effect), "__file__", effect.__module__)))
+    try:
+        _source(effect)
+    except (OSError, TypeError) as problem:
+        raise CraneError(
+            f"Effect {effect.name!r} stands in no file, by which compiled code would know it again. Write it into a "
+            "Python file, and read that with crane_exudyn.load_effects(FILE)."
+        ) from problem
     if any(e.name == effect.name for e in known()):
         raise CraneError(f"There is an effect {effect.name!r} already. Give yours another name.")
     if _frozen:
@@ -182,7 +193,7 @@ def load_effects(path: str | Path) -> list[type[Effect]]:
     Raises:
         CraneError: the file cannot be read or defines no effect, an effect is not as it must be, or it comes too late.
     """
-    file = Path(path).resolve()
+    file = named_file(path, "load_effects").resolve()
     if file in _user_files:
         return []
     if not file.is_file():
@@ -232,5 +243,10 @@ def fingerprint() -> str:
     """Return a text that differs when the set of effects, or the module or source of a user's effect differs."""
     texts = []
     for effect in (*_installed(), *_user_effects):
-        texts += [effect.__module__, inspect.getsource(inspect.getmodule(effect))]  # type: ignore[arg-type]
+        texts += [effect.__module__, _source(effect)]
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
+
+
+def _source(effect: type[Effect]) -> str:
+    """Return the text of the module that defines an effect. Raises OSError or TypeError where it is in no file."""
+    return inspect.getsource(inspect.getmodule(effect))  # type: ignore[arg-type]
