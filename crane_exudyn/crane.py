@@ -119,6 +119,11 @@ class Crane(Description):
         bore, rod = self[f"cylinders.{cylinder}.bore"], self[f"cylinders.{cylinder}.rod"]
         return 0.25 * math.pi * bore**2, 0.25 * math.pi * (bore**2 - rod**2)
 
+    def stroke(self, cylinder: str) -> tuple[float, float]:
+        """Return the shortest and the longest pin-to-pin length of a cylinder in m."""
+        empty = self[f"cylinders.{cylinder}.empty_length"]
+        return empty, empty + self[f"cylinders.{cylinder}.chamber_range"]
+
     def parameter_vector(self) -> np.ndarray:
         """Return P, shape (len(machine.names),): all nominal parameters in SI."""
         return np.array([self.values[name] for name in self.machine.names])

@@ -13,6 +13,7 @@ import numpy as np
 
 from . import faulty_laws, geometry, mechanism, reduction, statics, trapezoidal
 from .crane import Crane, checked_crane
+from .description import number
 from .effects import hooks
 from .errors import CraneError, counted
 from .item_values import ItemValues
@@ -43,10 +44,14 @@ class ExudynEngine:
     """
 
     def __init__(self, crane: Crane, size: int = 1, *, accuracy: float = 1.0) -> None:
-        self.crane, self.accuracy = checked_crane(crane, "ExudynEngine"), float(accuracy)
+        self.crane = checked_crane(crane, "ExudynEngine")
+        self.accuracy = number(accuracy, "ExudynEngine: accuracy", "")
+        if not self.accuracy > 0.0:
+            raise CraneError(
+                f"ExudynEngine: accuracy = {self.accuracy:g} is not positive. Give a larger one, such as 1."
+            )
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
-        self._row_values, self._swings = RowValues(crane), hooks.swings(self._E)
-        self.state_names = crane.layout.all_states if self._swings else crane.layout.states
+        self._row_values, self.state_names = RowValues(crane), statics.state_names(crane)
         self._systems: OrderedDict[int, System] = OrderedDict()
         #: steps that were halved so far, because their local error was too large or Newton's method did not converge
         self.halved = 0
@@ -454,6 +459,9 @@ class System:
                 f"t = {end:g} s ({str(problem).partition(' (range')[0]}). Mend payload.mass, payload_change or the "
                 "cylinders."
             ) from problem
+        if not self._varied and plant.payload_mass[0] < 0.0:  # a sigma point's may be, beside an effect
+            self.spoilt = True
+            raise statics.weightless(plant.crane, plant.payload_mass[0], end)
         if changed:
             self.solver.ComputeMassMatrix(self.mbs)
         return self._before

@@ -17,6 +17,7 @@ import numpy as np
 from .crane import Crane
 from .effects import registry
 from .errors import CraneError, listed
+from .geometry import told
 from .plausible import implausible
 from .statics import size_of_state, terms
 
@@ -46,9 +47,8 @@ def _law(crane: Crane, state: np.ndarray, w: np.ndarray, time: float, h: float) 
         found = without_numbers(crane, lambda tried, x=x, t=t: _terms_are_finite(tried, x, w, t))  # type: ignore[misc]
         if found:
             lay = crane.layout
-            angles = listed(lay.coordinates, np.degrees(x[lay.positions]), "{:.4g} deg")
             pressures = listed(lay.chambers, x[lay.pressures] / 1e5, "{:.4g} bar")
-            return refusal(crane, found, f"t = {t:.6g} s, {angles}, {pressures}")
+            return refusal(crane, found, f"t = {t:.6g} s, {told(lay, x)}, {pressures}")
     return None
 
 

@@ -417,8 +417,7 @@ def cylinder_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:
 
 def chamber_lengths(crane: Crane, z: np.ndarray) -> np.ndarray:
     """Return lengths of the piston-side chambers in m (m, cylinders), as `cylinder_lengths`."""
-    empty = np.array([crane[f"cylinders.{c}.empty_length"] for c in crane.layout.cylinders])
-    return cylinder_lengths(crane, z) - empty
+    return cylinder_lengths(crane, z) - [crane.stroke(c)[0] for c in crane.layout.cylinders]
 
 
 @dataclass(frozen=True)

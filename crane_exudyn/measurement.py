@@ -19,7 +19,7 @@ from .crane import Crane
 from .effects import hooks
 from .effects.base import SENSING, SENSORS
 from .effects.registry import neutral_vector, slots_of
-from .errors import CraneError
+from .errors import CraneError, names_of
 from .faulty_laws import check_law
 from .geometry import fill_lengths
 from .hydraulics import vapour_pressure
@@ -63,7 +63,7 @@ class Measurement:
         """Raises CraneError for a sensor that the machine does not have."""
         self._machine, lay, self._least = machine, machine.layout, len(machine.layout.states)
         self.names, chosen = tuple(names), [sensor(n, lay.sensors) for n in names]
-        most = max(1, *(len(c.shows) for c in chosen))
+        most = max([1, *(len(c.shows) for c in chosen)])
         summed = [[lay.index(s) for s in c.shows] + [-1] * (most - len(c.shows)) for c in chosen]
         self._reads = _Reads(
             np.array(summed, np.int64).reshape(-1, most),
@@ -77,7 +77,7 @@ class Measurement:
     @classmethod
     def of(cls, crane: Crane, names: Sequence[str] | None = None) -> Measurement:
         """Return the measurement function of a crane's sensors, of all that it may have by default."""
-        chosen = tuple(crane.layout.sensors) if names is None else (names,) if isinstance(names, str) else names
+        chosen = tuple(crane.layout.sensors) if names is None else names_of(names, "Measurement.of: names")
         return cls(chosen, crane.machine, crane.parameter_vector(), crane.effect_vector())
 
     def __repr__(self) -> str:

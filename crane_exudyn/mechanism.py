@@ -52,6 +52,7 @@ from .machine import (
     Machine,
 )
 from .parameters import CYLINDER, GRAVITY, N_CYLINDER, PAYLOAD
+from .statics import size_of_state, weightless
 
 #: bulk modulus in Pa that removes the actuators' own compression flow; it cannot be zero
 _NO_STIFFNESS = 1e-200
@@ -238,20 +239,16 @@ def _outlines(plant: Plant) -> dict[str, list[dict[str, Any]]]:
 
 def start_pose(crane: Crane) -> np.ndarray:
     """Return a state (nx,) in the crane's pose at the start, all chambers at 20 bar."""
-    lay = crane.layout
-    swing = len(lay.added) if hooks.swings(crane.effect_vector()) else 0
-    return np.array([*crane.initial.pose, *[0.0] * len(lay.rates), *[20e5] * len(lay.chambers), *[0.0] * swing])
+    lay, state = crane.layout, np.zeros(size_of_state(crane))
+    state[lay.positions], state[lay.pressures] = crane.initial.pose, 20e5
+    return state
 
 
 def _plant(crane: Crane, size: int, inputs: Any, time: float) -> Plant:
     P, E = np.tile(crane.parameter_vector(), (size, 1)), np.tile(crane.effect_vector(), (size, 1))
     inertia, mass = np.zeros((size, len(crane.machine.bodies) + 1, 4)), payload_at(crane, time)
     if mass < 0.0 or (mass == 0.0 and hooks.swings(E[0])):
-        raise CraneError(
-            f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and "
-            "one that "
-            "swings cannot be zero: mend payload.mass or the effect payload_change, or remove payload_swing."
-        )
+        raise weightless(crane, mass, time)
     red.all_inertias(crane.machine.topology, P, E, time, inertia)
     lay = crane.layout
     held = np.zeros((size, len(lay.all_inputs)))

@@ -12,6 +12,7 @@ from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
 from .crane import Crane
+from .description import number
 from .effects import hooks
 from .errors import CraneError
 from .geometry import LENGTH
@@ -42,10 +43,18 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
     P, E = crane.parameter_vector(), crane.effect_vector()
     gx, gy = hooks.plain("gravity")(E, 0.0, -1.0)
     state = np.zeros(size_of_state(crane))
-    state[lay.positions] = pose
+    units = map(lay.unit_of, lay.coordinates)
+    named = zip(lay.coordinates, pose, units, strict=True)
+    state[lay.positions] = [number(z, f"{crane.name}: static_start: {name}", unit) for name, z, unit in named]
     state[lay.extra][:1] = math.atan2(gx, -gy)
     less_loaded = crane.initial.less_loaded_pressure if less_loaded is None else less_loaded
-    low = np.broadcast_to(np.asarray(less_loaded, dtype=float), len(lay.cylinders))
+    each = [less_loaded] if np.ndim(less_loaded) == 0 else [*less_loaded]
+    if len(each) not in (1, len(lay.cylinders)):
+        raise CraneError(
+            f"{crane.name}: static_start: less_loaded has {len(each)} pressures. Give one for all, or one each for "
+            f"{', '.join(lay.cylinders)}."
+        )
+    low = np.broadcast_to([number(p, f"{crane.name}: less_loaded", "Pa") for p in each], len(lay.cylinders))
     check_less_loaded(crane, low, "the pressure")
     r = reduced(crane, state, 0.0)
     forces = _holding_forces(crane, r, state)

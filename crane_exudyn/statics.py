@@ -72,7 +72,7 @@ def checked_state(crane: Crane, state: np.ndarray) -> np.ndarray:
     """Return one state (nx,) as an array. Raises CraneError where it has another shape."""
     x = np.ascontiguousarray(state, dtype=float)
     if x.shape != (size_of_state(crane),):
-        names = crane.layout.all_states[: size_of_state(crane)]
+        names = state_names(crane)
         raise CraneError(
             f"{crane.name}: a state has {len(names)} numbers, found shape {x.shape}. Give {' '.join(names)}."
         )
@@ -117,10 +117,22 @@ def checked_inputs(crane: Crane, w: np.ndarray) -> np.ndarray:
     return given
 
 
+def state_names(crane: Crane) -> tuple[str, ...]:
+    """Return the names of the crane's states: two more where its payload hangs on a pendulum."""
+    return crane.layout.all_states if hooks.swings(crane.effect_vector()) else crane.layout.states
+
+
 def size_of_state(crane: Crane) -> int:
-    """Return how many numbers a state of the crane has: two more where its payload hangs on a pendulum."""
-    swings = hooks.swings(crane.effect_vector())
-    return len(crane.layout.all_states if swings else crane.layout.states)
+    """Return how many numbers a state of the crane has."""
+    return len(state_names(crane))
+
+
+def weightless(crane: Crane, mass: float, time: float) -> CraneError:
+    """Return the error that refuses a payload of a mass in kg, at a time in s."""
+    return CraneError(
+        f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and one "
+        "that swings cannot be zero: mend payload.mass or the effect payload_change, or remove payload_swing."
+    )
 
 
 def vapour_pressure(crane: Crane) -> float:
@@ -176,16 +188,15 @@ def check_start(crane: Crane) -> None:
     """Raise CraneError where a cylinder cannot be as long as the crane file's start has it, or a chamber not at its
     pressure.
     """
-    lowest = np.broadcast_to(crane.initial.less_loaded_pressure, len(crane.layout.cylinders))
-    check_less_loaded(crane, lowest, "initial.less_loaded_pressure")
+    check_less_loaded(crane, np.array(crane.initial.less_loaded_pressure), "initial.less_loaded_pressure")
     state = np.zeros(size_of_state(crane))
     state[crane.layout.positions] = crane.initial.pose
     cylinder, _, length = stroke_end(crane, state)
     if cylinder:
-        empty, travel = (crane[f"cylinders.{cylinder}.{n}"] for n in ("empty_length", "chamber_range"))
+        shortest, longest = crane.stroke(cylinder)
         raise CraneError(
             f"{crane.name}: [initial] {geo.told(crane.layout, state)}: the {cylinder} cylinder would be {length:.4f} m "
-            f"long; cylinders.{cylinder}.empty_length and chamber_range let it be {empty:.4f} to {empty + travel:.4f} "
+            f"long; cylinders.{cylinder}.empty_length and chamber_range let it be {shortest:.4f} to {longest:.4f} "
             "m. Choose another pose in [initial], or mend these lengths or the cylinder's pins."
         )
 

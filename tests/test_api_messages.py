@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crane_exudyn import Crane, Recording, simulate
+from crane_exudyn import Crane, Recording, load_effects, simulate
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
 from crane_exudyn.inputs import SpoolPath
 from crane_exudyn.measurement import Measurement, lagged
 from crane_exudyn.render import Scene
+from crane_exudyn.static_start import static_start
 from crane_exudyn.trajectory import Trajectory
 from ukf.augment import Augment
 from ukf.estimator import Estimator
@@ -410,6 +411,15 @@ MOVING = Recording.from_arrays("moving", TIME, {"u1": 0.0 * TIME, "u2": 0.0 * TI
         (lambda: Recording.from_arrays("r", TIME, None), "found None, expected values by name"),
         (lambda: cc.crosscheck(CRANE, effects="internal_leakag@lift"), "no effect 'internal_leakag@lift'"),
         (lambda: cc.crosscheck(CRANE, without=5), "without: found 5, expected names"),
+        (
+            lambda: static_start(CRANE, 0.1, -0.7, less_loaded=[1e5, 1e5, 1e5]),
+            "has 3 pressures.* one each for lift, til",
+        ),
+        (lambda: static_start(CRANE, 0.1, -0.7, less_loaded="20 bar"), "less_loaded = '20 bar' is not a number.*in Pa"),
+        (lambda: static_start(CRANE, np.zeros(2), -0.7), "z1 = .* is not a number.*in rad"),
+        (lambda: load_effects(5), "load_effects: found 5, expected the name of a file"),
+        (lambda: ExudynEngine(CRANE, accuracy="x"), "accuracy = 'x' is not a number"),
+        (lambda: ExudynEngine(CRANE, accuracy=-1.0), "accuracy = -1 is not positive"),
         (lambda: report.render("T", "V", [], mood="happy"), "unknown mood 'happy'"),
         (lambda: report.Table(("a", "b"), [(1, 2), (1,)]), r"found the row \(1,\), expected 2 cells"),
         (lambda: report.Table(("a", "b"), [1]), "found the row 1, expected 2 cells"),

@@ -312,6 +312,17 @@ def test_a_payload_cannot_lose_more_than_it_weighs():
         simulate(crane)
 
 
+def test_an_engine_carries_no_payload_of_less_than_nothing():
+    """A sigma point may, beside an effect."""
+    engine = ExudynEngine(CRANE.with_effect("payload_change", {"dm": -CRANE["payload.mass"] - 5.0, "T": 0.01}))
+    start = engine.static_start(0.2, -0.7)[None]
+    engine.propagate(start, INPUTS, 1e-3)
+    for _ in range(2):
+        with pytest.raises(CraneError, match=r"mass of -5 kg at t = 0\.01 s"):
+            engine.propagate(start, INPUTS, 1e-3, time=0.009)
+    assert np.isfinite(engine.propagate(start, INPUTS, 1e-3, time=0.02, parameters={"payload.mass": np.zeros(1)})).all()
+
+
 def test_payload_change_takes_place_at_its_time():
     crane = CRANE.with_effect("payload_change", {"dm": 60.0, "T": 0.0205})
     heavy = ExudynEngine(CRANE.with_parameters({"payload.mass": CRANE["payload.mass"] + 60.0}))
