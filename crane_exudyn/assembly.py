@@ -15,10 +15,8 @@ from .errors import CraneError, nearest
 from .layout import Layout
 from .mapping import Column
 from .tables import RawColumn, RawTable, remarks, split_header
-from .units import factor_to_si, reference_mend, reference_of
+from .units import PEOPLE, factor_to_si, reference_mend, reference_of
 
-#: units that people write, for messages
-EXAMPLE = {"": "-", "V": "V", "rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "m/s": "mm/s", "s": "s"}
 #: share of repeated times up to which the repeated samples are left out with a remark
 _MOST_REPEATED = 0.1
 #: columns that a message names
@@ -28,10 +26,15 @@ _SHOWN = 12
 _SPLIT, _SPLIT_RATIO, _DAY = 10.0, 100.0, 86400.0
 
 
+def _written(si_unit: str) -> str:
+    """Return a unit that people write of a quantity, for messages."""
+    return PEOPLE.get(si_unit, si_unit or "-")
+
+
 def example(layout: Layout) -> str:
     """Return an example of what `--map` takes, such as "z1=BoomAngle[deg]"."""
     name = layout.coordinates[0]
-    return f"{name}=BoomAngle[{EXAMPLE[layout.unit_of(name)]}]"
+    return f"{name}=BoomAngle[{_written(layout.unit_of(name))}]"
 
 
 def wanted(mapping: Mapping[str, Column], layout: Layout) -> set[str]:
@@ -137,7 +140,7 @@ def _headers(table: RawTable) -> str:
 
 def _refuse_without_unit(path: Path, named: Mapping[str, tuple[RawColumn, str | None]], si: Mapping[str, str]) -> None:
     """Refuse the columns that need a unit and have none, all at once."""
-    without = {n: (column.header, EXAMPLE[si[n]]) for n, (column, unit) in named.items() if unit is None and si[n]}
+    without = {n: (column.header, _written(si[n])) for n, (column, unit) in named.items() if unit is None and si[n]}
     if without:
         s = "s" * (len(without) > 1)
         written = ", ".join(f"{n}[{unit}]" for n, (_, unit) in without.items())
@@ -292,7 +295,7 @@ def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) 
         return factor_to_si(unit or "", si_unit)
     except CraneError as problem:
         raise CraneError(
-            f"{path}, column {header}: {problem}, such as {name}[{EXAMPLE[si_unit]}]. Mend the unit."
+            f"{path}, column {header}: {problem}, such as {name}[{_written(si_unit)}]. Mend the unit."
         ) from None
 
 

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import tomlkit
 from tomlkit.items import AoT, Table
 
 from . import parameters
-from .crane_toml import REFERENCES, as_given, as_written, from_document, whole_text
+from .crane_toml import REFERENCE, REFERENCES, as_given, as_written, from_document, keys_of
 from .description import Description, Uncertainty
 from .effects.base import Acting
+from .machine import PRISMATIC, Machine
+from .machine_toml import OF_CYLINDER
 from .units import factor_to_si, to_si
 
 #: a plain number with its unit; anything else is an expression
@@ -46,7 +48,7 @@ def edited(text: str, before: Description, crane: Description) -> str:
             document[key] = getattr(crane, key)
     for name, value in crane.values.items():
         if value != before.values[name]:
-            _set_value(document, name, value)
+            _set_value(document, crane.machine, name, value)
     _set_all(document, "sensors", before.sensors, crane.sensors)
     # shares of values that have changed are others now
     now = from_document(Description, document.unwrap(), crane.name)
@@ -66,7 +68,7 @@ def edited(text: str, before: Description, crane: Description) -> str:
             del document["history"][kept:]
             if not kept:
                 document.pop("history")
-        _append(document, "history", [dict(entry) for entry in crane.history[kept:]])
+        _append(document, "history", crane.history[kept:])
     return tomlkit.dumps(document)
 
 
@@ -93,25 +95,21 @@ def _set_uncertainties(document: Any, before: Mapping[str, Uncertainty], now: Ma
             table[name] = _inline(as_given(given))
 
 
-def _set_value(document: Any, name: str, value: float) -> None:
+def _set_value(document: Any, machine: Machine, name: str, value: float) -> None:
     """Put a parameter's value in the place of the one that the text has, in its unit."""
-    if name == "supply.pressure_reference":
+    if name == REFERENCE:
         document["supply"]["pressure_reference"] = REFERENCES[int(value)]
         return
-    *path, last = name.split(".")
+    *path, key = keys_of(machine, name)
     if path[:1] == ["slides"]:
-        joint = next(joint for joint in document["joint"] if joint["name"] == path[1])
-        joint[last] = _in_unit_of(joint.get(last, ""), value, parameters.unit_of(name))
-        return
-    axis = {"x": 0, "y": 1}.get(last)
-    key: Any = last if axis is None else path.pop()
-    place = document
-    for part in path:
-        place = place.setdefault(part, tomlkit.table())
-    if axis is not None:
-        place, key = place[key], axis
-    old = place[key] if axis is not None or key in place else ""
-    place[key] = _in_unit_of(old, value, parameters.unit_of(name))
+        place: Any = next(joint for joint in document["joint"] if joint["name"] == path[1])
+    else:
+        place = document
+        for part in path:
+            place = place.setdefault(part, tomlkit.table())
+    at: Any = {"x": 0, "y": 1}[key] if isinstance(place, list) else key
+    old = place[at] if isinstance(place, list) or at in place else ""
+    place[at] = _in_unit_of(old, value, parameters.unit_of(name))
 
 
 def _in_unit_of(old: object, value: float, unit: str) -> Any:
@@ -137,8 +135,7 @@ def _set_effects(document: Any, before: tuple[Acting, ...], now: tuple[Acting, .
             tables[k]["parameters"] = _parameters(kept[before[k].key])
     if not tables:
         document.pop("effect", None)
-    entries = [{"name": a.name} | ({"place": a.place} if a.place else {}) | {"parameters": _parameters(a)} for a in new]
-    _append(document, "effect", entries)
+    _append(document, "effect", map(_entry, new))
 
 
 def _parameters(acting: Acting) -> Any:
@@ -157,12 +154,12 @@ def _inline(values: Mapping[str, Any]) -> Any:
     return table
 
 
-def _append(document: Any, key: str, entries: list[dict[str, Any]]) -> None:
+def _append(document: Any, key: str, entries: Iterable[Mapping[str, Any]]) -> None:
     """Add tables [[key]] at the end of the list of those, the first behind an empty line."""
-    if entries and key not in document and not tomlkit.dumps(document).endswith("\n\n"):
-        document.add(tomlkit.nl())
-    tables: AoT = document.setdefault(key, tomlkit.aot()) if entries else tomlkit.aot()
     for entry in entries:
+        if key not in document and not tomlkit.dumps(document).endswith("\n\n"):
+            document.add(tomlkit.nl())
+        tables: AoT = document.setdefault(key, tomlkit.aot())
         table: Table = tomlkit.table()
         table.update({name: _plain(value) for name, value in entry.items()})
         table.add(tomlkit.nl())
@@ -178,3 +175,81 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
     return value if isinstance(value, bool | int | float | str) else str(value)
+
+
+# -- anew ------------------------------------------------------------------------------------------------------------
+
+
+def whole_text(crane: Description) -> str:
+    """Return a crane as TOML text: SI numbers at full precision, one section after the other."""
+    top = {"name": crane.name} | ({"description": crane.description} if crane.description else {})
+    pose = dict(zip(crane.layout.coordinates, crane.initial.pose, strict=True))
+    known, errors = ({n: as_given(e) for n, e in of.items()} for of in (crane.uncertainty, crane.model_error))
+    parts = [
+        _section(top | {"gravity": crane["gravity"], "independent": crane.machine.independent}),
+        *(_section(joint, "joint", listed=True) for joint in _joints(crane)),
+        *(_section(table, *path) for path, table in _numbers(crane).items()),
+        _section(pose | {"less_loaded_pressure": crane.initial.less_loaded_pressure}, "initial"),
+        *([_section(crane.sensors, "sensors")] if crane.sensors else []),
+        _section(known, "uncertainty"),
+        *([_section(crane.sources, "sources")] if crane.sources else []),
+        *(_section(_entry(acting), "effect", listed=True) for acting in crane.effects),
+        *([_section(errors, "model_error")] if errors else []),
+        *(_section(entry, "history", listed=True) for entry in crane.history),
+    ]
+    return "\n".join(parts)
+
+
+def _section(table: Mapping[str, Any], *path: str, listed: bool = False) -> str:
+    """Return the text of a table [path], or [[path]] where it is one of several, each of its values on a line."""
+    found: Any = {key: _plain(value) for key, value in table.items()}
+    found = [found] if listed else found
+    for key in reversed(path):
+        found = {key: found}
+    return tomlkit.dumps(found)
+
+
+def _joints(crane: Description) -> Iterator[dict[str, Any]]:
+    for joint in crane.machine.joints:
+        found: dict[str, Any] = {
+            "name": joint.name,
+            "bodies": (joint.carrier, joint.body),
+            "at": joint.pin.removeprefix("joints."),
+        }
+        if joint.own_pin:
+            found["on"] = joint.own_pin.removeprefix("joints.")
+        if joint.kind == PRISMATIC:
+            found |= {"kind": PRISMATIC, "direction": crane[f"slides.{joint.name}.direction"]}
+        turned = {"bend": "left" if joint.side > 0 else "right"}
+        yield found | (turned if joint.closes else {"coordinate": joint.coordinate})
+
+
+def _numbers(crane: Description) -> dict[tuple[str, ...], dict[str, Any]]:
+    """Return the tables of numbers by their keys in the file, with what says how things hang together."""
+    machine = crane.machine
+    found: dict[tuple[str, ...], dict[str, Any]] = {("bodies", body): {} for body in machine.bodies}
+    for name in machine.names:
+        *path, key = keys_of(machine, name)
+        if not path or path[0] == "slides" or key == "y" or (path[-1] == "edges" and crane[name] == 1.0):
+            continue
+        value: Any = REFERENCES[int(crane[name])] if name == REFERENCE else crane[name]
+        if key == "x":
+            key, value = path.pop(), (value, crane[f"{name.removesuffix('x')}y"])
+        found.setdefault(tuple(path), {})[key] = value
+    body, point = machine.payload
+    found["payload",] |= {"body": body, "at": point.removeprefix("joints.")} if body else {}
+    for c in machine.cylinders:
+        about = {key: getattr(c, key) for key in OF_CYLINDER}
+        ends = zip(("base", "rod_end"), c.points, strict=True)
+        about |= {key: p.removeprefix("joints.") for key, p in ends if p.startswith("joints.")}
+        found["cylinders", c.name] |= about
+    for valve, voltage in crane.voltage.items():
+        found["valves", valve]["voltage"] = vars(voltage)
+    return found
+
+
+def _entry(acting: Acting) -> dict[str, Any]:
+    """Return an effect as a table [[effect]]."""
+    return (
+        {"name": acting.name} | ({"place": acting.place} if acting.place else {}) | {"parameters": _parameters(acting)}
+    )

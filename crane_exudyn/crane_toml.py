@@ -1,10 +1,11 @@
-"""Crane files: TOML in, TOML out. Only the form is known here; what the numbers mean stands in description.py."""
+"""Crane files read. Only the form is known here; what the numbers mean stands in description.py, and crane_edit.py
+writes.
+"""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from fnmatch import fnmatchcase
 from typing import Any, TypeVar
 
@@ -17,6 +18,7 @@ from .frozen import frozen
 from .layout import Layout
 from .machine import PRISMATIC, Machine
 from .machine_toml import OF_CYLINDER, OF_PAYLOAD, machine_of
+from .toml_reading import table_of
 from .units import to_si
 
 D = TypeVar("D", bound=Description)
@@ -42,23 +44,16 @@ def from_document(kind: type[D], document: Mapping[str, Any], where: str, text: 
         machine=machine,
         description=str(document.get("description", "")),
         values=values,
-        initial=_initial(_table(document, "initial", where), lay, where),
-        voltage=_voltages(_table(document, "valves", where), lay, where),
-        sensors=_sensors(_table(document, "sensors", where), lay, where),
-        uncertainty=_uncertainties(_table(document, "uncertainty", where), values, where),
-        sources={str(k): str(v) for k, v in _table(document, "sources", where).items()},
+        initial=_initial(table_of(document, "initial", where), lay, where),
+        voltage=_voltages(table_of(document, "valves", where), lay, where),
+        sensors=_sensors(table_of(document, "sensors", where), lay, where),
+        uncertainty=_uncertainties(table_of(document, "uncertainty", where), values, where),
+        sources={str(k): str(v) for k, v in table_of(document, "sources", where).items()},
         effects=effects,
-        model_error=_model_errors(_table(document, "model_error", where), machine, where),
+        model_error=_model_errors(table_of(document, "model_error", where), machine, where),
         history=tuple(frozen(entry) for entry in _tables(document, "history", where)),
         text=text,
     )
-
-
-def _table(document: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
-    table = document.get(key, {})
-    if not isinstance(table, Mapping):
-        raise CraneError(f"{where}: {key} = {table!r} should be a table [{key}].")
-    return table
 
 
 #: what files of earlier versions do not say: their pressures are absolute, and no air presses on the rods
@@ -66,7 +61,7 @@ _EARLIER = {"supply.air_pressure": 0.0, "supply.pressure_reference": 0.0}
 #: of a machine without payload
 _NO_PAYLOAD = dict.fromkeys(("payload.mass", "payload.width", "payload.height"), 0.0)
 #: what its pressures count from; the place in the list is its number
-_REFERENCE, REFERENCES = "supply.pressure_reference", ("absolute", "gauge")
+REFERENCE, REFERENCES = "supply.pressure_reference", ("absolute", "gauge")
 
 
 def _tables(document: Mapping[str, Any], key: str, where: str) -> list[Mapping[str, Any]]:
@@ -74,6 +69,17 @@ def _tables(document: Mapping[str, Any], key: str, where: str) -> list[Mapping[s
     if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
         raise CraneError(f"{where}: {key} = {str(tables)[:60]} should be tables, each headed by [[{key}]].")
     return tables
+
+
+def keys_of(machine: Machine, name: str) -> tuple[str, ...]:
+    """Return the keys under which a parameter stands in a file, one a table; names of things may hold dots."""
+    cylinders = [c.name for c in machine.cylinders]
+    kinds = {"bodies": machine.bodies, "cylinders": cylinders, "valves": cylinders}
+    owners = [(kind, own) for kind, known in kinds.items() for own in known]
+    owners += [("joints", p.removeprefix("joints.")) for p in machine.points if p.startswith("joints.")]
+    fitting = (owner for owner in owners if name.startswith(f"{'.'.join(owner)}."))
+    owner = max(fitting, key=lambda owner: len(owner[1]), default=())
+    return *owner, *name.removeprefix(f"{'.'.join(owner)}.").split(".")
 
 
 def _values(document: Mapping[str, Any], machine: Machine, where: str) -> dict[str, float]:
@@ -109,7 +115,7 @@ def _flatten(name: str, value: Any, machine: Machine, where: str, values: dict[s
         _flatten(f"{name}.y", value[1], machine, where, values)
     elif name not in machine.index:
         raise CraneError(f"{where}: unknown key {name!r}.{nearest(name, list(machine.names))}")
-    elif name == _REFERENCE:
+    elif name == REFERENCE:
         if value not in REFERENCES:
             raise CraneError(f'{where}: {name} = {value!r} is not known. Give "absolute" or "gauge".')
         values[name] = float(REFERENCES.index(value))
@@ -117,11 +123,12 @@ def _flatten(name: str, value: Any, machine: Machine, where: str, values: dict[s
         values[name] = to_si(value, parameters.unit_of(name), f"{where}: {name}")
 
 
-def _read(table: object, units: Mapping[str, str], where: str) -> dict[str, float]:
+def _read(table: object, units: Mapping[str, str], where: str, infinite: Collection[str] = ()) -> dict[str, float]:
+    """Return the numbers of a table in SI, of which those named may be infinite."""
     if not isinstance(table, Mapping):
         raise CraneError(f"{where} = {str(table)[:60]} should be a table {{ {', '.join(units)} }}.")
     refuse_unknown(where, table, units)
-    return {key: to_si(value, units[key], f"{where}.{key}") for key, value in table.items()}
+    return {key: to_si(v, units[key], f"{where}.{key}", infinite=key in infinite) for key, v in table.items()}
 
 
 def _initial(table: Mapping[str, Any], layout: Layout, where: str) -> Initial:
@@ -173,7 +180,7 @@ def _sensors(table: Mapping[str, Any], layout: Layout, where: str) -> dict[str, 
 def _uncertainties(table: Mapping[str, Any], values: Mapping[str, float], where: str) -> dict[str, Uncertainty]:
     found: dict[str, Uncertainty] = {}
     for pattern, entry in table.items():
-        names = [n for n in values if fnmatchcase(n, pattern)]  # a name, or a pattern with *
+        names = [pattern] if pattern in values else [n for n in values if fnmatchcase(n, pattern)]  # with *
         if not names:
             raise CraneError(f"{where}: uncertainty {pattern!r} fits no parameter.{nearest(pattern, list(values))}")
         for name in names:
@@ -188,13 +195,14 @@ def _uncertainty(name: str, entry: Any, value: float, where: str) -> Uncertainty
     std = entry.get("std", math.inf)
     if isinstance(std, str) and std.strip().endswith("%"):
         std = float(f"{to_si(std, '', where) * abs(value):.12g}")  # 4 % of 70 kg are 2.8, not 2.8000000000000003
-    std = to_si(std, unit, where)
+    std = to_si(std, unit, where, infinite=True)
     if not std > 0:
         raise CraneError(
             f"{where}: std = {std:g} is impossible: it must be > 0. Leave the line out if the value is exact."
         )
-    lower = to_si(entry.get("lower", -math.inf), unit, where)
-    upper = to_si(entry.get("upper", math.inf), unit, where)
+    lower, upper = (
+        to_si(entry.get(k, v), unit, where, infinite=True) for k, v in (("lower", -math.inf), ("upper", math.inf))
+    )
     if not lower <= value <= upper:
         raise CraneError(f"{where}: the value {value:g} {unit} itself is outside {lower:g} … {upper:g}.")
     return Uncertainty(std, lower, upper)
@@ -206,7 +214,7 @@ def _model_errors(table: Mapping[str, Any], machine: Machine, where: str) -> dic
     refuse_unknown(f"{where}: model_error", table, units)
     for name, entry in table.items():
         place = f"{where}: model_error {name!r}"
-        numbers = _read(entry, {"std": units[name], "memory": "s"}, place)
+        numbers = _read(entry, {"std": units[name], "memory": "s"}, place, ("memory",))
         if not numbers.get("std", 0.0) > 0.0 or not numbers.get("memory", math.inf) > 0.0:
             raise CraneError(
                 f"{place} needs a std > 0, and a memory > 0 s if it has one. Leave the line out if unknown."
@@ -227,7 +235,8 @@ def _effect(table: Mapping[str, Any], layout: Layout, where: str) -> Acting:
     about, given = f"{where}: effect {effect.name!r}: parameters", table.get("parameters", {})
     if effect.curve is not None:
         return Acting(effect.name, place, frozen(complete(effect, effect.curve.read(given, about))))
-    numbers = _read(given, {p.name: unit_at(p.unit, place, layout) for p in effect.parameters}, about)
+    units = {p.name: unit_at(p.unit, place, layout) for p in effect.parameters}
+    numbers = _read(given, units, about, units)
     return Acting(effect.name, place, frozen(complete(effect, numbers)))
 
 
@@ -247,130 +256,6 @@ def unit_at(unit: str, place: str, layout: Layout) -> str:
     return layout.sensors[place].unit if unit == "channel" else unit
 
 
-# -- writing ---------------------------------------------------------------------------------------------------------
-
-
-def whole_text(crane: Description) -> str:
-    """Return a crane as TOML text: SI numbers at full precision, one section after the other."""
-    lines = [f"name = {_text(crane.name)}"]
-    if crane.description:
-        lines.append(f"description = {_text(crane.description)}")
-    lines += [f"gravity = {_number(crane['gravity'])}", f"independent = {_any(crane.machine.independent)}", ""]
-    lines += _joint_lines(crane)
-    lines += _value_lines(crane)
-    pose = zip(crane.layout.coordinates, crane.initial.pose, strict=True)
-    lines += ["[initial]", *(f"{name} = {_number(angle)}" for name, angle in pose)]
-    lines += [f"less_loaded_pressure = [{', '.join(_number(p) for p in crane.initial.less_loaded_pressure)}]", ""]
-    if crane.sensors:
-        lines += ["[sensors]", *(f"{k} = {_number(v)}" for k, v in crane.sensors.items()), ""]
-    lines += ["[uncertainty]", *(f"{_text(n)} = {_any(as_given(u))}" for n, u in crane.uncertainty.items()), ""]
-    if crane.sources:
-        lines += ["[sources]", *(f"{_text(k)} = {_text(v)}" for k, v in crane.sources.items()), ""]
-    for acting in crane.effects:
-        lines += _effect_lines(acting)
-    if crane.model_error:
-        errors = (f"{_text(n)} = {_any(as_given(e))}" for n, e in crane.model_error.items())
-        lines += ["[model_error]", *errors, ""]
-    for entry in crane.history:
-        lines += ["[[history]]", *(f"{_key(k)} = {_any(v)}" for k, v in entry.items()), ""]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def _joint_lines(crane: Description) -> list[str]:
-    lines = []
-    for joint in crane.machine.joints:
-        lines += ["[[joint]]", f"name = {_text(joint.name)}", f"bodies = {_any((joint.carrier, joint.body))}"]
-        lines.append(f"at = {_text(joint.pin.removeprefix('joints.'))}")
-        if joint.own_pin:
-            lines.append(f"on = {_text(joint.own_pin.removeprefix('joints.'))}")
-        if joint.kind == PRISMATIC:
-            lines += [f"kind = {_text(PRISMATIC)}", f"direction = {_number(crane[f'slides.{joint.name}.direction'])}"]
-        lines.append(
-            f'bend = "{"left" if joint.side > 0 else "right"}"'
-            if joint.closes
-            else f"coordinate = {_text(joint.coordinate)}"
-        )
-        lines.append("")
-    return lines
-
-
-def _value_lines(crane: Description) -> list[str]:
-    sections: dict[str, list[str]] = {f"bodies.{body}": [] for body in crane.machine.bodies}
-    for name in crane.machine.names:
-        if name == "gravity" or name.endswith((".y", ".direction")) or (".edges." in name and crane[name] == 1.0):
-            continue
-        if name.endswith(".x"):
-            name = name.removesuffix(".x")
-            value = f"[{_number(crane[name + '.x'])}, {_number(crane[name + '.y'])}]"
-        elif name == _REFERENCE:
-            value = f'"{REFERENCES[int(crane[name])]}"'
-        else:
-            value = _number(crane[name])
-        section, _, key = name.rpartition(".")
-        sections.setdefault(section, []).append(f"{key} = {value}")
-    body, point = crane.machine.payload
-    if body:
-        sections["payload"] += [f"body = {_text(body)}", f"at = {_text(point.removeprefix('joints.'))}"]
-    for c in crane.machine.cylinders:
-        about = {
-            "bodies": c.bodies,
-            "chambers": c.chambers,
-            "loaded": c.loaded,
-            "length": c.length,
-            "command": c.command,
-            "voltage": c.voltage,
-        }
-        about |= {
-            key: p.removeprefix("joints.")
-            for key, p in zip(("base", "rod_end"), c.points, strict=True)
-            if p.startswith("joints.")
-        }
-        sections[f"cylinders.{c.name}"] += [f"{key} = {_any(value)}" for key, value in about.items()]
-    for valve, v in crane.voltage.items():
-        numbers = ", ".join(f"{k} = {_number(getattr(v, k))}" for k in ("neutral", "extend", "retract"))
-        sections[f"valves.{valve}"].append(f"voltage = {{ {numbers} }}")
-    return [line for name, content in sections.items() for line in (f"[{name}]", *content, "")]
-
-
-def _effect_lines(acting: Acting) -> list[str]:
-    lines = ["[[effect]]", f"name = {_text(acting.name)}"]
-    if acting.place:
-        lines.append(f"place = {_text(acting.place)}")
-    parameters = as_written(acting)
-    if parameters is not acting.parameters:
-        return [*lines, "", "[effect.parameters]", *(f"{k} = {_any(v)}" for k, v in parameters.items()), ""]
-    return [*lines, f"parameters = {_any(parameters)}", ""]
-
-
 def as_given(numbers: Uncertainty | GaussMarkov) -> dict[str, float]:
     """Return numbers as a crane file has them: without what is unlimited."""
     return {k: v for k, v in vars(numbers).items() if math.isfinite(v)}
-
-
-def _number(value: float) -> str:
-    if math.isinf(value):
-        return "inf" if value > 0 else "-inf"
-    return repr(float(value))
-
-
-def _text(value: str) -> str:
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _key(key: str) -> str:
-    return key if key.replace("_", "").isalnum() else _text(key)
-
-
-def _any(value: Any) -> str:
-    """Return any plain value (text, number, truth, list, table) as inline TOML."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return _number(value) if not math.isnan(value) else "nan"
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(k)} = {_any(v)}" for k, v in value.items()) + " }" if value else "{}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_any(v) for v in value) + "]"
-    return _text(str(value))

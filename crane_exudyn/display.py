@@ -7,6 +7,8 @@ import re
 from collections.abc import Sequence
 from html import escape
 
+from .units import people_of
+
 _AMOUNT = re.compile(r"[-−+<]? ?\d[\d.]*(e[-−+]?\d+)?( ± [\d.]+)?\*? *")
 #: texts longer than this get a column of their own width and break into lines
 _LONG = 28
@@ -16,10 +18,9 @@ _SHORT = 14
 _BREAKS = 22
 
 
-#: units in which engineers think, by SI unit, and what one of them is in SI
+#: units in which engineers think beside those of all people, by SI unit, and what one of them is in SI
 _ENGINEERING = {
-    "rad": ("deg", math.pi / 180), "rad/s": ("deg/s", math.pi / 180), "Pa": ("bar", 1e5), "m": ("mm", 1e-3),
-    "m/s": ("mm/s", 1e-3), "m^3/s": ("l/min", 1e-3 / 60.0),
+    "m^3/s": ("l/min", 1e-3 / 60.0),
     "m^3/s/Pa": ("l/min at 100 bar", 1e-3 / 60.0 / 1e7), "Pa*s/m^3": ("bar at 100 l/min", 1e5 * 600.0),
     "N*m": ("N m", 1.0),
     "N*m*s": ("N m at 10 deg/s", 18.0 / math.pi), "N/m": ("kN/mm", 1e6), "N*s/m": ("N at 10 mm/s", 1e2),
@@ -31,7 +32,7 @@ def engineering(unit: str) -> tuple[str, float]:
     """Return the unit in which engineers read a quantity of an SI unit, and what one of it is in SI: 2e-11 m^3/s/Pa are
     12 l/min at 100 bar.
     """
-    return _ENGINEERING.get(unit, (unit, 1.0))
+    return _ENGINEERING.get(unit) or people_of(unit)
 
 
 def rounded(value: float, uncertainty: float) -> str:

@@ -4,7 +4,6 @@ map files.
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ from .errors import CraneError, nearest, refuse_unknown
 from .layout import Layout
 from .tables import split_header
 from .toml_reading import why_no_toml
-from .units import factor_to_si, to_si
+from .units import factor_to_si, people_of, to_si
 
 _KEYS = ("column", "unit", "sign", "scale", "offset", "late", "drift", "held")
 
@@ -190,15 +189,11 @@ def _table(name: str, column: Column, unit: str) -> str:
     return "\n".join([f"[{name}]", *(f"{key} = {value}" for key, value in keys_of(column, unit).items())]) + "\n"
 
 
-#: units in which offsets are written, with what one of them is in SI
-_WRITTEN = {"rad": ("deg", math.pi / 180), "rad/s": ("deg/s", math.pi / 180), "Pa": ("bar", 1e5)}
-
-
 def keys_of(column: Column, si: str) -> dict[str, str]:
     """Return what a map file says of a column whose channel has the SI unit `si`: keys and values as TOML writes
     them.
     """
-    size, (unit, one) = abs(column.factor), _WRITTEN.get(si, (si, 1.0))
+    size, (unit, one) = abs(column.factor), people_of(si)
     found = {
         "column": _quoted(column.header),
         "unit": None if column.unit is None else _quoted(column.unit),

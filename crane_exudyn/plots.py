@@ -20,6 +20,7 @@ import numpy as np
 from . import channels
 from .layout import Layout
 from .machine_toml import usual_layout
+from .units import people_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,16 +97,6 @@ def _names(layout: Layout) -> dict[str, tuple[str, str]]:
     return found | {n: (words, n) for n, words in zip(layout.supply, ("pump", "tank"), strict=True)}
 
 
-#: what one SI unit is in the unit that people read
-_PEOPLE = {
-    "rad": (math.degrees(1.0), "°"),
-    "rad/s": (math.degrees(1.0), "°/s"),
-    "Pa": (1e-5, "bar"),
-    "m": (1e3, "mm"),
-    "m/s": (1e3, "mm/s"),
-}
-
-
 class Shown(NamedTuple):
     """A channel as people read it: multiply SI values by `factor` to get `unit`; `symbol` is "" where there is none."""
 
@@ -137,11 +128,16 @@ def shown(channel: str, unit: str | None = None, layout: Layout | None = None) -
     units = channels.of(layout)
     if channel in units:
         words, symbol = _names(layout)[channel]
-        factor, people = _PEOPLE.get(units[channel], (1.0, units[channel]))
-        return Shown(words, symbol, factor, people)
+        return Shown(words, symbol, *_read(units[channel]))
     words = channel.replace("_", " ").replace("@", " of ").replace(".", " ")
     unit = unit or ""
-    return Shown(words, "", *(_PEOPLE[unit] if unit in ("rad", "rad/s", "Pa") else (1.0, unit)))
+    return Shown(words, "", *(_read(unit) if unit in ("rad", "rad/s", "Pa") else (1.0, unit)))
+
+
+def _read(si_unit: str) -> tuple[float, str]:
+    """Return what one SI unit is in the unit that people read, and the sign of that."""
+    unit, one = people_of(si_unit)
+    return 1.0 / one, unit.replace("deg", "°")
 
 
 def style() -> AbstractContextManager[None]:

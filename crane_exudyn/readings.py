@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .consistency import CLOSES, WORN, Channels, Figures, Grid, Misfit, Misfits, loads, misfits, motions, reach
+from .units import factor_to_si
 
 Kind = Literal["sign", "swapped", "absolute", "scale", "offset"]
 
@@ -140,7 +141,8 @@ def _other_lines(machine: Figures, ch: Channels) -> Iterator[Reading]:
 
 #: units that are taken for the usual one of a quantity, and the other way round: what one of them is in that
 _MISTAKEN = {
-    "Pa": ("bar", {"psi": 0.06894757, "MPa": 10.0, "kPa": 0.01, "Pa": 1e-5}), "rad": ("rad", {"deg": math.pi / 180}),
+    "Pa": ("bar", {"psi": factor_to_si("psi", "Pa") / 1e5, "MPa": 10.0, "kPa": 0.01, "Pa": 1e-5}),
+    "rad": ("rad", {"deg": math.pi / 180}),
     "rad/s": ("rad/s", {"deg/s": math.pi / 180}), "m": ("m", {"mm": 1e-3, "cm": 1e-2}), "m/s": ("m/s", {"mm/s": 1e-3}),
     "": ("a share", {"%": 1e-2, "a tenth": 0.1}),
 }  # fmt: skip

@@ -15,12 +15,14 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from .units import people_of
+
 Colour = Literal["pressure", "residual"]
 #: left, top, right and bottom in pixels
 Box = tuple[float, float, float, float]
 
 #: how people read a unit: how many of theirs it is, and their name
-READ = {"Pa": (1e-5, "bar"), "rad": (math.degrees(1.0), "°"), "m": (1e3, "mm")}
+READ = {u: (1.0 / one, unit.replace("deg", "°")) for u in ("Pa", "rad", "m") for unit, one in [people_of(u)]}
 #: colour maps whose lightness rises or falls steadily, so that they read in greyscale
 MAPS = {"pressure": "viridis", "residual": "YlOrRd"}
 #: what is left out of a picture too small for everything, one after the other: until at most this share is written on

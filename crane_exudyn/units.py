@@ -8,7 +8,7 @@ import math
 import re
 from typing import Any, TypeGuard
 
-from .errors import CraneError
+from .errors import CraneError, shortened
 
 
 @functools.cache
@@ -19,16 +19,17 @@ def registry() -> Any:
     return pint.UnitRegistry()
 
 
-def to_si(value: object, unit: str, where: str) -> float:
+def to_si(value: object, unit: str, where: str, *, infinite: bool = False) -> float:
     """Return `value` in the SI unit `unit`.
 
     Args:
         value: a number, already in SI, or text with a unit such as "100 bar" or "24 l/min/(7 bar)**0.5".
         unit: the SI unit that is expected, as pint writes it ("" for a pure number).
         where: what the value belongs to, for the error message.
+        infinite: whether it may be infinite, as a limit that there is not.
 
     Raises:
-        CraneError: not a number, not finite, or a unit of another dimension.
+        CraneError: not a number, not finite unless it may be, or a unit of another dimension.
     """
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise CraneError(
@@ -40,6 +41,8 @@ def to_si(value: object, unit: str, where: str) -> float:
         number = math.inf
     if math.isnan(number):
         raise CraneError(f"{where} = {value!r} is not a number. Give a value in {unit or 'plain numbers'}.")
+    if math.isinf(number) and not infinite:
+        raise CraneError(f"{where} = {shortened(value)} is not finite. Give a number in {unit or 'plain numbers'}.")
     return number
 
 
@@ -164,6 +167,7 @@ _USUAL: dict[tuple[str, str], float] = {
         for u, f in {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 1e2, "psi": 6894.757293168361}.items()
     },
     **{("m", u): f for u, f in {"m": 1.0, "cm": 1e-2, "mm": 1e-3}.items()},
+    **{("m/s", u): f for u, f in {"m/s": 1.0, "mm/s": 1e-3}.items()},
     **{("V", u): f for u, f in {"V": 1.0, "mV": 1e-3}.items()},
     **{("", u): f for u, f in {"": 1.0, "-": 1.0, "1": 1.0, "%": 1e-2}.items()},
 }
@@ -194,6 +198,16 @@ def factor_to_si(unit: str, si_unit: str) -> float:
     if base != wanted.to_base_units().units:
         raise CraneError(f"unit [{unit}] has the wrong dimension, expected {expected}")
     return float(quantity.to(wanted.units).magnitude)
+
+
+#: units in which people read and write, by SI unit
+PEOPLE = {"rad": "deg", "rad/s": "deg/s", "Pa": "bar", "m": "mm", "m/s": "mm/s"}
+
+
+def people_of(si_unit: str) -> tuple[str, float]:
+    """Return the unit in which people read a quantity of an SI unit, and what one of it is in SI."""
+    unit = PEOPLE.get(si_unit, si_unit)
+    return unit, factor_to_si(unit, si_unit) if si_unit in PEOPLE else 1.0
 
 
 def unit_of(size: float, si_unit: str) -> str | None:

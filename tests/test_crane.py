@@ -3,6 +3,7 @@
 import copy
 import pickle
 import re
+import tomllib
 from dataclasses import replace
 from fnmatch import fnmatchcase
 
@@ -11,7 +12,7 @@ import pytest
 
 from crane_exudyn import Crane, CraneError, Recording
 from crane_exudyn.crane import built_in
-from crane_exudyn.description import GaussMarkov
+from crane_exudyn.description import GaussMarkov, Initial
 from crane_exudyn.plausible import implausible
 from crane_exudyn.statics import vapour_pressure
 
@@ -230,7 +231,49 @@ def test_shares_of_a_value_are_saved_with_few_digits(tmp_path):
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
     crane = Crane.load(tmp_path / "own.toml")
     assert crane.uncertainty["payload.mass"].std == 2.8
-    assert '"payload.mass" = { std = 2.8 }' in replace(crane, text="").to_toml()
+    assert '"payload.mass" = {std = 2.8}' in replace(crane, text="").to_toml()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "changes"),
+    [
+        ("lift_boom", "lift boom", {"bodies.lift boom.mass": 150.0}),
+        ("bracket_1", "bracket.1", {"bodies.bracket.1.com.y": 0.005}),
+        ("tilt", "tilt [2]", {"cylinders.tilt [2].base.x": 1.2, "valves.tilt [2].edges.pump_to_rod": 1.1}),
+        ("z1", "z 1", {"gravity": 9.8}),
+    ],
+)
+def test_a_crane_with_any_names_reads_back_equal(old, new, changes, tmp_path):
+    text = re.sub(rf"^{old} =", f'"{new}" =', _text(), flags=re.MULTILINE)
+    text = re.sub(rf"(\[\w+)\.{old}\]", rf'\1."{new}"]', text).replace(f'"{old}"', f'"{new}"')
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    crane = Crane.load(tmp_path / "own.toml")
+    for changed in (replace(crane, text=""), crane.with_parameters(changes)):
+        changed.save(tmp_path / "saved.toml")
+        assert Crane.load(tmp_path / "saved.toml") == changed
+
+
+def test_one_pressure_stands_for_the_less_loaded_chambers_of_all_cylinders(crane, tmp_path):
+    begun = replace(crane, initial=Initial((0.1, -0.7)))
+    assert begun.initial.less_loaded_pressure == (20e5, 20e5)
+    for written in (begun, replace(begun, text="")):
+        written.save(tmp_path / "begun.toml")
+        assert Crane.load(tmp_path / "begun.toml") == begun
+    with pytest.raises(CraneError, match=r"initial\.pose has 1 numbers\. Give one each for z1, z4"):
+        replace(crane, initial=Initial((0.1,)))
+
+
+def test_a_point_may_be_a_table_and_stays_one(tmp_path):
+    text = _text().replace('E = ["2.113 m", "0.26 m"]', 'E = { x = "2.113 m", y = "0.26 m" }')
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    longer = Crane.load(tmp_path / "own.toml").with_parameters({"joints.E.x": 2.5})
+    assert longer.to_toml() == text.replace('x = "2.113 m"', 'x = "2.5 m"')
+
+
+@pytest.mark.parametrize("key", ["initial", "payload", "bodies", "joints", "cylinders", "valves", "sensors", "fluid"])
+def test_a_number_instead_of_a_table_is_told_with_its_key(key):
+    with pytest.raises(CraneError, match=f"odd.toml: (unknown key ')?{key}"):
+        Crane.from_document(tomllib.loads(_text()) | {key: 5}, "odd.toml")
 
 
 def test_an_unknown_crane_is_answered_with_the_nearest():

@@ -64,6 +64,7 @@ def test_offsets_are_written_in_the_units_that_people_use() -> None:
     text = map_text(columns, LAYOUT)
     assert text.splitlines()[:4] == ["[z1]", 'column = "Boom"', 'unit = "deg"', "sign = -1"]
     assert 'offset = "90 deg"' in text and 'offset = "1.01325 bar"' in text
+    assert keys_of(Column("S1", offset=0.034), "m")["offset"] == '"34 mm"'
     assert keys_of(Column("V1", "%", 0.1, late=0.05), "") == {
         "column": '"V1"', "unit": '"%"', "scale": "0.1", "late": '"0.05 s"',
     }  # fmt: skip

@@ -127,3 +127,10 @@ def test_units_that_only_end_so_are_none_of_those(unit: str) -> None:
 def test_a_factor_that_is_that_of_a_usual_unit() -> None:
     assert unit_of(math.pi / 180, "rad") == "deg" and unit_of(0.0689475729 * 1e5, "Pa") == "psi"
     assert unit_of(0.01, "") == "%" and unit_of(1e4, "Pa") is None
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, "-1e400 m", 10**400])
+def test_what_is_infinite_is_refused_but_as_a_limit(value: object) -> None:
+    with pytest.raises(CraneError, match=r"x = .* is not finite"):
+        to_si(value, "m", "x")
+    assert math.isinf(to_si(value, "m", "x", infinite=True))
