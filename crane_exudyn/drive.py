@@ -40,15 +40,24 @@ def spool_on(
     valve: int | None = None,
 ) -> np.ndarray:
     """Return spool positions (N, valves) on a grid (N,), exact for commands (n, valves) that are linear between their
-    own samples.
+    own samples; those before the grid count as well, for a spool follows them late.
 
     Args:
         late: seconds by which the commands come after their stamps `time` (n,).
         valve: the only one to be computed (the others stay at 0); all by default.
     """
     stamps = time + late
-    inside = stamps[(stamps > grid[0]) & (stamps < grid[-1])]
-    every = np.unique(np.concatenate([grid, inside]))
+    every = np.unique(np.concatenate([grid, stamps[stamps < grid[-1]]]))
     on_all = np.column_stack([np.interp(every, stamps, u) for u in commands.T])
     spool: np.ndarray = SpoolPath(crane).run(every, on_all, valve)
     return spool[np.searchsorted(every, grid)]
+
+
+def inputs_on(
+    crane: Crane, grid: np.ndarray, time: np.ndarray, commands: np.ndarray, supply: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the inputs w (N, valves + 2) of engines on a grid (N,), of commands (n, valves) as `spool_on` takes them;
+    supply: pressures (N, 2) in Pa, by default the crane's own.
+    """
+    supply = np.full((len(grid), 2), np.nan) if supply is None else supply
+    return np.column_stack([spool_on(crane, grid, time, commands), supply])

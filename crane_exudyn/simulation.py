@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -245,17 +244,14 @@ def sensed(crane: Crane, states: np.ndarray, time: np.ndarray) -> np.ndarray:
 def _check_payload(crane: Crane, time: np.ndarray) -> None:
     """Raise CraneError where effects make the payload's mass negative at an instant of `time` (n,)."""
     from .effects import hooks
+    from .statics import weightless
 
     effects, nominal = crane.effect_vector(), crane["payload.mass"]
     mass = hooks.plain("payload_mass")
     masses = np.array([mass(effects, t, nominal) for t in time]) if crane.effects else np.zeros(1)
     if masses.min() < 0.0:
         worst = int(np.argmin(masses))
-        raise CraneError(
-            f"{crane.name}: the effects leave the payload of {nominal:g} kg a mass of {masses[worst]:g} kg at t = "
-            f"{time[worst]:g} s. "
-            "Give a larger payload.mass, or an effect that takes away less."
-        )
+        raise weightless(crane, masses[worst], time[worst])
 
 
 def paper_time() -> np.ndarray:
@@ -322,12 +318,7 @@ def _driven(crane: Crane, inputs: Recording | None, grid: np.ndarray) -> tuple[n
 def _on_grid(
     crane: Crane, grid: np.ndarray, time: np.ndarray, given: np.ndarray, supply: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (n, valves) and w (n, valves + 2) on the grid, of commands `given` (m, valves) at `time` (m,);
-    supply: pressures (n, 2) in Pa, by default the crane's own.
-    """
-    from .drive import spool_on
+    """Return commands (n, valves) and w (n, valves + 2) on the grid; the rest as `drive.inputs_on` takes it."""
+    from .drive import inputs_on
 
-    commands = np.column_stack([np.interp(grid, time, u) for u in given.T])
-    supply = np.full((len(grid), 2), math.nan) if supply is None else supply
-    spool = spool_on(crane, grid, time, given)
-    return commands, np.ascontiguousarray(np.column_stack([spool, supply]))
+    return np.column_stack([np.interp(grid, time, u) for u in given.T]), inputs_on(crane, grid, time, given, supply)

@@ -64,11 +64,13 @@ def within_strokes(crane: Crane, time: np.ndarray, commands: np.ndarray, start: 
         None where no such commands are found: a closed valve does not hold the cylinder, or the run ends for another
         reason.
     """
+    from .drive import inputs_on, with_steps  # compiled code, of which the effects must be part
+
     crane = crane.without_objects() if crane.objects else crane
     engine, given = engine_class("semi-recursive")(crane), np.array(commands, dtype=float)
     let_go: dict[tuple[int, int], int] = {}
     for _ in range(_MOST):
-        w = spools_on(crane, time, given)
+        w = inputs_on(crane, time, *with_steps(time, given))
         states, ended = run_while_possible(engine, start, time, w, float(np.min(np.diff(time))))
         if ended is None:
             return given
@@ -78,16 +80,6 @@ def within_strokes(crane: Crane, time: np.ndarray, commands: np.ndarray, start: 
         lever, first, after = cut
         given[first:after, lever] = 0.0
     return None
-
-
-def spools_on(crane: Crane, time: np.ndarray, commands: np.ndarray) -> np.ndarray:
-    """Return the inputs w (n, valves + 2) of engines for commands (n, valves) at `time` (n,) whose steps stay steps;
-    supply pressures are the crane's own.
-    """
-    from .drive import spool_on, with_steps  # compiled code, of which the effects must be part
-
-    spools = spool_on(crane, time, *with_steps(time, commands))
-    return np.column_stack([spools, np.full((len(time), 2), np.nan)])
 
 
 def _letting_go(
@@ -136,11 +128,8 @@ def positions_in_strokes(crane: Crane, states: np.ndarray) -> np.ndarray:
     from .geometry import cylinder_lengths
 
     lengths = cylinder_lengths(crane, states[:, crane.layout.positions])
-    empty, stroke = (
-        np.array([crane[f"cylinders.{c}.{n}"] for c in crane.layout.cylinders])
-        for n in ("empty_length", "chamber_range")
-    )
-    return np.asarray((lengths - empty) / stroke)
+    shortest, longest = np.transpose([crane.stroke(c) for c in crane.layout.cylinders])
+    return np.asarray((lengths - shortest) / (longest - shortest))
 
 
 def levers_let_go(crane: Crane, given: np.ndarray, driven: np.ndarray) -> tuple[str, ...]:

@@ -34,5 +34,7 @@ def test_spool_positions_follow_the_exponential_whatever_the_grid():
         spool = spool_on(crane, grid, time, u)[:, 0]
         expected = np.where(grid > 0.2, 0.5 * (1.0 - np.exp(-(grid - 0.2) / 0.03)), 0.0)
         assert spool == pytest.approx(expected, abs=2e-5)  # the hold ends a microsecond early
+    begun = spool_on(crane, grid[grid > 0.22], time, u)[:, 0]  # what was commanded before the grid counts
+    assert begun == pytest.approx(spool[grid > 0.22], abs=1e-12)
     late = spool_on(crane, grid, time, u, late=0.01)[:, 0]
     assert np.interp(0.3, grid, late) == pytest.approx(0.5 * (1 - np.exp(-0.09 / 0.03)), abs=1e-3)

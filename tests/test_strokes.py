@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, CraneError, Recording, simulate
+from crane_exudyn.drive import inputs_on, with_steps
 from crane_exudyn.inputs import paper_cycle
 from crane_exudyn.simulation import initial_state, simulate_while_possible
-from crane_exudyn.strokes import positions_in_strokes, run_while_possible, spools_on, within_strokes
+from crane_exudyn.strokes import positions_in_strokes, run_while_possible, within_strokes
 from patu import main
 from validation.semi_recursive import SemiRecursiveEngine
 
@@ -63,7 +64,7 @@ def test_levers_of_any_commands_are_let_go_on_both_ways_again_and_again() -> Non
     engine = SemiRecursiveEngine(crane)
     fitted = within_strokes(crane, time, given, initial_state(crane, engine))
     assert fitted is not None
-    run = engine.simulate(initial_state(crane, engine), time, spools_on(crane, time, fitted))
+    run = engine.simulate(initial_state(crane, engine), time, inputs_on(crane, time, *with_steps(time, fitted)))
     place = positions_in_strokes(crane, run)[:, 1]
     assert 0.0 < place.min() < 0.25 and 0.75 < place.max() < 1.0
     assert set(np.unique(fitted[:, 1])) == {-0.9, 0.0, 0.9}
@@ -82,7 +83,10 @@ def test_no_commands_help_where_the_run_ends_for_another_reason(monkeypatch: pyt
 
 def test_a_run_goes_on_to_the_last_sample_before_its_end() -> None:
     engine = SemiRecursiveEngine(SHORT)
-    x0, w = initial_state(SHORT, engine), spools_on(SHORT, TIME, np.column_stack([0.8 * (TIME > 0.5), 0.0 * TIME]))
+    x0, w = (
+        initial_state(SHORT, engine),
+        inputs_on(SHORT, TIME, *with_steps(TIME, np.column_stack([0.8 * (TIME > 0.5), 0.0 * TIME]))),
+    )
     states, ended = run_while_possible(engine, x0, TIME, w, 1e-3)
     assert ended is not None and "end of its stroke" in str(ended)
     k = len(states)
