@@ -21,6 +21,7 @@ from .errors import CraneError
 from .geometry import cylinder_lengths
 from .hydraulics import held_amounts, valve_flows
 from .inputs import SpoolPath
+from .pose import relative
 from .recording import Recording
 from .signals import noise_std, sampling_rate
 from .static_start import static_start
@@ -153,8 +154,7 @@ class Figures:
     def __init__(self, crane: Crane) -> None:
         self.crane, self.layout = crane, crane.layout
         self.parameters, self.effects = crane.parameter_vector(), crane.effect_vector()
-        self.shortest = np.array([crane[f"cylinders.{c}.empty_length"] for c in crane.layout.cylinders])
-        self.longest = self.shortest + [crane[f"cylinders.{c}.chamber_range"] for c in crane.layout.cylinders]
+        self.shortest, self.longest = np.transpose([crane.stroke(c) for c in crane.layout.cylinders])
         self.floor = vapour_pressure(crane)
         self._loads = [crane.with_parameters({"payload.mass": m}) for m in _payloads(crane)]
         self._lengths: dict[bytes, np.ndarray] = {}
@@ -249,16 +249,12 @@ def positions(machine: Figures, grid: Grid) -> np.ndarray:
     """Return coordinates (N, n) from those that were measured, angles each against its parent or against the ground;
     NaN without.
     """
-    lay, ch, found = machine.layout, grid.channels, {}
-    for name in lay.coordinates:
-        carriers, against_ground = lay.carriers(name), ch.get(f"{name}_abs")
-        if name in ch:
-            found[name] = ch[name]
-        elif against_ground is not None:
-            found[name] = against_ground - sum(found[n] for n in carriers)
-        else:
-            found[name] = np.full(len(grid.time), np.nan)
-    return np.column_stack([found[n] for n in lay.coordinates])
+    nowhere = np.full(len(grid.time), np.nan)
+    return _columns(relative(machine.layout, grid.channels, dict.fromkeys(machine.layout.coordinates, nowhere)))
+
+
+def _columns(z: Mapping[str, np.ndarray]) -> np.ndarray:
+    return np.column_stack(list(z.values()))
 
 
 def _spools(machine: Figures, grid: Grid, ch: Channels) -> np.ndarray | None:
@@ -300,13 +296,17 @@ def _lengths(machine: Figures, ch: Channels, lengths: np.ndarray) -> Misfits:
 
 
 def reach(machine: Figures, grid: Grid) -> Misfits:
-    """Return for which share of the time each cylinder does not reach the pose, or the linkage cannot have it."""
-    lay, ch, good = machine.layout, grid.channels, machine.reaches(machine.lengths(positions(machine, grid)))
-    measured = {n: n in ch or f"{n}_abs" in ch for n in lay.coordinates}
+    """Return for which share of the time each cylinder does not reach the pose, or the linkage cannot have it; of those
+    cylinders of which all that moves them was measured.
+    """
+    lay, measured = machine.layout, relative(machine.layout, grid.channels)
+    filed = zip(lay.coordinates, machine.crane.initial.pose, strict=True)
+    z = {name: np.full(len(grid.time), value) for name, value in filed} | measured
+    good = machine.reaches(machine.lengths(_columns(z)))
     return {
-        ("reach", c): Misfit(1.0 - float(good[:, i].mean()))
-        for i, c in enumerate(lay.cylinders)
-        if measured[lay.driven[i]]
+        ("reach", c.name): Misfit(1.0 - float(good[:, i].mean()))
+        for i, c in enumerate(machine.crane.machine.cylinders)
+        if machine.crane.machine.moved_by(c) <= measured.keys()
     }
 
 
@@ -323,7 +323,7 @@ def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarra
             return {}
         length, noise = ch[lay.lengths[c]], grid.noise[lay.lengths[c]]
     else:
-        noise = _noise_of_length(machine, grid, c, length)
+        noise = _noise_of_length(machine, grid, c)
     moved = change(smooth(length))
     still = _nowhere(np.abs(spool) > _CLOSED)
     flows = _valve(machine, ch, c, spool)
@@ -367,7 +367,7 @@ def _valve(machine: Figures, ch: Channels, c: int, spool: np.ndarray) -> tuple[n
     return np.asarray(into_a), np.asarray(into_b)
 
 
-def _noise_of_length(machine: Figures, grid: Grid, c: int, length: np.ndarray) -> float:
+def _noise_of_length(machine: Figures, grid: Grid, c: int) -> float:
     """Return the noise in m of a length that follows from coordinates: an angle's lever arm of a metre would be much, a
     third is usual.
     """
@@ -450,7 +450,7 @@ def travels(machine: Figures, grid: Grid) -> dict[str, float]:
         known = np.isfinite(lengths[:, c]).mean() > _MOST
         length = lengths[:, c] if known else ch.get(lay.lengths[c])
         if length is not None:
-            noise = _noise_of_length(machine, grid, c, length) if known else grid.noise[lay.lengths[c]]
+            noise = _noise_of_length(machine, grid, c) if known else grid.noise[lay.lengths[c]]
             speed = np.nan_to_num(change(smooth(length)) / SPAN)
             speed[np.abs(speed) < max(_LEAKING, _CLEAR * 1.5 * noise / SPAN)] = 0.0
             way = float(np.ptp(np.concatenate([[0.0], np.cumsum(speed) * STEP * _EVERY])))

@@ -5,11 +5,11 @@ cylinders.
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
+from typing import Any
 
 import numpy as np
 
 from .crane import Crane
-from .geometry import cylinder_lengths
 from .layout import Layout
 
 #: rad or m about a pose within which the one with a cylinder's length is looked for, and at how many places
@@ -29,21 +29,39 @@ def sources(layout: Layout, channels: Container[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
+def relative(layout: Layout, channels: Mapping[str, Any], known: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the coordinates that channels show, rad or m, in the order of the layout: each from its own channel, or
+    from that against the ground, where what carries it is there too; the others as they are `known`, or not at all.
+    """
+    found: dict[str, Any] = {}
+    for name in layout.coordinates:
+        carriers, against_ground = layout.carriers(name), f"{name}_abs"
+        if name in channels:
+            found[name] = channels[name]
+        elif against_ground in channels and all(c in found for c in carriers):
+            found[name] = channels[against_ground] - sum(found[c] for c in carriers)
+        elif known is not None:
+            found[name] = known[name]
+    return found
+
+
 def shown_pose(crane: Crane, shown: Mapping[str, float]) -> np.ndarray:
     """Return the coordinates (n,) that channels show (SI); those that none shows as the crane file has them."""
-    lay, z = crane.layout, np.array(crane.initial.pose)
+    lay, channels = crane.layout, dict(shown)
+    filed = dict(zip(lay.coordinates, crane.initial.pose, strict=True))
+
+    def pose() -> np.ndarray:
+        return np.array([*relative(lay, channels, filed).values()])
+
     for i, (name, source) in enumerate(zip(lay.coordinates, sources(lay, shown), strict=True)):
-        if source == name:
-            z[i] = shown[name]
-        elif source == f"{name}_abs":
-            z[i] = shown[source] - z[[lay.index(n) for n in lay.carriers(name)]].sum()
-        elif source:
-            z[i] = _coordinate_of_length(crane, z, i, lay.lengths.index(source), shown[source])
-    return z
+        if source in lay.lengths:
+            channels[name] = _coordinate_of_length(crane, pose(), i, lay.lengths.index(source), shown[source])
+    return pose()
 
 
 def _coordinate_of_length(crane: Crane, z: np.ndarray, i: int, cylinder: int, length: float) -> float:
     """Return the coordinate i nearest to z at which a cylinder has this length, or comes nearest to it."""
+    from .geometry import cylinder_lengths  # compiled code, of which the effects must be part
 
     def lengths(values: np.ndarray) -> np.ndarray:
         poses = np.tile(z, (len(values), 1))

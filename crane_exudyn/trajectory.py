@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .crane import Crane
+from .crane import Crane, checked_crane
 from .errors import CraneError, shortened
 from .layout import Layout
+from .pose import relative, sources
 from .recording import Recording
 
 #: s by which times that mean the same may differ, rounded or summed up
@@ -102,10 +103,7 @@ class Trajectory:
                 f"{recording.source or recording.name}: {' and '.join(shown)} have no time in common, and a picture "
                 "needs all of them at once. Give a recording that holds them together."
             )
-        held: dict[str, np.ndarray] = {}
-        for name, channel in zip(layout.coordinates, shown, strict=True):
-            carried = sum((held[c] for c in layout.carriers(name)), np.zeros(len(time)))
-            held[name] = recording[channel].held(time) - (0.0 if channel == name else carried)
+        held = relative(layout, {channel: recording[channel].held(time) for channel in shown})
         known = [p for p in layout.chambers if recording.has(p)]
         theta = recording["theta"].held(time) if recording.has("theta") else None
         positions = np.column_stack(list(held.values()))
@@ -118,7 +116,7 @@ class Trajectory:
         Raises:
             CraneError: no crane.
         """
-        need_crane(crane, "Trajectory.at_rest")
+        checked_crane(crane, "Trajectory.at_rest")
         return cls("start", np.array([0.0, 1.0]), np.tile(crane.initial.pose, (2, 1)), timed=False)
 
     def at(self, time: float) -> np.ndarray:
@@ -141,12 +139,5 @@ class Trajectory:
 
 def coordinates_in(recording: Recording) -> list[str]:
     """Return the channel of a recording that shows each coordinate, relative or absolute; "" where there is none."""
-    either = ((name, f"{name}_abs") for name in recording.layout.coordinates)
-    return [next(filter(recording.has, names), "") for names in either]
-
-
-def need_crane(crane: object, where: str) -> None:
-    """Refuse what is no Crane, such as the name of one."""
-    if not isinstance(crane, Crane):
-        name = crane if isinstance(crane, str) else "NAME-or-FILE"
-        raise CraneError(f"{where}: found {shortened(crane)}, expected a Crane. Give Crane.load({name!r}).")
+    lay = recording.layout
+    return list(sources(lay, [name for name in recording.channels if name not in lay.lengths]))

@@ -24,10 +24,9 @@ import numpy as np
 from .channels import BEYOND, Channel
 from .channels import of as units_of
 from .clocks import Clock, clock_of, mended
-from .consistency import LONGEST, PLAY, Figures, Grid, travels
+from .consistency import LONGEST, PLAY, Figures, Grid, Misfit, reach, travels
 from .crane import Crane
 from .errors import CraneError
-from .geometry import cylinder_lengths
 from .mapping import Column, keys_of
 from .readings import Reading, Weighed, mistaken
 from .recording import Recording
@@ -541,7 +540,7 @@ def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
         if not recording.has(name):
             continue
         low, high = _usual(recording[name])
-        shortest, longest = _reach(crane, c)
+        shortest, longest = crane.stroke(crane.layout.cylinders[c])
         if low < shortest - PLAY or high > longest + PLAY:
             text = (
                 f"{name} goes from {low:.4g} to {high:.4g} m, expected {shortest:.4g} to {longest:.4g} m, "
@@ -554,63 +553,55 @@ def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
             yield Finding("scale", (name,), "error", text, mend)
 
 
-def _reach(crane: Crane, c: int) -> tuple[float, float]:
-    """Return the shortest and the longest pin-to-pin length of cylinder c in m."""
-    empty = crane[f"cylinders.{crane.layout.cylinders[c]}.empty_length"]
-    return empty, empty + crane[f"cylinders.{crane.layout.cylinders[c]}.chamber_range"]
-
-
 def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
     """Find coordinates that the linkage or the stroke of the cylinder that drives them does not reach."""
-    for c, name in enumerate(crane.layout.driven):
-        unit = crane.layout.unit_of(name)
-        if not recording.has(name) or max(map(abs, _usual(recording[name]))) > BEYOND[unit]:
-            continue
-        values = recording[name].values
-        shown = values[np.linspace(0, len(values) - 1, min(_POSES, len(values))).astype(int)]
-        share = _beyond(crane, c, shown)
-        if share > _SHARE:
-            factor, people = _people(unit)
+    lay, machine, grid = crane.layout, Figures(crane), _turns(recording, crane)
+    for cylinder, name in zip(lay.cylinders, lay.driven, strict=True):
+        share = _beyond(machine, grid, cylinder)
+        if name in grid.channels and share > _SHARE:
+            factor, people = _people(lay.unit_of(name))
             low, high = factor * np.array(_usual(recording[name]))
             text = (
                 f"{name} goes from {low:.4g} to {high:.4g} {people}; in {100 * share:.0f} % of the samples this is "
-                "beyond what the "
-                f"{crane.layout.cylinders[c]} cylinder's stroke and linkage reach"
+                f"beyond what the {cylinder} cylinder's stroke and linkage reach"
             )
             severity: Severity = "error" if share > 0.5 else "warning"
-            yield Finding("pose", (name,), severity, text, _other_coordinate(recording, crane, c, shown))
+            yield Finding("pose", (name,), severity, text, _other_coordinate(machine, grid, name, cylinder))
 
 
-def _other_coordinate(recording: Recording, crane: Crane, c: int, shown: np.ndarray) -> str:
+def _turns(recording: Recording, crane: Crane) -> Grid:
+    """Return the coordinates of a recording, as they were recorded and where they can be true, at a few instants."""
+    lay = crane.layout
+    shown = {n: sensor.unit for n, sensor in lay.sensors.items() if n.removesuffix("_abs") in lay.coordinates}
+    there = ((n, recording[n], unit) for n, unit in shown.items() if recording.has(n))
+    known = {n: channel for n, channel, unit in there if max(map(abs, _usual(channel))) <= BEYOND[unit]}
+    first, last = (f((c.time[k] for c in known.values()), default=0.0) for f, k in ((max, 0), (min, -1)))
+    time = np.linspace(first, last, _POSES)
+    return Grid(time, {n: c.held(time) for n, c in known.items()}, {})
+
+
+def _beyond(machine: Figures, grid: Grid, cylinder: str) -> float:
+    """Return the share of instants at which a cylinder or a loop does not reach the pose; 0 where that is not known."""
+    return reach(machine, grid).get(("reach", cylinder), Misfit(0.0)).off
+
+
+def _other_coordinate(machine: Figures, grid: Grid, name: str, cylinder: str) -> str:
     """Return what would bring a coordinate into reach: another sign, unit, or the horizontal as the line it is measured
     against.
     """
-    name = crane.layout.driven[c]
-    sizes = {unit: factor_to_si(unit, crane.layout.unit_of(name)) for unit in _WRITTEN[crane.layout.unit_of(name)][:2]}
+    lay, shown = machine.layout, grid.channels[name]
+    sizes = {unit: factor_to_si(unit, lay.unit_of(name)) for unit in _WRITTEN[lay.unit_of(name)][:2]}
     others = {"with the other sign": -shown} | {
         f"in {was} where {given} is given": sizes[was] / sizes[given] * shown for was, given in permutations(sizes, 2)
     }
     for words, values in others.items():
-        if _beyond(crane, c, values) <= _SHARE:
+        if _beyond(machine, replace(grid, channels={**grid.channels, name: values}), cylinder) <= _SHARE:
             return f"It would fit {words}. Mend the column, or is it another crane? Then give its file with --crane."
-    carriers = crane.layout.carriers(name)
-    if carriers and recording.has(*carriers):
-        base = sum(float(np.median(recording[n].values)) for n in carriers)
-        if _beyond(crane, c, shown - base) <= _SHARE:
-            return f"It would fit as the angle against the horizontal: name the column {name}_abs."
+    absolute = {n: values for n, values in grid.channels.items() if n != name} | {f"{name}_abs": shown}
+    carried = lay.carriers(name) and absolute.keys() >= set(lay.carriers(name))
+    if carried and _beyond(machine, replace(grid, channels=absolute), cylinder) <= _SHARE:
+        return f"It would fit as the angle against the horizontal: name the column {name}_abs."
     return f"Mend the zero point of {name}, or is it another crane? Then give its file with --crane."
-
-
-def _beyond(crane: Crane, c: int, values: np.ndarray) -> float:
-    """Return the share of values (n,) of the coordinate that cylinder c drives that the cylinder or a loop does not
-    reach.
-    """
-    z = np.tile(crane.initial.pose, (len(values), 1))
-    z[:, crane.layout.index(crane.layout.driven[c])] = values
-    lengths = cylinder_lengths(crane, z)[:, c]  # NaN where a loop cannot close
-    shortest, longest = _reach(crane, c)
-    good = (lengths > shortest - PLAY) & (lengths < longest + PLAY)
-    return 1.0 - float(good.sum()) / len(values)
 
 
 def _clock(recording: Recording, crane: Crane) -> Iterator[Finding]:

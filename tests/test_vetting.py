@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import dataclasses
 import time as clock
+import tomllib
 from collections.abc import Mapping
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ import pytest
 from crane_exudyn.crane import Crane
 from crane_exudyn.description import Uncertainty
 from crane_exudyn.errors import CraneError
+from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import simulate
 from crane_exudyn.vetting import contents, vet, vetted
@@ -67,6 +70,24 @@ def test_what_cannot_be_true_is_found_with_its_mend(
     assert [f.kind for f in findings] == [kind]
     assert findings[0].channels == channels and findings[0].severity == "error"
     assert text in findings[0].text and mend in findings[0].mend
+
+
+def test_a_cylinder_that_spans_two_joints_is_judged_by_both_angles() -> None:
+    """The other one was taken from the crane file's start, and a correct recording refused."""
+    text = resources.files("crane_exudyn.data").joinpath("patu655.toml").read_text(encoding="utf-8")
+    file = tomllib.loads(text)
+    file["cylinders"]["tilt"] |= {"bodies": ["ground", "outer_boom"], "base": [0.5, 0.3], "rod_end": [0.6, 0.3]}
+    recording, crane = (
+        recorded(z1=of(15 * DEG, 45 * DEG), z4=of(-10 * DEG, -60 * DEG)),
+        Crane.from_document(file, "own"),
+    )
+    z = np.column_stack([recording[n].values for n in crane.layout.coordinates])
+    lengths = cylinder_lengths(crane, z)[:, 1]
+    stroke = {"empty_length": lengths.min() - 0.01, "chamber_range": np.ptp(lengths) + 0.02}
+    crane = crane.with_parameters({f"cylinders.tilt.{n}": x for n, x in stroke.items()})
+    assert contents(recording, crane) == []
+    (found,) = contents(recorded(z1=of(15 * DEG, 45 * DEG), z4=of(-10 * DEG, 60 * DEG)), crane)
+    assert found.channels == ("z4",) and "It would fit with the other sign" in found.mend
 
 
 def test_a_unit_is_told_as_the_file_has_it(tmp_path: Path) -> None:
