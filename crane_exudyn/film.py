@@ -65,7 +65,7 @@ def write(
     if kind == "picture":
         _image(next(iter(counted))).save(path)
     elif kind == "gif":
-        _write_gif(path, counted, fps)
+        _write_gif(path, counted, count, fps)
     else:
         _write_mp4(path, counted, fps)
 
@@ -85,11 +85,13 @@ def _image(frame: np.ndarray):  # type: ignore[no-untyped-def]
     return Image.fromarray(frame)
 
 
-def _write_gif(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
+def _write_gif(path: Path, frames: Iterator[np.ndarray], count: int, fps: float) -> None:
     """Write a GIF that repeats for ever; one palette for all frames, so that colours do not flicker."""
     first = _image(next(frames)).quantize(256, dither=0)
     rest = (_image(frame).quantize(palette=first, dither=0) for frame in frames)
-    first.save(path, format="GIF", save_all=True, append_images=rest, duration=round(1000.0 / fps), loop=0)
+    ends = np.round(np.arange(count + 1) * 100.0 / fps)  # GIF counts in hundredths of a second
+    durations = (10.0 * np.diff(ends)).astype(int).tolist()
+    first.save(path, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0)
 
 
 def _write_mp4(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
@@ -24,8 +24,8 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 
 from . import render_shapes as shapes
-from .crane import Crane
-from .errors import CraneError, names_of, nearest, shortened
+from .crane import Crane, checked_crane
+from .errors import CraneError, names_of, refuse_unknown, shortened
 from .exudyn_quietly import exu, items
 from .files import replacing
 from .geometry import Pose, pose
@@ -33,7 +33,7 @@ from .layout import Layout
 from .recording import Recording
 from .render_text import MAPS, READ, Colour, Entry, Mark, Scale, Texts, margins, write_on
 from .screen import need_screen, screen
-from .trajectory import Trajectory, need_crane
+from .trajectory import Trajectory
 
 Renderer = Literal["raytracer", "opengl"]
 View = Literal["side", "oblique"]
@@ -134,11 +134,11 @@ class Scene:
             CraneError: no trajectory, nothing to compare, a pressure or a place that is not there, a size or a view
                 that there is not, a failure of `own`.
         """
-        need_crane(crane, "Scene")
-        self.crane, self.trajectories, self.title = crane, _trajectories(trajectories), title
+        self.crane, self.trajectories, self.title = checked_crane(crane, "Scene"), _trajectories(trajectories), title
         self.colour, self.marks, self.size = colour, names_of(marks, "Scene: marks"), _checked_size(size)
         _check(crane, colour, self.trajectories, self.marks)
-        self.view: View = _known("view", view or ("side" if len(self.trajectories) > 1 else "oblique"), _VIEWS)
+        self.view: View = view or ("side" if len(self.trajectories) > 1 else "oblique")
+        refuse_unknown("Scene", [self.view], _VIEWS, "view")
         self.scales = _scales(crane.layout, self.trajectories, colour)
         self._problem: Exception | None = None
         box = self._box()
@@ -496,7 +496,8 @@ class Scene:
     @contextlib.contextmanager
     def _renderer(self, wanted: Renderer) -> Iterator[bool]:
         """Prepare a renderer, yield whether it is the ray tracer, and put everything away again."""
-        if _known("renderer", wanted, get_args(Renderer)) == "raytracer":
+        refuse_unknown("Scene", [wanted], get_args(Renderer), "renderer")
+        if wanted == "raytracer":
             self._aim()
             yield True
             return
@@ -570,7 +571,7 @@ class Scene:
         return min(self.end, float(self.trajectories[1].time[-1])) if self.colour == "residual" else self.end
 
     def _check_times(self, times: np.ndarray) -> None:
-        outside = [t for t in times if not self.start - 1e-9 <= t <= self.end + 1e-9]
+        outside = [t for t in times if not self.trajectories[0].covers(t)]
         if outside:
             raise CraneError(
                 f"There is no picture at {outside[0]:g} s: the run goes from {self.start:g} s to {self.end:g} s. "
@@ -692,19 +693,11 @@ def _checked_size(size: Any) -> tuple[int, int]:
     return int(numbers[0]), int(numbers[1])
 
 
-def _known(what: str, value: Any, known: Iterable[str]) -> Any:
-    """Return a value that is one of those known."""
-    names = list(known)
-    if value not in names:
-        raise CraneError(f"Scene: there is no {what} {value!r}.{nearest(str(value), names)}")
-    return value
-
-
 def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajectory], marks: Sequence[str]) -> None:
     if not trajectories:
         raise CraneError("A scene needs at least one trajectory.")
     if colour is not None:
-        _known("colour", colour, MAPS)
+        refuse_unknown("Scene", [colour], MAPS, "colour")
     wanted = len(crane.layout.coordinates)
     for trajectory in trajectories:
         if trajectory.positions.ndim != 2 or trajectory.positions.shape[1] != wanted:

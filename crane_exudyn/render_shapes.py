@@ -676,18 +676,3 @@ def triangles(graphics: Graphics) -> np.ndarray:
     key, width = ("triangles6", 6) if "triangles6" in graphics else ("triangles", 3)  # of six, three are corners
     corners = np.reshape(np.array(graphics.get(key, []), dtype=int), (-1, width))[:, :3]
     return np.reshape(graphics.get("points", []), (-1, 3))[corners]
-
-
-__all__ = [
-    "Graphics",
-    "Paint",
-    "arrow",
-    "body_shape",
-    "ground",
-    "moved",
-    "oil",
-    "outlines",
-    "part_names",
-    "parts",
-    "pillar",
-]

@@ -461,14 +461,14 @@ def test_a_machine_at_its_start_has_no_time():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Scene("loader", [motion()]), r"found 'loader', expected a Crane.*Crane.load\('loader'\)"),
+        (lambda: Scene("loader", [motion()]), r"Scene: found 'loader' instead of a crane.*Crane.load\('loader'\)"),
         (lambda: Scene(CRANE, ["run.csv"]), "found 'run.csv', expected trajectories"),
-        (lambda: Scene(CRANE, [motion()], view="top"), "no view 'top'. Known: side, oblique"),
+        (lambda: Scene(CRANE, [motion()], view="top"), "unknown view 'top'. Known: side, oblique"),
         (lambda: Scene(CRANE, [motion()], size=(0, 0)), r"size is \(0, 0\), expected width and height"),
         (lambda: Scene(CRANE, [motion()], size="320x200"), "size is '320x200', expected width and height"),
         (lambda: Scene(CRANE, [motion()], own=lambda mbs: mbs.nothing), "`own` failed: AttributeError"),
         (lambda: Trajectory.from_recording("f.csv"), r"found 'f.csv', expected a Recording.*Recording.load"),
-        (lambda: Trajectory.at_rest("loader"), r"found 'loader', expected a Crane"),
+        (lambda: Trajectory.at_rest("loader"), "at_rest: found 'loader' instead of a crane"),
         (lambda: Trajectory("a", [0.0, 1.0], [[0.1, np.nan], [0.1, 0.2]]), "not finite in positions, sample 0"),
         (lambda: Trajectory("a", [0.0, 1.0], np.zeros((3, 2))), r"time has the shape \(2,\) and positions"),
         (lambda: Trajectory("a", [0.0, 1.0], np.zeros((2, 2)), {"p1": np.zeros(3)}), r"p1 has the shape \(3,\)"),
@@ -536,6 +536,22 @@ def test_gif_shows_the_run_at_its_own_speed(tmp_path):
         first = np.asarray(gif.convert("RGB")).astype(int)
         gif.seek(5)
         assert np.abs(np.asarray(gif.convert("RGB")) - first).max() > 100
+
+
+@pytest.mark.parametrize("fps", [12.0, 30.0, 7.0])
+def test_a_gif_lasts_as_long_as_its_frames_say(fps, tmp_path):
+    """GIF counts in hundredths of a second, so that frames of 12 a second are not all of one length."""
+    from PIL import Image
+
+    n = round(2.0 * fps)
+    frames = (np.full((4, 4, 3), 3 * k, np.uint8) for k in range(n))
+    film.write(tmp_path / "two.gif", "gif", frames, n, fps)
+    with Image.open(tmp_path / "two.gif") as gif:
+        shown = []
+        for k in range(gif.n_frames):
+            gif.seek(k)
+            shown.append(gif.info["duration"])
+    assert sum(shown) == 2000 and max(shown) - min(shown) <= 10
 
 
 def test_mp4_can_be_read_again(tmp_path):
