@@ -280,10 +280,6 @@ class Recording:
             values[_rows_of(time, self[name].time), k] = self[name].values
         return time, values
 
-    def on_grid(self, names: Iterable[str], time: np.ndarray) -> np.ndarray:
-        """Return values (n, k) at `time` (n,), linear between samples, NaN outside a channel's own range."""
-        return np.column_stack([self[name].at(np.asarray(time, dtype=float)) for name in self._chosen(names)])
-
     def window(self, start: float, end: float) -> Recording:
         """Return the samples with start <= time <= end; channels without any there are left out."""
         kept = {}

@@ -280,11 +280,6 @@ def test_aligned_interpolates_nothing_and_joins_rounded_stamps() -> None:
     np.testing.assert_array_equal(values[:, 1], [1.0, np.nan, 2.0, np.nan, 3.0])
 
 
-def test_on_grid_never_extrapolates() -> None:
-    recording = Recording.from_arrays("r", np.array([1.0, 2.0]), {"z1": np.array([0.0, 1.0])})
-    np.testing.assert_array_equal(recording.on_grid(["z1"], [0.5, 1.25, 2.5])[:, 0], [np.nan, 0.25, np.nan])
-
-
 def test_supply_is_nan_where_it_was_not_measured() -> None:
     recording = Recording.from_arrays("r", np.array([0.0, 1.0]), {"pp": np.array([9e6, 10e6])})
     np.testing.assert_array_equal(recording.supply(np.array([0.5, 5.0])), [[9.5e6, np.nan], [10e6, np.nan]])
