@@ -12,11 +12,11 @@ import typer
 
 from crane_exudyn.errors import CraneError, doing
 
-from .compiling import compile_for
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapFileOption, MapOption
-from .output import Printer, write_out
+from .calls import refuse_idle
+from .options import DEFAULT_CRANE, AnywayOption, CraneOption, EffectsOption, JsonOption, MapFileOption, MapOption
+from .output import STANDARD_OUTPUT, Printer, write_out
 from .outputs import Reads, Writes, saving
-from .reading import load_crane, load_recording
+from .reading import load_checked, load_crane
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
@@ -32,12 +32,13 @@ CraneOutput = Annotated[
 
 
 def command(
+    context: typer.Context,
     effect: EffectArgument,
     fit: Annotated[
         Path | None, typer.Option("--fit", metavar="REC", help="Recording to fit its parameters to."), Reads()
     ] = None,
-    anyway: Annotated[
-        bool, typer.Option("--anyway", help="Write the crane even if the fit did not make its error smaller.")
+    even_if_worse: Annotated[
+        bool, typer.Option("--even-if-worse", help="Write the crane even if the fit did not make its error smaller.")
     ] = False,
     values: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter, with its unit.")
@@ -47,36 +48,42 @@ def command(
     effects: EffectsOption = None,
     mapping: MapOption = None,
     map_file: MapFileOption = None,
+    anyway: AnywayOption = False,
     json: JsonOption = None,
 ) -> None:
     """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones.
 
     After a fit that does not make the open-loop error smaller, or does so without the effect, nothing is written,
-    unless --anyway asks for it; exit status 1.
+    unless --even-if-worse asks for it; exit status 1.
     """
+    idle = ("--even-if-worse", "--map", "--map-file", "--anyway")
+    refuse_idle(context, (fit is None, idle, "nothing is fitted without --fit REC"))
+    printer = _printer(output, json)
     chosen = load_crane(crane, effects)
     values_given = _parse(chosen, effect, values or [])
     if fit is None:
         from validation.history import added, with_typical
 
         result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
-        _write(result, output, json, {"effect": effect})
+        _write(printer, result, output, json, {"effect": effect})
         return
     from validation.selection.fitted import fitted_effect, helped
 
-    compile_for("semi-recursive", "fit")
+    [measured] = load_checked([fit], chosen, mapping, map_file, anyway=anyway, needs=("semi-recursive", "fit"))
     with doing(f"fitting {effect} to {fit}"):
-        result, document = fitted_effect(chosen, effect, load_recording(fit, chosen, mapping, map_file), values_given)
+        result, document = fitted_effect(chosen, effect, measured, values_given)
     better = helped(document)
     if not better:
-        Printer(json).line(
+        unwritten = "" if even_if_worse else " Nothing was written; --even-if-worse writes it all the same."
+        printer.line(
             f"The fit of {effect} to {fit} did not help: error {document['error_before']:.4g} before, "
             f"{document['error_after']:.4g} after, {document['error_without']:.4g} then without the effect, in units "
-            "of the sensors' noise." + ("" if anyway else " Nothing was written; --anyway writes it all the same.")
+            f"of the sensors' noise.{unwritten}"
         )
     else:
-        Printer(json).line(_fit_told(chosen, result, effect, document))
-    _write(result if better or anyway else None, output, json, {"effect": effect, **document, "helped": better})
+        printer.line(_fit_told(chosen, result, effect, document))
+    kept = result if better or even_if_worse else None
+    _write(printer, kept, output, json, {"effect": effect, **document, "helped": better})
     raise typer.Exit(0 if better else 1)
 
 
@@ -92,18 +99,19 @@ def remove(
     """
     from validation.history import moved_in_words, removed
 
+    printer = _printer(output, json)
     before = load_crane(crane, effects)
     after = removed(before, effect)
     moved = moved_in_words(before, after)
     with_it = [e.key for e in after.effects if after.history and e.key in after.history[-1]["added"]]
     if moved:
-        Printer(json).line(f"Back to where they were: {moved}.")
+        printer.line(f"Back to where they were: {moved}.")
     elif with_it and len(after.history) == len(before.history):
-        Printer(json).line(
+        printer.line(
             f"What was added in the same step stays ({', '.join(with_it)}), and with it the parameters where they "
             "are; they go back when that is taken out as well."
         )
-    _write(after, output, json, {"effect": effect})
+    _write(printer, after, output, json, {"effect": effect})
 
 
 def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]) -> str:
@@ -147,14 +155,22 @@ def _parse(crane: Crane, key: str, entries: list[str]) -> dict[str, float]:
     return found
 
 
-def _write(crane: Crane | None, output: Path | None, json: str | None, document: dict[str, object]) -> None:
+def _printer(output: Path | None, json: str | None) -> Printer:
+    """Return what prints sentences: on standard error where the crane file goes to standard output."""
+    if output is None and json == STANDARD_OUTPUT:
+        raise CraneError("--json - takes standard output; give -o NEW.toml.")
+    return Printer(json, aside=output is None)
+
+
+def _write(
+    printer: Printer, crane: Crane | None, output: Path | None, json: str | None, document: dict[str, object]
+) -> None:
     """Write the crane, if there is one to write, to its file or to standard output; and the JSON."""
-    printer = Printer(json)
     with saving(printer) as save:
         if crane is not None:
             document |= {"crane": str(output) if output else crane.name, "effects": [e.key for e in crane.effects]}
             if save(output, crane.save, crane.to_toml()):
                 printer.line(repr(crane))
-            elif output is None and not printer.quiet:
+            elif output is None:
                 write_out(crane.to_toml(), sys.stdout)
         save.json(json, document)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
@@ -20,6 +20,10 @@ from .outputs import Reads, Target, Writes, plan, remember
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace files that are there already, also those that patu did not write.")
 ]
+
+
+#: what the source of a value that stood on the command line is called
+_TYPED = "COMMANDLINE"
 
 
 class Option(NamedTuple):
@@ -52,6 +56,24 @@ def checked(command: Callable[..., None]) -> Callable[..., None]:
     call.__signature__ = inspect.Signature([*parameters, force])  # type: ignore[attr-defined]
     call.__annotations__ = hints
     return call
+
+
+def refuse_idle(context: typer.Context, *rules: tuple[bool, Sequence[str], str]) -> None:
+    """Refuse options that were typed and would change nothing.
+
+    Args:
+        context: of the call; typer gives it to a command with a parameter of this type.
+        rules: whether one holds, the flags that are then idle (or the metavar of an argument), and why.
+
+    Raises:
+        CraneError: which options, and why.
+    """
+    typed = [p for p in context.command.params if getattr(context.get_parameter_source(p.name), "name", "") == _TYPED]
+    flags = {flag for p in typed for flag in (*p.opts, p.metavar)}
+    for holds, options, why in rules:
+        idle = [option for option in options if option in flags]
+        if holds and idle:
+            raise CraneError(f"{', '.join(idle)} would change nothing: {why}. Leave it out, or ask for what it is for.")
 
 
 def options_of(command: Callable[..., None]) -> dict[str, Option]:

@@ -28,6 +28,13 @@ def picture(path: Path) -> None:
         raise CraneError(f"{path}: unknown ending. Use one of {', '.join(PICTURES)}.")
 
 
+def _positive_time(step: float) -> float:
+    """Return a --step that can be."""
+    if not step > 0.0:
+        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
+    return step
+
+
 PICTURES = (".png", ".svg", ".pdf")
 RecordingArgument = Annotated[
     Path, typer.Argument(metavar="REC", help="Recording: CSV, MAT, Parquet or MDF4."), Reads()
@@ -95,6 +102,16 @@ SchedulerOption = Annotated[
 ]
 EngineName = Literal["exudyn", "semi-recursive"]
 EngineOption = Annotated[EngineName, typer.Option("--engine", help="Which implementation of the crane runs.")]
+MethodOption = Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|simplex|ekf", help="Which filter.")]
+PlotOption = Annotated[
+    Path | None,
+    typer.Option("--plot", metavar="FILE", help="Picture of the result: .png, .svg or .pdf."),
+    Writes(picture),
+]
+StepOption = Annotated[
+    float,
+    typer.Option("--step", metavar="SECONDS", help="Longest time step of the model.", callback=_positive_time),
+]
 CheckOption = Annotated[
     Path | None,
     typer.Option("--check", metavar="REC2", help="A recording that is only predicted, never fitted."),

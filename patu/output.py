@@ -86,15 +86,19 @@ def _bare(sign: str) -> str:
 
 
 class Printer:
-    """Prints for people on standard output, unless `--json -` has taken that for the JSON result."""
+    """Prints for people on standard output, unless `--json -` has taken that for the JSON result; or, where another
+    result stands there, on standard error.
+    """
 
-    def __init__(self, json: str | None = None) -> None:
+    def __init__(self, json: str | None = None, *, aside: bool = False) -> None:
         self.quiet = json == STANDARD_OUTPUT
+        self._aside = aside
 
     def line(self, text: str = "") -> None:
         """Print one line of text."""
         if not self.quiet:
-            print(text, flush=True)  # whoever reads a pipe sees it when it is said
+            stream = sys.stderr if self._aside else sys.stdout
+            print(text, file=stream, flush=True)  # whoever reads a pipe sees it when it is said
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Print a table: columns of numbers right, columns of text left."""

@@ -11,13 +11,14 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption
+from .calls import refuse_idle
+from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapFileOption, MapOption
 from .output import Printer, progress
 from .outputs import Reads, Writes, saving
 from .reading import load_crane, load_recording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from crane_exudyn.crane import Crane
     from crane_exudyn.recording import Recording
@@ -85,17 +86,6 @@ RendererOption = Annotated[
     Literal["raytracer", "opengl"] | None,
     typer.Option(help="Exudyn's ray tracer, the usual one, or its OpenGL window (on Xvfb without a screen)."),
 ]
-#: which files both are for
-_MAPPED = "For files without the crane's own names; for REC where every file has them."
-MapOption = Annotated[
-    list[str] | None,
-    typer.Option("--map", metavar="NAME=COLUMN[UNIT]", help=f"Other column name or sign; repeatable. {_MAPPED}"),
-]
-MapFileOption = Annotated[
-    Path | None,
-    typer.Option("--map-file", metavar="FILE.toml", help=f"Names, units, signs and offsets of columns. {_MAPPED}"),
-    Reads(),
-]
 SolutionOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Write an Exudyn solution file, as its SolutionViewer opens."),
@@ -105,6 +95,7 @@ OpenOption = Annotated[bool, typer.Option("--open", help="Open Exudyn's Solution
 
 
 def command(
+    context: typer.Context,
     recording: RunArgument = None,
     output: DrawnOption = None,
     frames: FramesOption = False,
@@ -131,17 +122,13 @@ def command(
 ) -> None:
     """Draw the crane of a run: one picture, a film, or Exudyn's live viewer.
 
-    Other runs given with --ghost stand in the same scene, so that one sees where a model leaves the measurement.
+    Other runs given with --ghost stand in the same scene, so that one sees where a model leaves the measurement. --map
+    and --map-file are for files without the crane's own names, and for REC where every file has them.
     """
     if output is None and save_solution is None and not open_viewer:
         raise CraneError("Nothing to do: give -o FILE.png (or .gif, .mp4), --save-solution FILE or --open.")
-    options: dict[str, object] = {
-        "--ghost": ghost, "--label": label, "--map": mapping, "--map-file": map_file, "--time": time, "--from": start,
-        "--to": end, "--fps": fps, "--speed": speed, "--colour": colour, "--mark": mark, "--view": view, "--size": size,
-        "--title": title, "--renderer": renderer, "--save-solution": save_solution, "--open": open_viewer or None,
-        "REC": recording,
-    }  # fmt: skip
-    _refuse_idle([name for name, value in options.items() if value is not None and value != []], output, frames)
+    kind = None if output is None else picture_or_film(output)
+    refuse_idle(context, *_rules(kind, frames=frames, alone=recording is None, open_viewer=open_viewer))
     described = load_crane(crane, effects)
     if frames:
         _sketch(described, output, json)
@@ -157,45 +144,60 @@ def command(
     scene = Scene(
         described, runs, colour=colour, marks=mark or (), size=_size(size or "1280x720"), view=view, title=name
     )
-    drawn = partial(scene.save, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer or "raytracer")
+    film = partial(scene.save, time=time, start=start, end=end, fps=fps, speed=speed, renderer=renderer or "raytracer")
     printer = Printer(json)
-    with saving(printer) as save:
-        save(output, partial(_draw, drawn, json))
-        save(save_solution, scene.save_solution)
-        written = [str(p) for p in (output, save_solution) if p is not None]
-        save.json(json, {"written": written, "runs": [r.label for r in runs], "from": scene.start, "to": scene.end})
+    _save(printer, scene, [run.label for run in runs], film, output, save_solution, json)
     if open_viewer:
         _view(scene)
-    else:
-        given: dict[str, Sequence[object] | None] = {
-            "--crane": [crane] if crane != DEFAULT_CRANE else [], "--ghost": ghost, "--mark": mark, "--map": mapping,
-            "--map-file": [map_file] if map_file else [], "--effects": effects, "--colour": [colour] if colour else [],
-        }  # fmt: skip
-        words = [word for option, values in given.items() for value in values or () for word in (option, str(value))]
-        again = ["patu", "render", *([] if recording is None else [str(recording)]), *words, "--open"]
-        printer.line(f"To turn it and zoom: {shlex.join(again)} (needs a screen).")
+        return
+    again = {
+        "--crane": None if crane == DEFAULT_CRANE else [crane], "--ghost": ghost, "--mark": mark, "--map": mapping,
+        "--map-file": [map_file] if map_file else None, "--effects": effects, "--colour": colour and [colour],
+    }  # fmt: skip
+    printer.line(f"To turn it and zoom: {_opening(recording, again)} (needs a screen).")
 
 
-def _refuse_idle(given: Sequence[str], output: Path | None, frames: bool) -> None:
-    """Refuse options that would change nothing, of those that are given.
+def _rules(
+    kind: str | None, *, frames: bool, alone: bool, open_viewer: bool
+) -> tuple[tuple[bool, Sequence[str], str], ...]:
+    """Return which options are idle when, and why.
 
-    Raises:
-        CraneError: which ones, and why.
+    Args:
+        kind: what -o asks for, "picture", "gif" or "mp4"; None for nothing.
+        frames, open_viewer: whether --frames and --open are given; alone: whether there is no recording.
     """
-    kind = None if output is None else picture_or_film(output)
     every = (*_LOOK, *_FILM, "--time", "--renderer", "--label", "--ghost", "--map", "--map-file", "REC", "--open")
-    rules: tuple[tuple[bool, Sequence[str], str], ...] = (
+    return (
         (frames, (*every, "--save-solution"), "--frames draws the crane file alone"),
-        ("REC" not in given, ("--ghost", "--label", "--map", "--map-file", "--time"), "no recording REC is given"),
+        (alone, ("--ghost", "--label", "--map", "--map-file", "--time"), "no recording REC is given"),
         (kind is None, ("--time", *_FILM, "--renderer"), "no picture or film is asked for with -o FILE"),
-        (kind is None and "--open" not in given, _LOOK, "no picture or film is asked for with -o FILE"),
+        (kind is None and not open_viewer, _LOOK, "no picture or film is asked for with -o FILE"),
         (kind == "picture", _FILM, "a picture shows one time, --time"),
         (kind != "picture", ("--time",), "a film shows the time --from … --to"),
     )
-    for holds, options, why in rules:
-        idle = [option for option in given if option in options]
-        if holds and idle:
-            raise CraneError(f"{', '.join(idle)} would change nothing: {why}. Leave it out, or ask for what it is for.")
+
+
+def _save(
+    printer: Printer,
+    scene: Scene,
+    labels: Sequence[str],
+    film: Callable[..., None],
+    output: Path | None,
+    solution: Path | None,
+    json: str | None,
+) -> None:
+    """Write the picture or film, the solution file and the JSON, as far as they are asked for."""
+    with saving(printer) as save:
+        save(output, partial(_draw, film))
+        save(solution, scene.save_solution)
+        written = [str(p) for p in (output, solution) if p is not None]
+        save.json(json, {"written": written, "runs": labels, "from": scene.start, "to": scene.end})
+
+
+def _opening(recording: Path | None, options: Mapping[str, Sequence[object] | None]) -> str:
+    """Return the command line that opens the same scene in Exudyn's viewer."""
+    words = [word for option, values in options.items() for value in values or () for word in (option, str(value))]
+    return shlex.join(["patu", "render", *([] if recording is None else [str(recording)]), *words, "--open"])
 
 
 def _read(paths: Sequence[Path], crane: Crane, entries: Sequence[str] | None, map_file: Path | None) -> list[Recording]:
@@ -224,9 +226,9 @@ def _plain(path: Path, crane: Crane) -> Recording | None:
     return found if all(coordinates_in(found)) else None
 
 
-def _draw(drawn: Callable[..., None], json: str | None, path: Path) -> None:
+def _draw(film: Callable[..., None], path: Path) -> None:
     with progress(f"drawing {path.name}") as done:
-        drawn(path, progress=done)
+        film(path, progress=done)
 
 
 def _sketch(crane: Crane, output: Path | None, json: str | None) -> None:

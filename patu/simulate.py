@@ -10,6 +10,7 @@ import typer
 
 from crane_exudyn.errors import CraneError
 
+from .calls import refuse_idle
 from .compiling import compile_for
 from .options import (
     DEFAULT_CRANE,
@@ -20,6 +21,7 @@ from .options import (
     MapFileOption,
     MapOption,
     OutputOption,
+    StepOption,
 )
 from .output import Printer
 from .outputs import Reads, saving
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
 
 def command(
+    context: typer.Context,
     inputs: Annotated[
         Path | None, typer.Option("--inputs", metavar="REC", help="Recording whose commands drive the crane."), Reads()
     ] = None,
@@ -46,7 +49,7 @@ def command(
     start_from_recording: Annotated[
         bool, typer.Option("--start-from-recording", help="Start at the recording's first samples.")
     ] = False,
-    step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Largest time step.")] = 1e-3,
+    step: StepOption = 1e-3,
     json: JsonOption = None,
 ) -> None:
     """Run the crane open loop.
@@ -58,10 +61,8 @@ def command(
 
     A run that cannot go on, as at the end of a stroke, is written as far as it went; the exit status is then 2.
     """
-    if start_from_recording and inputs is None:
-        raise CraneError("--start-from-recording wants a recording. Give one with --inputs REC.")
-    if not step > 0.0:
-        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
+    idle = ("--start-from-recording", "--map", "--map-file")
+    refuse_idle(context, (inputs is None, idle, "no recording is given with --inputs REC"))
     chosen = load_crane(crane, effects)
     recording = None if inputs is None else load_recording(inputs, chosen, mapping, map_file).require(sensors=0)
     from crane_exudyn.engines import engine_class

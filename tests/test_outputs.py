@@ -16,7 +16,7 @@ import pytest
 
 from crane_exudyn import Crane, Recording, files, plots
 from crane_exudyn.errors import CraneError
-from patu import calls, main, outputs
+from patu import add, calls, main, outputs
 from patu.output import Printer
 from validation import diagnosis, sample
 from validation.history import added
@@ -294,22 +294,48 @@ def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
         return added(crane, loaded.with_effect(key, {"lower": 0.1})), found | errors
 
     monkeypatch.setattr(fitting, "fitted_effect", fitted)
+    monkeypatch.setattr(add, "load_checked", lambda *_, **__: [None])
     words = ("add", "dead_band@tilt", "--fit", "l.csv", "-o", "new.toml", "--json", "new.json")
     done = patu(*words)
     assert done.status == (0 if helped else 1)
     assert Path("new.toml").exists() == helped
     assert json.loads(Path("new.json").read_text())["helped"] is helped
     if helped:
+        printed = patu(*words[:4])
+        assert printed.out == Path("new.toml").read_text() and "open-loop error" in printed.err
+        printed = patu("remove", "dead_band@tilt", "--crane", "new.toml")
+        Path("printed.toml").write_text(printed.out)
+        assert Crane.load("printed.toml").effects == () and "Back to where they were" in printed.err
         assert "dead_band@tilt: lower = 0.100 ± 0.020; open-loop error 2 -> " in done.out
         assert "With it moved payload.mass 25 kg -> 61 kg" in done.out
         assert "Back to where they were: payload.mass 61 kg -> 25 kg" in patu(
             "remove", "dead_band@tilt", "--crane", "new.toml", "-o", "old.toml"
         ).out  # fmt: skip
     else:
-        assert "did not help: error 2 before" in done.out and "--anyway" in done.out
-        assert patu(*words[:4]).out.count("[[effect]]") == 0
-        assert patu(*words, "--anyway").status == 1
+        assert "did not help: error 2 before" in done.out and "--even-if-worse" in done.out
+        assert patu(*words[:4]).out == ""
+        assert patu(*words, "--even-if-worse").status == 1
         assert Crane.load("new.toml").effect("dead_band@tilt") is not None
+
+
+@pytest.mark.parametrize("command", ["add", "remove"])
+def test_json_and_a_crane_do_not_share_standard_output(patu: Callable[..., SimpleNamespace], command: str) -> None:
+    done = patu(command, "dead_band@tilt", "--json", "-")
+    assert (done.status, done.out) == (2, "") and "give -o NEW.toml" in done.err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("add", "dead_band@tilt", "--map", "z1=foo"),
+        ("add", "dead_band@tilt", "--anyway"),
+        ("simulate", "--map-file", "l.csv"),
+        ("simulate", "--start-from-recording"),
+    ],
+)
+def test_options_that_would_change_nothing_are_refused(patu: Callable[..., SimpleNamespace], words: list[str]) -> None:
+    done = patu(*words)
+    assert done.status == 2 and "would change nothing: no" in done.err
 
 
 # -- what to go on with ----------------------------------------------------------------------------------------------
