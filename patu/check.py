@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from crane_exudyn.errors import CraneError
 
 from .options import DEFAULT_CRANE, CraneOption, EffectsOption, JsonOption, MapFileOption, MapOption
 from .output import Printer
@@ -15,6 +18,7 @@ from .reading import load_crane, load_recording
 
 if TYPE_CHECKING:
     from crane_exudyn.mapping import Column
+    from crane_exudyn.recording import Recording
     from crane_exudyn.vetting import Finding
 
 
@@ -45,7 +49,7 @@ def command(
     from validation.fitness import examine
 
     printer, told, notes = Printer(json), list[dict[str, Any]](), list[dict[str, str]]()
-    columns: dict[str, Column] = {}
+    columns: list[tuple[Recording, dict[str, Column]]] = []
     printer.line(f"Checked against the crane {chosen.name}:")
     for path in recordings:
         recording = load_recording(path, chosen, mapping, map_file)
@@ -53,13 +57,36 @@ def command(
         tell(printer, path, findings, recording.notes)
         notes += [{"recording": str(path), "text": note} for note in recording.notes]
         told += [document(path, f) for f in findings]
-        columns = mended_columns(recording, findings) | columns
+        columns.append((recording, mended_columns(recording, findings)))
     with saving(printer) as save:
-        text = map_text(columns, chosen.layout)
-        save(write_map, lambda path: write_text(path, text), text)
         save.json(json, {"findings": told, "notes": notes, "crane": chosen.name})
+        if write_map is not None:
+            text = map_text(_together(columns), chosen.layout)
+            save(write_map, lambda path: write_text(path, text), text)
     if any(finding["severity"] == "error" for finding in told):
         raise typer.Exit(1)
+
+
+def _together(columns: Sequence[tuple[Recording, Mapping[str, Column]]]) -> dict[str, Column]:
+    """Return the one map for several recordings; a channel that they have under different headers, and that needs no
+    mend, is left out.
+
+    Raises:
+        CraneError: a mend in one recording would spoil another one.
+    """
+    found: dict[str, Column] = {}
+    for name in dict.fromkeys(n for _, wanted in columns for n in wanted):
+        having = [(r, replace(w[name], said=""), r.columns.get(name)) for r, w in columns if name in w]
+        (first, column, _), *others = having
+        other = next((r for r, c, _ in others if c != column), None)
+        if other is None:
+            found[name] = column
+        elif any(read is None or replace(read, said="") != c for _, c, read in having):
+            raise CraneError(
+                f"--write-map: {first.source or first.name} and {other.source or other.name} need different maps for "
+                f"{name}. Check them one at a time."
+            )
+    return found
 
 
 def document(path: Path, finding: Finding) -> dict[str, Any]:

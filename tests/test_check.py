@@ -254,6 +254,21 @@ def test_check_tells_writes_a_map_and_is_content_with_it(
     assert patu("check", str(wrong), "--map", "p3=p4", "--map", "p4=p3").status == 0
 
 
+def test_one_map_is_not_written_for_recordings_that_need_two(
+    patu: Callable[..., SimpleNamespace], wrong: Path, tmp_path: Path
+) -> None:
+    """The first recording's map was written, in silence."""
+    clean, table, sound = with_the_package()[0], tmp_path / "map.toml", tmp_path / "sound.csv"
+    clean.save(sound)
+    done = patu("check", str(sound), str(wrong), "--write-map", str(table))
+    assert done.status == 2 and not table.exists()
+    assert f"{sound} and {wrong} need different maps for p3. Check them one at a time." in done.err
+    twin = tmp_path / "twin.csv"
+    twin.write_bytes(wrong.read_bytes())
+    assert patu("check", str(twin), str(wrong), "--write-map", str(table)).status == 1
+    assert patu("check", str(twin), str(wrong), "--map-file", str(table)).status == 0
+
+
 @pytest.mark.parametrize("command", [("compare",), ("diagnose",), ("estimate",), ("improve", "-o", "new.toml")])
 def test_errors_stop_what_would_explain_them(
     patu: Callable[..., SimpleNamespace],
