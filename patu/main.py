@@ -12,6 +12,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
 
 #: options that take all words up to the next option
@@ -69,7 +70,7 @@ def help_text() -> str:
         [
             "Usage: patu COMMAND [OPTIONS] …",
             "",
-            "A hydraulic log crane on Exudyn: simulate, estimate, find what the model lacks.",
+            "Planar hydraulic machines on Exudyn: simulate, estimate, find what the model lacks.",
             "",
             "Commands:",
             *lines,
@@ -285,11 +286,22 @@ def _invoke(name: str, words: list[str]) -> int:
         epilog=f"Example: {COMMANDS[name].example}",
         context_settings={"help_option_names": ["--help", "-h"]},
     )(_past_typer(checked(load(name))))
+    words = one_each(words)
     try:
-        app(one_each(words), prog_name=f"patu {name}")
+        app(words, prog_name=f"patu {name}")
     except SystemExit as leaving:  # typer ends every run, good or bad, this way
+        _tell_taken(words, leaving.__context__)
         return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
     return 0
+
+
+def _tell_taken(words: Sequence[str], problem: BaseException | None) -> None:
+    """Where an argument is missing, say which word went to an option of several values instead."""
+    taken = [(option, word) for option, word in pairwise(words) if option in SEVERAL]
+    missing: Any = getattr(problem, "param", None)
+    if taken and type(problem).__name__ == "MissingParameter" and getattr(missing, "param_type_name", "") == "argument":
+        option, word = taken[-1]
+        print(f"{word} was taken for a value of {option}; put {missing.metavar} first.", file=sys.stderr)
 
 
 def one_each(words: Sequence[str]) -> list[str]:
