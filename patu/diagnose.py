@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from .options import (
     DEFAULT_CRANE,
@@ -18,14 +15,14 @@ from .options import (
     MapFileOption,
     MapOption,
     PerRecordingOption,
+    PlotOption,
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
     looked_at,
-    picture,
 )
 from .output import Printer, progress
-from .outputs import Writes, saving
+from .outputs import saving
 from .reading import listed, load_crane, load_with_check
 
 if TYPE_CHECKING:
@@ -43,9 +40,7 @@ def command(
     anyway: AnywayOption = False,
     jobs: JobsOption = 2,
     scheduler: SchedulerOption = None,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the weighing."), Writes(picture)
-    ] = None,
+    plot: PlotOption = None,
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:

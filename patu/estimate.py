@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,28 +21,25 @@ from .options import (
     JsonOption,
     MapFileOption,
     MapOption,
+    MethodOption,
     OutputOption,
+    PlotOption,
     RecordingArgument,
     ReportOption,
-    picture,
+    StepOption,
 )
 from .output import Printer, progress
-from .outputs import Reads, Writes, saving
+from .outputs import Reads, saving
 from .reading import load_checked, load_crane
 
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
     from crane_exudyn.recording import Recording
-    from ukf.estimate import Estimate
+    from ukf.estimate import Consistency, Estimate
     from ukf.estimator import Estimator
     from ukf.noise import ProcessNoise
 
 
-PlotOption = Annotated[
-    Path | None,
-    typer.Option("--plot", metavar="FILE", help="Picture of the estimate: .png, .svg or .pdf."),
-    Writes(picture),
-]
 SensorsOption = Annotated[
     list[str] | None, typer.Option("--sensor", metavar="CHANNEL", help="Use only this sensor; repeatable.")
 ]
@@ -50,7 +47,6 @@ AugmentOption = Annotated[
     list[str] | None,
     typer.Option("--augment", metavar="NAME", help="Also estimate this, such as payload.mass; repeatable."),
 ]
-MethodOption = Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|simplex|ekf", help="Which filter.")]
 SmoothOption = Annotated[bool, typer.Option("--smooth", help="Also smooth back over the recording (RTS).")]
 TuneOption = Annotated[
     bool, typer.Option("--tune", help="First find the most likely process noise, not only its size.")
@@ -72,7 +68,6 @@ ModelsOption = Annotated[
     ),
     Reads(),
 ]
-StepOption = Annotated[float, typer.Option("--step", metavar="SECONDS", help="Longest time step of the model.")]
 
 
 def command(
@@ -98,11 +93,12 @@ def command(
 ) -> None:
     """Estimate the whole state of the crane from a recording: states with 95 % intervals, innovations, consistency.
 
-    The filter starts from the crane at rest as the sensors first show it, and uses every sensor in the recording. Noise
-    of the sensors comes from the crane file, else from the recording. What was odd in the recording is told.
+    The filter starts from pose, rates and pressures as the sensors first show them, and uses every sensor in the
+    recording. Noise of the sensors comes from the crane file, else from the recording. What was odd in the recording is
+    told. Exit status 1 where the filter failed so often that its result is no estimate.
     """
     cranes = model_cranes(models, crane, effects)  # with the user's own effects, before anything is compiled
-    _refuse(step, model_error, smooth and bool(models))
+    _refuse(cranes, method, augment or [], model_error, smooth and bool(models))
     chosen = next(iter(cranes.values()))
     needs: tuple[Part, ...] = (engine, "semi-recursive", "filter")
     measured = load_checked([recording], chosen, mapping, map_file, anyway=anyway, needs=needs)[0].require(sensors=1)
@@ -113,10 +109,13 @@ def command(
 
     slack = noise_slack(chosen, measured, std)
     filters = {name: f.varied(noise=noise) for name, f in filters.items()}
+    from ukf.model_error import estimate, estimate_side_by_side
+
+    shared: dict[str, Any] = {"mode": model_error, "noise_slack": slack, "stage": progress}
     if models:
-        result = _side_by_side(filters, measured, model_error, slack)
+        result = estimate_side_by_side(filters, measured, **shared)
     else:
-        result = _alone(filters[crane], measured, model_error, smooth, slack)
+        result = estimate(filters[crane], measured, smooth=smooth, **shared)
     printer = Printer(json)
     tell(printer, result, measured)
     with saving(printer) as save:
@@ -129,13 +128,20 @@ def command(
         raise typer.Exit(1)
 
 
-def _refuse(step: float, model_error: str, smoothed_together: bool) -> None:
+def _refuse(
+    cranes: Mapping[str, Crane], method: str, augment: list[str], model_error: str, smoothed_together: bool
+) -> None:
     """Refuse options that cannot be, before any work begins."""
+    import numpy as np
+
+    from ukf.augment import resolve
+    from ukf.methods import method_of
     from ukf.model_error import mode_of
 
-    if not step > 0.0:
-        raise CraneError(f"--step {step:g} is not a positive time in seconds.")
     mode_of(model_error)
+    method_of(method, np.ones(1))
+    for crane in cranes.values():
+        resolve(crane, augment)
     if smoothed_together:
         raise CraneError("--smooth and --models exclude each other: several models cannot be smoothed together.")
 
@@ -162,13 +168,9 @@ def model_cranes(models: list[str] | None, crane: str, effects: list[Path] | Non
     if len(set(names)) < len(models):
         raise CraneError(f"--models names {next(m for m in models if models.count(m) > 1)} twice. Give it once.")
     cranes = {name: load_crane(m, effects) for name, m in zip(names, models, strict=True)}
-    first = cranes[names[0]].layout
-    for name, model in cranes.items():
-        if model.layout.states != first.states:
-            raise CraneError(
-                f"--models: {name} is not a model of the same machine as {names[0]}: its states are "
-                f"{' '.join(model.layout.states)} instead of {' '.join(first.states)}. Give crane files of one machine."
-            )
+    from ukf.side_by_side import check_same_machine
+
+    check_same_machine(cranes)
     return cranes
 
 
@@ -191,20 +193,6 @@ def _filters(
     if together:
         SideBySide(filters)
     return filters
-
-
-def _alone(plain: Estimator, recording: Recording, model_error: str, smooth: bool, slack: float) -> Estimate:
-    """Return the estimate by one model."""
-    from ukf.model_error import estimate
-
-    return estimate(plain, recording, mode=model_error, smooth=smooth, noise_slack=slack, stage=progress)
-
-
-def _side_by_side(filters: dict[str, Estimator], recording: Recording, model_error: str, slack: float) -> Estimate:
-    """Return the mixed estimate of several models."""
-    from ukf.model_error import estimate_side_by_side
-
-    return estimate_side_by_side(filters, recording, mode=model_error, noise_slack=slack, stage=progress)
 
 
 def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> dict[str, float]:
@@ -350,39 +338,29 @@ def allowance(result: Estimate) -> list[str]:
     ]
 
 
+_MEND = "`patu compare` shows where it fails, --augment estimates what is unknown."
+#: what to make of each judgement of the consistency
+VERDICTS: dict[Consistency, str] = {
+    "unjudged": "Nothing can be said of the consistency: {}. The intervals are not confirmed.",
+    "noise-free": "The recording has no noise, as a simulation has none. The model explains it to less than the noise "
+    "that the filter takes the sensors to have, so its intervals are on the safe side.",
+    "consistent": "The filter is consistent with the recording: its intervals can be trusted.",
+    "too narrow": "Not consistent: the model explains less than the filter believes, so the intervals are too narrow. "
+    f"{_MEND} --tune finds a noise that fits.",
+    "allowed for": "The model lacks something. What it may be was estimated along, and the intervals allow for it. "
+    + _MEND,
+    "lacking": "Not consistent: the innovations of {} keep their sign for a while, as noise never does: the model "
+    "lacks something. The intervals of what no sensor measures are too narrow, and those of the angles may be. "
+    + _MEND,
+    "overstated": "Not consistent: the filter takes {} to be more than twice as noisy as the recording shows, so the "
+    "intervals are wider than need be. Mend [sensors] in the crane file.",
+    "too wide": "Not consistent: the filter expects more noise than there is, so the intervals are wider than need be; "
+    "try --tune.",
+}
+
+
 def verdict(result: Estimate) -> str:
     """Return what to make of the consistency, in plain words."""
-    if result.unjudged:
-        return f"Nothing can be said of the consistency: {result.unjudged}. The intervals are not confirmed."
-    if result.noiseless:
-        return (
-            "The recording has no noise, as a simulation has none. The model explains it to less than the noise that "
-            "the filter "
-            "takes the sensors to have, so its intervals are on the safe side."
-        )
-    if result.consistent:
-        return "The filter is consistent with the recording: its intervals can be trusted."
-    mend = "`patu compare` shows where it fails, --augment estimates what is unknown."
-    if result.nis_mean > result.nis_bounds[1]:
-        return (
-            "Not consistent: the model explains less than the filter believes, so the intervals are too narrow. "
-            f"{mend} --tune finds a noise that fits."
-        )
-    if result.allowed:
-        return f"The model lacks something. What it may be was estimated along, and the intervals allow for it. {mend}"
-    if result.persistent:
-        return (
-            f"Not consistent: the innovations of {', '.join(result.persistent)} keep their sign for a while, as noise "
-            "never does: the model "
-            "lacks something. The intervals of what no sensor measures are too narrow, and those of the angles may be. "
-            + mend
-        )
-    if result.overstated:
-        return (
-            f"Not consistent: the filter takes {', '.join(result.overstated)} to be more than twice as noisy as the "
-            "recording shows, so the intervals are wider than need be. Mend [sensors] in the crane file."
-        )
-    return (
-        "Not consistent: the filter expects more noise than there is, so the intervals are wider than need be; try "
-        "--tune."
-    )
+    about = {"unjudged": result.unjudged, "overstated": result.overstated, "lacking": result.persistent}
+    named = about.get(result.judgement, "")
+    return VERDICTS[result.judgement].format(named if isinstance(named, str) else ", ".join(named))

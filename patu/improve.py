@@ -18,11 +18,11 @@ from .options import (
     MapFileOption,
     MapOption,
     PerRecordingOption,
+    PlotOption,
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
     looked_at,
-    picture,
 )
 from .output import Printer, progress
 from .outputs import Writes, saving
@@ -50,9 +50,7 @@ def command(
     learn: Annotated[
         bool, typer.Option("--learn", help="Learn laws where named effects do not explain the recordings.")
     ] = False,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the falling error."), Writes(picture)
-    ] = None,
+    plot: PlotOption = None,
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:

@@ -21,16 +21,17 @@ from .options import (
     MapFileOption,
     MapOption,
     PerRecordingOption,
+    PlotOption,
     RecordingsArgument,
     ReportOption,
     SchedulerOption,
-    picture,
 )
 from .output import Printer, progress
-from .outputs import Writes, saving
+from .outputs import Saver, Writes, saving
 from .reading import listed, load_crane, load_with_check
 
 if TYPE_CHECKING:
+    from crane_exudyn.crane import Crane
     from validation.learned.learned_law import LearnedLaw
     from validation.learning import Learned
 
@@ -62,9 +63,7 @@ def command(
     anyway: AnywayOption = False,
     jobs: JobsOption = 2,
     scheduler: SchedulerOption = None,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="Picture of the curves."), Writes(picture)
-    ] = None,
+    plot: PlotOption = None,
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
@@ -90,8 +89,6 @@ def command(
             jobs=jobs,
             progress=lambda part, share: done(share, part),
         )
-    from crane_exudyn.files import write_text
-    from validation.learned.own_effect import own_effect
     from validation.learned.report import report_learned
     from validation.plots import save as save_figure
 
@@ -99,17 +96,22 @@ def command(
     tell(printer, result)
     given = {"check": other.name if other else None, "own effects": listed(effects) or None}
     with saving(printer) as save:
-        if result.laws:
-            save(output, result.crane.save, result.crane.to_toml())
-            save(
-                write,
-                lambda path: write_text(path, own_effect(result.laws[0], chosen, result.recording, Path(path).stem)),
-            )
-        elif output is not None or write is not None:
-            print("No law was found: no crane file and no effect were written.", file=sys.stderr)
+        _save_laws(save, result, chosen, output, write)
         save.json(json, {"recording": listed(recordings), "crane": chosen.name} | result.to_dict())
         save(plot, lambda path: save_figure(result.plot(), path))
         save(report, lambda path: report_learned(result, path, given))
+
+
+def _save_laws(save: Saver, result: Learned, chosen: Crane, output: Path | None, write: Path | None) -> None:
+    """Write the crane file with the laws, and the first law as an effect of one's own; say so where there is none."""
+    from crane_exudyn.files import write_text
+    from validation.learned.own_effect import own_effect
+
+    if result.laws:
+        save(output, result.crane.save, result.crane.to_toml())
+        save(write, lambda path: write_text(path, own_effect(result.laws[0], chosen, result.recording, path.stem)))
+    elif output is not None or write is not None:
+        print("No law was found: no crane file and no effect were written.", file=sys.stderr)
 
 
 def tell(printer: Printer, found: Learned) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -32,6 +32,24 @@ _SMALL, _NO_NOISE = 0.5, 0.25
 _NAMED = 8
 #: share of the steps at which a filter may fail and still be judged
 _FEW_FAILURES = 0.01
+
+#: what can be said of a filter's intervals, in the order in which it is asked: nothing; they are on the safe side,
+#: since the recording has no noise; they hold; the innovations are larger than the filter expects; they are not random,
+#: and the intervals allow for an error of the model; they keep their sign, so the model lacks something; the filter
+#: takes its sensors to be noisier than they are; or expects more noise than there is
+Consistency = Literal[
+    "unjudged", "noise-free", "consistent", "too narrow", "allowed for", "lacking", "overstated", "too wide"
+]
+_VERDICTS: dict[Consistency, str] = {
+    "unjudged": "cannot be judged: {}",
+    "noise-free": "consistent; the recording has no noise",
+    "consistent": "consistent",
+    "too narrow": "not consistent: intervals too narrow",
+    "allowed for": "not consistent: the model lacks something; the intervals allow for it",
+    "lacking": "not consistent: the model lacks something",
+    "overstated": "not consistent: intervals too wide",
+    "too wide": "not consistent: intervals too wide",
+}
 
 
 @dataclass(frozen=True)
@@ -268,34 +286,39 @@ class Estimate:
 
         Of a recording without noise: whether they are small.
         """
-        if self.unjudged:
-            return False
-        low, high = self.nis_bounds
-        return self.noiseless or bool(low <= self.nis_mean <= high and not self.coloured)
+        return self.judgement in ("consistent", "noise-free")
 
     @property
     def allowed(self) -> bool:
         """Whether the intervals allow for an error of the model."""
         return self.model_error is not None and self.model_error.used
 
-    @property
-    def verdict(self) -> str:
-        """In words, whether the filter's intervals can be believed.
+    @cached_property
+    def judgement(self) -> Consistency:
+        """Whether the filter's intervals can be believed.
 
         Innovations that keep their sign are an error of the model, whatever their size: noise that was widened until
         the size fits does not make them random, and what no sensor measures follows the model.
         """
         if self.unjudged:
-            return f"cannot be judged: {self.unjudged}"
-        if self.consistent:
-            return "consistent; the recording has no noise" if self.noiseless else "consistent"
-        if self.nis_mean > self.nis_bounds[1]:
-            return "not consistent: intervals too narrow"
+            return "unjudged"
+        if self.noiseless:
+            return "noise-free"
+        low, high = self.nis_bounds
+        if low <= self.nis_mean <= high and not self.coloured:
+            return "consistent"
+        if self.nis_mean > high:
+            return "too narrow"
         if self.allowed:
-            return "not consistent: the model lacks something; the intervals allow for it"
+            return "allowed for"
         if self.persistent:
-            return "not consistent: the model lacks something"
-        return "not consistent: intervals too wide"
+            return "lacking"
+        return "overstated" if self.overstated else "too wide"
+
+    @property
+    def verdict(self) -> str:
+        """The judgement in a few words."""
+        return _VERDICTS[self.judgement].format(self.unjudged)
 
     def coverage(self, truth: np.ndarray, probability: float = 0.95) -> dict[str, float]:
         """Return the share of instants at which the true states (N, m), m <= n, are inside their intervals."""

@@ -86,7 +86,8 @@ class Estimator:
             may leave out the states that effects add.
         method: "ukf", "sr-ukf", "ckf", "simplex" or "ekf".
         augment: quantities to estimate along with the state, see `augment`.
-        start: mean and covariance (nx, …) of the state to start with; without it, the crane at rest as measured first.
+        start: mean and covariance (nx, …) of the state to start with; without it, pose, rates and pressures as the
+            sensors first show them.
         gate: how many standard deviations an innovation may leap before the sample is rejected; None for no gate.
         max_step: longest integration step of the engine, s; longer intervals are cut evenly.
         pressure_std: standard deviation at the start of a pressure that no sensor shows, Pa.

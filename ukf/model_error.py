@@ -555,7 +555,7 @@ def lacking(plain: Estimate) -> bool:
 
     Where white noise was scaled up until it covers what the model lacks, they may be neither.
     """
-    return plain.nis_mean > plain.nis_bounds[1] or bool(plain.persistent)
+    return plain.judgement in ("too narrow", "lacking")
 
 
 def _told(crane: Crane, result: Estimate, found: ModelError, account: Account) -> Estimate:

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 
 from .consistency import log_likelihood
@@ -37,6 +38,20 @@ from .signals import Plan
 STAYS = 20.0
 #: least probability of a model, so that it can come back
 _LEAST = 1e-9
+
+
+def check_same_machine(models: Mapping[str, Crane]) -> None:
+    """Raise CraneError, which tells the states of both, where one of the models, by name, has other states than the
+    first.
+    """
+    names = tuple(models)
+    first = models[names[0]].layout.states
+    for name, model in models.items():
+        if model.layout.states != first:
+            raise CraneError(
+                f"{name} is not a model of the same machine as {names[0]}: its states are "
+                f"{' '.join(model.layout.states)} instead of {' '.join(first)}. Give crane files of one machine."
+            )
 
 
 class SideBySide:
@@ -56,13 +71,14 @@ class SideBySide:
         if not stays > 0.0:
             raise CraneError(f"A machine cannot stay {stays:g} s with a model. Give a positive time.")
         self.names, self.estimators, self.stays = tuple(estimators), list(estimators.values()), float(stays)
+        check_same_machine({name: e.crane for name, e in estimators.items()})
         first = self.estimators[0]
         self.states = first.crane.layout.states
         for name, other in zip(self.names, self.estimators, strict=True):
-            if other.crane.layout.states != self.states or other.channel_names != first.channel_names:
+            if other.channel_names != first.channel_names:
                 raise CraneError(
-                    f"{name} is not a model of the same machine as {self.names[0]}: its states or sensors have other "
-                    "names. Give crane files of one machine."
+                    f"{name} has the sensors {' '.join(other.channel_names)}, and {self.names[0]} "
+                    f"{' '.join(first.channel_names)}. Give both the same ones, in the same order."
                 )
 
     def __repr__(self) -> str:
