@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .compiling import compile_for
-from .options import DEFAULT_CRANE, CraneOption, EffectsOption, EngineOption, JobsOption, JsonOption, SchedulerOption
+from .options import (
+    DEFAULT_CRANE,
+    CraneOption,
+    EffectsOption,
+    EngineOption,
+    JobsOption,
+    JsonOption,
+    MethodOption,
+    SchedulerOption,
+)
 from .output import Printer, progress
 from .outputs import Writes, saving
 from .reading import load_crane
@@ -43,9 +52,7 @@ def command(
     ] = 3,
     duration: Annotated[float, typer.Option("--duration", metavar="SECONDS", help="Length of a run.")] = 25.0,
     step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Time between two samples.")] = 1e-3,
-    method: Annotated[
-        str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|simplex|ekf", help="Which filter.")
-    ] = "ukf",
+    method: MethodOption = "ukf",
     seed: Annotated[int, typer.Option("--seed", help="Of the series.")] = 0,
     engine: EngineOption = "semi-recursive",
     crane: CraneOption = DEFAULT_CRANE,
@@ -73,24 +80,23 @@ def command(
 
 
 def _check(crane: Crane, runs: int, inputs: int, duration: float, step: float, error: float, method: str) -> None:
-    from crane_exudyn.errors import CraneError, nearest
-    from ukf.methods import METHODS
-    from validation.paper import check_machine
+    import numpy as np
+
+    from crane_exudyn.errors import CraneError
+    from ukf.methods import method_of
+    from validation.paper import check_error, check_inputs, check_machine
 
     if runs < 1:
         raise CraneError(f"--runs {runs}: give at least 1.")
-    if inputs not in (1, 2, 3):
-        raise CraneError(f"--inputs {inputs}: there are the input sets 1, 2 and 3.")
+    check_inputs(inputs)
     if not (step > 0 and duration >= 10 * step):
         raise CraneError(f"--duration {duration:g} with --step {step:g}: a run needs at least ten samples.")
     if duration > MOST_SAMPLES * step:
         raise CraneError(f"--duration {duration:g} with --step {step:g}: a run may have {MOST_SAMPLES:g} samples.")
-    if not 0.0 <= error < 1.0:
-        raise CraneError(f"--error {error:g}: give a share between 0 and 1, such as 0.15 for 15 %.")
+    check_error(error)
     if error:
         check_machine(crane)
-    if method not in METHODS:
-        raise CraneError(f"--method {method!r} is not known.{nearest(method, list(METHODS))}")
+    method_of(method, np.ones(1))
 
 
 def tell(printer: Printer, series: Series) -> None:

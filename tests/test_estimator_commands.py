@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,7 +14,7 @@ import pytest
 from crane_exudyn.crane import Crane
 from crane_exudyn.inputs import SpoolPath
 from patu.main import run
-from ukf import tuning
+from ukf import estimate, tuning
 from validation.semi_recursive import SemiRecursiveEngine
 
 
@@ -86,6 +90,45 @@ def test_estimate_refuses_what_cannot_work_before_the_search_for_a_noise(lift, c
     assert status == 2 and message in said
 
 
+def test_estimate_refuses_a_typing_error_before_the_recording_is_read(capsys):
+    for words, message in ((("--method", "kalman"), "no filter"), (("--augment", "payload.mas"), "payload.mass")):
+        status, _, said = call(capsys, "estimate", "nowhere.csv", *words)
+        assert status == 2 and message in said
+
+
+def test_every_judgement_has_a_sentence():
+    from patu.estimate import VERDICTS
+
+    assert tuple(VERDICTS) == get_args(estimate.Consistency)
+    page = (Path(__file__).parent.parent / "docs" / "estimator.md").read_text()
+    assert [s for s in VERDICTS.values() if re.split(r"[,{]|\. ", s)[0] not in page] == []
+
+
+def test_paper_says_of_every_gauge_what_its_own_noise_leaves():
+    from patu.paper import _why
+    from validation import paper
+
+    def said(**sensors):
+        experiment = SimpleNamespace(sensors=sensors, truth=np.linspace([0.0] * 8, [20e5] * 8, 5))
+        return _why(SimpleNamespace(experiment=experiment))
+
+    [line] = said(z1=0.01, p1=1.5e5, p3=0.15e5)
+    low, high = (paper.pressure_floor(std) / 1e5 for std in (0.15e5, 1.5e5))
+    assert f"{high:.2f} bar in p1 ({5 * high:.2f} % of its range), {low:.2f} bar in p3" in line
+    assert said(z1=0.01, s1=1e-3) == []
+
+
+def test_paper_expects_as_much_of_nis_as_there_are_sensors():
+    from patu.paper import Found, _seen
+
+    seen, shown = _seen(["z1", "z4", "p1"], ["p1=0.15[bar]"], Crane.load("patu655"))
+    assert seen == {"sensors": ("z1", "z4", "p1"), "noise": {"p1": 15000.0}} and "p1 ± 0.15 bar" in shown["p1"]
+    case = {"model_error": 0.15, "inputs": 1, "tuning": "paper", "coverage95": {}, "nees_mean": 8.0, "nis_mean": 3.0}
+    cases = SimpleNamespace(documents=[case | {"published": None, "pn_rmse": {}, "rmse": {}, "pn_rmse_open_loop": {}}])
+    titles = [title for title, _, _ in Found(cases, [], [], shown).tables()]
+    assert "NIS (3 expected)" in titles[1]
+
+
 def test_paper_writes_figures_and_the_json_of_the_contract(tmp_path, capsys, monkeypatch):
     from validation import paper
 
@@ -122,8 +165,15 @@ def test_montecarlo_says_yes_and_no_by_its_exit_status(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "words", [("--runs", "0"), ("--inputs", "9"), ("--step", "0"), ("--error", "2"), ("--method", "kf")]
+    ("words", "message"),
+    [
+        (("--runs", "0"), "--runs 0"),
+        (("--inputs", "9"), "no input set 9"),
+        (("--step", "0"), "--step 0"),
+        (("--error", "2"), "A model error of 2"),
+        (("--method", "kf"), "no filter 'kf'"),
+    ],
 )
-def test_montecarlo_refuses_what_cannot_work(capsys, words):
+def test_montecarlo_refuses_what_cannot_work(capsys, words, message):
     status, _, said = call(capsys, "montecarlo", *words)
-    assert status == 2 and words[0] in said
+    assert status == 2 and message in said

@@ -140,6 +140,18 @@ def check_machine(crane: Crane) -> None:
         )
 
 
+def check_inputs(inputs: int) -> None:
+    """Raise CraneError for an input set that is none of `INPUT_SETS`."""
+    if inputs not in INPUT_SETS:
+        raise CraneError(f"There is no input set {inputs}. Use one of {', '.join(map(str, INPUT_SETS))}.")
+
+
+def check_error(model_error: float) -> None:
+    """Raise CraneError for a relative error of masses that is not from 0 to below 1."""
+    if not 0.0 <= model_error < 1.0:
+        raise CraneError(f"A model error of {model_error:g}: give a share between 0 and 1, such as 0.15 for 15 %.")
+
+
 def wrong_crane(crane: Crane, model_error: float) -> Crane:
     """Return the estimation model: `crane` with the paper's errors; `model_error` is that of the booms' mass and
     inertia.
@@ -316,8 +328,7 @@ def real_system(
         CraneError: an input set that does not exist, or another machine than the paper's.
     """
     check_machine(crane)
-    if inputs not in INPUT_SETS:
-        raise CraneError(f"There is no input set {inputs}. Use one of {', '.join(map(str, INPUT_SETS))}.")
+    check_inputs(inputs)
     time = np.arange(round(duration / STEP) + 1) * STEP
     commands = INPUT_SETS[inputs](time)
     w = np.column_stack([SpoolPath(crane).run(time, commands), np.full((time.size, 2), np.nan)])
