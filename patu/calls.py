@@ -69,7 +69,7 @@ def refuse_idle(context: typer.Context, *rules: tuple[bool, Sequence[str], str])
         CraneError: which options, and why.
     """
     typed = [p for p in context.command.params if getattr(context.get_parameter_source(p.name), "name", "") == _TYPED]
-    flags = {flag for p in typed for flag in (*p.opts, p.metavar)}
+    flags = {flag for p in typed for flag in ([p.metavar] if p.param_type_name == "argument" else p.opts)}
     for holds, options, why in rules:
         idle = [option for option in options if option in flags]
         if holds and idle:
