@@ -343,16 +343,19 @@ class Recording:
         return replace(self, channels=changed, notes=(*self.notes, *told), exact=False)
 
     def first_values(self, span: float = 0.1) -> dict[str, float]:
-        """Return the mean of each sensor over the first `span` seconds, but not beyond the first change of a
-        command.
+        """Return the mean of each sensor, in SI, over the first `span` seconds in which any is read, but not beyond the
+        first change of a command. A sensor that is first read later (`signals.early`) says nothing of the start and is
+        left out.
         """
         moves = [_first_change(self[n]) for n in (*self.layout.commands, *self.layout.voltages) if self.has(n)]
-        until = min([self.start + span, *moves])
+        start = min((float(self[n].time[0]) for n in self.sensors), default=0.0)
+        until = min([start + span, *moves])
         means = {}
         for name in self.sensors:
             channel = self[name]
-            n = max(1, int(np.searchsorted(channel.time, until, side="right")))
-            means[name] = float(np.mean(channel.values[:n]))
+            shown = channel.values[signals.early(channel.time, start, span)]
+            if shown.size:
+                means[name] = float(np.mean(shown[: max(1, np.searchsorted(channel.time, until, side="right"))]))
         return means
 
     # -- giving away ---------------------------------------------------------------------------------------------

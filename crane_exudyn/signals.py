@@ -26,6 +26,15 @@ def sampling_rate(time: np.ndarray) -> float:
     return float(1.0 / np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
+def early(time: np.ndarray, at: float, span: float = 0.1) -> slice:
+    """Return which stamps (n,) of a sensor tell what it shows at `at`, s: those within the next `span` seconds, or
+    within two of its own usual intervals where these are longer.
+    """
+    reach = max(span, 2.0 * float(np.median(np.diff(time)))) if len(time) > 1 else span
+    begin, end = np.searchsorted(time, [at, at + 1.000001 * reach])  # a stamp at the end belongs, whatever its rounding
+    return slice(int(begin), int(end))
+
+
 def quantisation(values: np.ndarray) -> float:
     """Return the step in which `values` (n,) come, in their unit; 0 for a constant signal."""
     steps = np.abs(np.diff(values))

@@ -278,6 +278,13 @@ BELIEF = Belief(np.zeros(8), np.eye(8))
         ({"start": replace(BELIEF, mean=np.ones(7))}, r"shapes \(7,\) and \(8, 8\)"),
         ({"start": replace(BELIEF, mean=np.full(8, np.nan))}, "not finite"),
         ({"start": np.zeros(8)}, r"expected \(8,\) and \(8, 8\)"),
+        (
+            {"start": replace(BELIEF, covariance=np.diag([1, 1, 0, 1, 1, 1, 1, 1]))},
+            r"dz1 has variance 0\. Give",
+        ),
+        ({"start": replace(BELIEF, covariance=np.diag([1, 1, 1, 1, 1, 1, 1, -4]))}, r"p4 has variance -4\. Give"),
+        ({"start": replace(BELIEF, covariance=np.eye(8) + np.eye(8, k=1))}, "of z1 and z4 is not that of z4 and z1"),
+        ({"start": replace(BELIEF, covariance=np.ones((8, 8)))}, "not positive definite, as z4 follows"),
     ],
 )
 def test_noise_and_start_must_fit_the_machine(options, message, engines):
@@ -626,7 +633,7 @@ def test_what_is_shown_is_short_and_says_what_it_is(engines, run):
     for thing, words in (
         (estimator, ("<Estimator of patu655 by ukf on SemiRecursiveEngine", "payload.mass", "z1 ± 0.001")),
         (engines[SemiRecursiveEngine], ("<SemiRecursiveEngine of <Crane patu655", "states z1 z4")),
-        (SideBySide({"sound": estimator, "leaky": estimator}), ("<SideBySide of sound, leaky", "sensors z1")),
+        (SideBySide({"sound": estimator, "leaky": estimator.varied()}), ("<SideBySide of sound, leaky", "sensors z1")),
         (Scene(CRANE, [trajectory], colour="pressure"), ("<Scene of patu655: simulated; 0 … 0.19 s", "by pressure")),
         (spools, ("<SpoolPath of patu655: lift lag", "not live")),
         (live, ("t = 0.5 s",)),

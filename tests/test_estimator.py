@@ -23,7 +23,7 @@ from ukf.bounds import Bounds, crane_bounds
 from ukf.estimator import Estimator
 from ukf.filter import Belief
 from ukf.monitor import FROZEN, OUTLIER
-from ukf.noise import PaperNoise, ProcessNoise, paper_process_noise, paper_start_covariance
+from ukf.noise import PaperNoise, ProcessNoise, paper_start_covariance
 from ukf.revisit import Revisit
 from ukf.sigma_points import merwe
 from ukf.signals import Signals
@@ -113,7 +113,7 @@ def test_equals_filterpy_on_the_crane(make):
         points=MerweScaledSigmaPoints(8, 0.99, 0.0, 0.0),
     )  # fmt: skip
     theirs.x, theirs.P = start.mean.copy(), start.covariance.copy()
-    theirs.Q, theirs.R = paper_process_noise(1e-3, pressure=2e8), np.diag([STD[n] ** 2 for n in names])
+    theirs.Q, theirs.R = PaperNoise(pressure=2e8).covariance(1e-3), np.diag([STD[n] ** 2 for n in names])
     scale = np.array([1.0, 1.0, 1.0, 1.0, 1e7, 1e7, 1e7, 1e7])
     for k in range(1, steps + 1):
         theirs.predict(dt=TIME[part][k] - TIME[part][k - 1], k=k)
@@ -583,12 +583,14 @@ def test_engine_without_parameters_refuses_augmented_states():
     [
         ({"sensors": {}}, "no sensor"),
         ({"sensors": {"z2": 0.1}}, "z2"),
-        ({"sensors": {"z1": -1.0}}, "positive"),
+        ({"sensors": {"z1": -1.0}}, "'z1': the noise is -1.0. Give a positive deviation in rad"),
+        ({"sensors": {"z1": "0.1"}}, "'z1': the noise is '0.1'. Give one number"),
+        ({"sensors": {"z1": True}}, "'z1': the noise is True. Give one number"),
         ({"method": "kalman"}, "no filter"),
         ({"engine": "matlab"}, "no engine"),
         ({"augment": ("payload.mas",)}, "payload.mass"),
         ({"augment": ("bias.z1", "bias.z1")}, "twice"),
-        ({"augment": (Augment("payload.mass", std=0.0),)}, "positive"),
+        ({"augment": (300,)}, "augmented state 300 is none. Give a name"),
         ({"augment": ("internal_leakage@lift.q",)}, "no such parameter"),
         ({"revisit": Revisit(1.0)}, "goes with the filter"),
     ],
@@ -597,6 +599,29 @@ def test_bad_arguments_are_refused(options, message):
     options = {"engine": "semi-recursive", "sensors": {"z1": 1e-3}} | options
     with pytest.raises(CraneError, match=message):
         Estimator(CRANE, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"std": 0.0}, "std is 0.0. Give a positive"), ({"std": "300"}, "std is '300'. Give one number"),
+        ({"memory": 0.0}, "memory is 0.0. Give a positive time"), ({"memory": -1.0}, "memory is -1.0"),
+        ({"drift": np.nan}, "drift is nan"), ({"drift": -1.0}, "drift is -1.0. Give none below zero"),
+    ],
+)  # fmt: skip
+def test_an_augmented_state_that_cannot_be_is_refused(options, message):
+    with pytest.raises(CraneError, match=rf"augmented state 'torque\.O': its {message}"):
+        Augment("torque.O", **options)
+
+
+def test_thinned_signals_are_known_samples_on_a_growing_clock():
+    time = np.arange(2000) * 1e-3
+    values = np.where(np.arange(2000) % 10 == 5, 0.2, np.nan)
+    twice = np.repeat(time, 3)
+    signals = Signals(TIME, COMMANDS, {"z1": (time, values), "z4": (twice, np.full(6000, 0.3))})
+    thin = {n: t for n, (t, _) in signals.thinned(100.0, CRANE.layout).sensors.items()}
+    np.testing.assert_allclose(thin["z1"], time[5::10])
+    np.testing.assert_allclose(thin["z4"], time[::10])
 
 
 def test_recording_without_the_sensors_is_refused():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from crane_exudyn.simulation import simulate
 from patu.estimate import sensor_noise, verdict
 from patu.main import run as command_line
 from ukf.estimator import Estimator
-from ukf.monitor import USED
+from ukf.monitor import OUTLIER, USED
 from ukf.noise import ProcessNoise
 from ukf.signals import Signals
 from ukf.tuning import cut
@@ -65,9 +66,23 @@ def test_a_start_is_agreed_upon_by_all_first_samples(changes, left_out):
     assert estimate.nis_mean == pytest.approx(sound.nis_mean, rel=0.05)
 
 
+def test_a_sensor_that_starts_late_does_not_set_the_start():
+    """Where it stands two seconds on is not where it stood."""
+    part = spoilt(3.0, begin=2.0)
+    time, z1 = part.sensors["z1"]
+    late = replace(part, sensors=part.sensors | {"z1": (time[400:], z1[400:])})
+    estimate = estimator().run(late)
+    off = np.abs(estimate["z1"][:400] - z1[:400])
+    assert abs(z1[400] - z1[0]) > 0.15 and estimate.std[0, 0] > 0.05
+    assert np.mean(off < 1.96 * estimate.std[:400, 0]) > 0.9
+    assert not estimate.events and abs(estimate["z1"][-1] - z1[-1]) < 5 * STD["z1"]
+
+
 def test_a_sensor_that_leaps_early_and_for_good_is_not_taken_for_the_start():
-    """The other sensors side with what it showed before."""
-    estimate = estimator().run(spoilt(3.0, p4=(slice(60, None), 50e5, True)))
+    """The other sensors side with what it showed before. What is rejected makes no run more likely."""
+    sound, estimate = estimator().run(spoilt(3.0)), estimator().run(spoilt(3.0, p4=(slice(60, None), 50e5, True)))
+    rejected = (estimate.flags[1:] == OUTLIER).sum()
+    assert estimate.log_likelihood == pytest.approx(sound.log_likelihood - 0.5 * 6.0**2 * rejected, abs=2.0 * rejected)
     column = list(STD).index("p4")
     assert (estimate.flags[1:60, column] == USED).all() and not (estimate.flags[60:, column] == USED).any()
     assert [e.where for e in estimate.events] == ["p4"]
@@ -212,6 +227,7 @@ def test_sensors_that_all_freeze_are_told_and_not_believed():
         ((0.1, 0.2, 0.3), SAMPLE, "2 numbers"),
         (("left", 0.0), SAMPLE, "commands"),
         ({"u1": 0.0, "u3": 0.0}, SAMPLE, "u3"),
+        ((1.5, 0.0), {"nope": 1.0}, "'nope' is no sensor"),
         ((0.0, 0.0), {"z1": [0.1, 0.2]}, "measurements: z1"),
         ((0.0, 0.0), {"z1": "0.1"}, "measurements: z1"),
         ((0.0, 0.0), [0.1, 0.2], "mapping"),
@@ -226,13 +242,42 @@ def test_calls_of_a_wrong_shape_are_refused_by_name_and_change_nothing(commands,
     assert running.time == 0.0 and running.belief.mean is mean and not running.events
 
 
+def test_what_is_odd_about_samples_is_told_when_it_begins():
+    running = estimator()
+    for k, command in enumerate((0.0, 1.0001, 1.0001, 1.0001, 0.0, 1.0001)):
+        running.step((command, 0.0), SAMPLE | {"p2": 1e9}, 0.005 * k)
+    with pytest.raises(CraneError, match="time"):
+        running.step((2.0, math.nan), SAMPLE, "soon")
+    assert [(t, where) for t, where, _ in running.events] == [(0.0, "p2"), (0.005, "commands"), (0.025, "commands")]
+
+
+def test_a_clock_that_goes_back_is_told_so():
+    running = estimator()
+    for k in range(12):
+        running.step((0.0, 0.0), SAMPLE, 1.5 if k == 0 else 0.005 * k)
+    assert [text.partition(":")[0] for _, _, text in running.events] == [
+        "stamp not later than the last one", "clock went back by 1.45 s",
+    ]  # fmt: skip
+
+
+def test_a_supply_pressure_that_is_missing_stays_as_it_was():
+    means = []
+    for supplies in ([60e5] * 4, [60e5, None, math.nan, 60e5], [None] * 4):
+        running = estimator(FOUR)
+        for k, pp in enumerate(supplies):
+            now = running.step((0.8, 0.0), {n: SAMPLE[n] for n in FOUR} | {"pp": pp}, 0.02 * k)
+        means.append(now.mean)
+    np.testing.assert_array_equal(means[0], means[1])
+    assert abs(means[2] - means[0])[4] > 1e4
+
+
 @pytest.mark.parametrize(("name", "value"), [("z1", float("inf")), ("z1", -1e3), ("p1", 1e308), ("p4", -1e9)])
 def test_readings_that_no_crane_shows_are_missing_ones(name, value):
     running = estimator()
     running.step((0.0, 0.0), SAMPLE, 0.0)
     now = running.step((0.0, 0.0), SAMPLE | {name: value}, 0.01)
     assert name not in now.innovation and np.isfinite(now.mean).all()
-    assert [e[1] for e in running.events] == [name] and f"{value:g}: taken as missing" in running.events[0][2]
+    assert [e[1] for e in running.events] == [name] and f"{value:g}, taken as missing" in running.events[0][2]
     estimate = estimator().run(spoilt(0.5, **{name: (slice(10, 12), value, False)}))
     assert [(e.where, e.count) for e in estimate.events] == [(name, 1)] and "2 such samples" in estimate.events[0].text
     assert not np.isfinite(estimate.innovation[10:12, list(STD).index(name)]).any()

@@ -312,6 +312,13 @@ def test_first_values_stop_at_the_first_command() -> None:
     assert recording.first_values(span=0.5) == {"z1": 1.0}
 
 
+def test_a_sensor_that_is_first_read_later_has_no_first_value() -> None:
+    time = np.arange(100) * 0.01
+    slow = np.where(np.arange(100) % 20 == 10, 3.0, np.nan)  # first at 0.1 s, every 0.2 s
+    values = {"z1": np.full(100, 1.0), "z4": np.where(time > 0.5, 2.0, np.nan), "p1": slow}
+    assert Recording.from_arrays("r", time, values).first_values() == {"z1": 1.0, "p1": 3.0}
+
+
 # -- noise: the estimate against signals whose noise is known ---------------------------------------------------------
 
 

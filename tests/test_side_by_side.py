@@ -13,12 +13,15 @@ from patu.estimate import model_cranes
 from patu.main import one_each
 from ukf.estimator import Estimator
 from ukf.filter import Belief
+from ukf.revisit import Revisit
 from ukf.side_by_side import SideBySide, followed, mixture
 from ukf.signals import Signals
+from ukf.tuning import cut
 from validation.semi_recursive import SemiRecursiveEngine
 
 SOUND = Crane.load("patu655")
 LEAKY = SOUND.with_effect("internal_leakage@lift", {"k": 1e-11})
+MODELS = {"sound": SOUND, "leaky": LEAKY}
 NOISE = {"z1": 9e-4, "z4": 9e-4, "p1": 3e4, "p4": 3e4}
 FAST = "semi-recursive"
 
@@ -98,9 +101,41 @@ def test_models_of_other_machines_or_none_beside_are_refused():
     with pytest.raises(CraneError, match="Only one model"):
         side_by_side(sound=SOUND)
     loader = Crane.load("loader")
-    filters = {"patu": Estimator(SOUND, FAST, NOISE), "loader": Estimator(loader, FAST)}
+    patu = Estimator(SOUND, FAST, NOISE)
     with pytest.raises(CraneError, match="loader is not a model of the same machine"):
-        SideBySide(filters)
+        SideBySide({"patu": patu, "loader": Estimator(loader, FAST)})
+    with pytest.raises(CraneError, match="a, b: two names have one estimator"):
+        SideBySide({"a": patu, "b": patu})
+    for none in ({"a": SOUND, "b": SOUND}, [patu, patu.varied()]):
+        with pytest.raises(CraneError, match="found no estimators by name"):
+            SideBySide(none)
+    with pytest.raises(CraneError, match="b: models side by side go through nothing again"):
+        SideBySide({"a": patu, "b": patu.varied(method="ekf", revisit=Revisit(1.0))})
+    for stays in (0.0, "20"):
+        with pytest.raises(CraneError, match="stays is"):
+            SideBySide({"a": patu, "b": patu.varied()}, stays)
+
+
+def test_events_name_the_model_and_the_worst_one_counts(opened):
+    """Two filters that fail at every fourth step fail at a quarter of them, not at half."""
+    signals, _ = opened
+    both = SideBySide({n: Estimator(c, Failing(c), NOISE, max_step=5e-3) for n, c in MODELS.items()})
+    found = both.run(cut(signals, 0.0, 0.5))
+    counts = {e.where: e.count for e in found.events}
+    assert counts == {"filter of sound": 25, "filter of leaky": 25} and found.failures == 25
+
+
+class Failing(SemiRecursiveEngine):
+    """An engine that fails at every fourth step."""
+
+    steps = 0
+
+    def propagate(self, *arguments, **keywords):
+        """Raise CraneError now and then."""
+        self.steps += 1
+        if self.steps % 4 == 0:
+            raise CraneError("the step did not converge")
+        return super().propagate(*arguments, **keywords)
 
 
 def test_one_spike_says_nothing_of_the_models(opened):
@@ -116,7 +151,7 @@ def test_one_spike_says_nothing_of_the_models(opened):
         probabilities.append(found.models["leaky"])
         logs.append(found.log_likelihood)
     assert np.abs(probabilities[1] - probabilities[0])[:480].max() < 0.05
-    assert logs[1] > logs[0] - 5.0, "a noise that fits is not looked for by it either"
+    assert logs[1] > logs[0] - 0.5 * 6.0**2 - 5.0, "a noise that fits is not looked for by it either"
     assert any("rejected" in e.text for e in found.events)
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from crane_exudyn.errors import CraneError
 from ukf import filter as kf
 from ukf.linear_algebra import cholesky, lower_factor, semidefinite_root
-from ukf.noise import PaperNoise, ProcessNoise, measurement_noise, paper_process_noise, paper_start_covariance
+from ukf.noise import PaperNoise, ProcessNoise, measurement_noise, paper_start_covariance
 from ukf.revisit import Beginning, Step
 from ukf.sigma_points import Weights, centre_gain, cubature, merwe, simplex
 from ukf.smoother import smooth
@@ -230,12 +230,11 @@ def test_factorisations():
 
 
 def test_paper_noise_is_van_loans_integral_and_has_a_root():
-    noise = paper_process_noise(1e-3)
+    noise = PaperNoise().covariance(1e-3)
     assert noise[0, 0] == pytest.approx(0.0175e-9 / 3) and noise[0, 2] == pytest.approx(0.0175e-6 / 2)
     assert noise[2, 2] == pytest.approx(0.0175e-3) and noise[4, 4] == 259.8e8
     root = semidefinite_root(noise)
     np.testing.assert_allclose(root @ root.T, noise, rtol=1e-12, atol=1e-16)
-    np.testing.assert_allclose(PaperNoise().covariance(1e-3), noise)
     with pytest.raises(ValueError, match="semidefinite"):
         semidefinite_root(np.array([[1.0, 2.0], [2.0, 1.0]]))
 

@@ -1,14 +1,5 @@
 """Unknown quantities that the filter estimates along with the state, each as a slow random walk or as noise with a
-memory.
-
-| name | unit | what is unknown |
-|---|---|---|
-| any nominal parameter, such as `payload.mass`, `supply.pump_pressure`, `joints.A.x` | SI | that parameter |
-| any effect's parameter, such as `internal_leakage@lift.k` | SI | that parameter |
-| `bias.p4`, any sensor | of the sensor | an offset of the sensor: y + b |
-| `torque.O`, any joint | N m | a moment on the joint that no law explains; of a sliding one a force, N |
-| `force.x`, `force.y` | N | a force on the point that carries the payload |
-| `flow.p1`, any chamber | m³/s | a flow into the chamber that no law explains |
+memory: "Unknown quantities as states" in docs/estimator.md says which there are.
 """
 
 from __future__ import annotations
@@ -26,6 +17,8 @@ from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.layout import Layout
 
+from .samples import number, positive
+
 #: standard deviations of disturbances that are worth a search, by unit
 _DISTURBED: Mapping[str, float] = {"N*m": 300.0, "N": 200.0, "m^3/s": 1e-5}
 
@@ -35,21 +28,30 @@ class Augment:
     """One quantity to be estimated.
 
     Attributes:
-        name: see the table of the module.
+        name: a parameter of the crane or of an effect, "bias.p4", "torque.O", "force.x" or "flow.p1".
         std: standard deviation at the start, SI; None takes the crane file's uncertainty of it.
         drift: growth of the standard deviation of its random walk, SI per √s; 0 for a constant.
-        lower: hard lower limit (a mass is not negative).
         memory: time constant, s, with which it returns to its nominal value while noise keeps it at `std` around that
             (first-order Gauss-Markov); infinite for what stays.
         shared: quantities with the same word here have one size where sizes are adapted; "" for one of its own.
+
+    Raises:
+        CraneError: a standard deviation or a memory that is not positive, or a drift below zero.
     """
 
     name: str
     std: float | None = None
     drift: float = 0.0
-    lower: float = -np.inf
     memory: float = np.inf
     shared: str = ""
+
+    def __post_init__(self) -> None:
+        what = f"augmented state {self.name!r}: its"
+        if self.std is not None:
+            positive(self.std, f"{what} std", "a positive standard deviation at the start, SI")
+        positive(self.memory, f"{what} memory", "a positive time in seconds, or numpy.inf for what stays", endless=True)
+        if not 0.0 <= number(self.drift, f"{what} drift") < np.inf:
+            raise CraneError(f"{what} drift is {self.drift}. Give none below zero, SI per √s; 0 for a constant.")
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,8 @@ def resolve(crane: Crane, augment: Iterable[Augment | str]) -> tuple[Extra, ...]
         CraneError: an unknown name, one that is given twice, or one whose uncertainty nobody states.
     """
     wanted = [Augment(a) if isinstance(a, str) else a for a in augment]
+    if wrong := [a for a in wanted if not isinstance(a, Augment)]:
+        raise CraneError(f"augmented state {wrong[0]!r} is none. Give a name, or Augment(name, std).")
     names = [a.name for a in wanted]
     for name in names:
         if names.count(name) > 1:
@@ -135,7 +139,7 @@ def _resolve_one(crane: Crane, wanted: Augment) -> Extra:
             f"augmented state {wanted.name!r}: a standard deviation of {std:g} at the start cannot be used. "
             f'Give a positive one: Augment("{wanted.name}", std=…).'
         )
-    return Extra(wanted.name, kind, value, std, wanted.drift, max(wanted.lower, lower), wanted.memory, wanted.shared)
+    return Extra(wanted.name, kind, value, std, wanted.drift, lower, wanted.memory, wanted.shared)
 
 
 def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
@@ -154,9 +158,13 @@ def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:
         return "parameter", crane[name], std, _least(name, crane[name])
     if "@" in name or "." in name:
         return _effect_parameter(crane, name)
-    raise CraneError(
-        f"augmented state {name!r} is not known.{nearest(name, [*crane.machine.names, *lay.disturbances])}"
-    )
+    raise _unknown(crane, name)
+
+
+def _unknown(crane: Crane, name: str) -> CraneError:
+    lay = crane.layout
+    known = [*crane.machine.names, *lay.disturbances, *(f"bias.{s}" for s in lay.sensors)]
+    return CraneError(f"augmented state {name!r} is not known.{nearest(name, known)}")
 
 
 def _least(name: str, value: float) -> float:
@@ -173,9 +181,7 @@ def _effect_parameter(crane: Crane, name: str) -> tuple[str, float, float, float
     try:
         effect, _place = registry.split_key(key, crane.layout)
     except CraneError:
-        lay = crane.layout
-        known = [*crane.machine.names, *lay.disturbances, *(f"bias.{s}" for s in lay.sensors)]
-        raise CraneError(f"augmented state {name!r} is not known.{nearest(name, known)}") from None
+        raise _unknown(crane, name) from None
     for p in effect.parameters:
         if p.name == last:
             acting = crane.effect(key)

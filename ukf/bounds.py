@@ -78,26 +78,25 @@ def _clipped(points, lower, upper):  # type: ignore[no-untyped-def]
 
 #: largest share of a chamber that may be void; a state remembers a void as a pressure that far below zero
 _MOST_VOID = 0.5
+#: what keeps both chambers of a cylinder a little longer than nothing, m
+_MARGIN = 5e-3
 #: values of a coordinate at which a cylinder's length is looked at
 _GRID = 1441
 
 
-def crane_bounds(
-    crane: Crane, lengths: Callable[[np.ndarray], np.ndarray] | None, states: int, margin: float = 5e-3
-) -> Bounds:
+def crane_bounds(crane: Crane, lengths: Callable[[np.ndarray], np.ndarray] | None, states: int) -> Bounds:
     """Return the limits of a crane's states: half a chamber empty, and the coordinates at which a piston meets its
     cylinder's end.
 
     `lengths` maps z (m, n) to cylinder lengths (m, n), NaN where a loop cannot close; without it coordinates are free.
-    `margin` (m) keeps both chambers of a cylinder a little longer than nothing.
     """
     lower, upper = np.full(states, -np.inf), np.full(states, np.inf)
     lower[crane.layout.pressures] = -_MOST_VOID * crane["fluid.oil_bulk_modulus"]
     if lengths is not None:
         for c, (cylinder, driven) in enumerate(zip(crane.layout.cylinders, crane.layout.driven, strict=True)):
             i = crane.layout.index(driven)
-            empty = crane[f"cylinders.{cylinder}.empty_length"] + margin
-            full = empty + crane[f"cylinders.{cylinder}.chamber_range"] - 2 * margin
+            empty = crane[f"cylinders.{cylinder}.empty_length"] + _MARGIN
+            full = empty + crane[f"cylinders.{cylinder}.chamber_range"] - 2 * _MARGIN
             start, turns = np.array(crane.initial.pose), crane.layout.unit_of(driven) == "rad"
             grid = np.linspace(-np.pi, np.pi, _GRID) if turns else start[i] + np.linspace(-2, 2, _GRID) * (full - empty)
             lower[i], upper[i] = _range(lengths, c, i, start, grid, empty, full)

@@ -97,9 +97,11 @@ class Estimate:
         innovation, innovation_std: (N, k), NaN where there was no sample.
         flags: (N, k) uint8, see `monitor`: used, absent, outlier, frozen.
         nis: (N,) and dof: (N,): normalised innovation squared of the samples used, and how many they were.
-        log_likelihood: sum over all samples.
+        log_likelihood: sum over all samples of the log of the density of their innovations, over the highest density
+            that the sensors' noise has: -½ (νᵀ S⁻¹ ν + log det S R⁻¹). A reading that the gate rejects counts as one at
+            the gate, -½ gate², and one of a frozen sensor nothing, so that runs with other readings can be compared.
         events: what happened on the way.
-        inputs: (N, 4) spool positions and supply pressures.
+        inputs: (N, valves + 2) spool positions in [-1, 1] and supply pressures, Pa.
         sensor_std: (k,) noise that the filter took the sensors to have.
         covariance: (N, n, n) of the filter's own state, which remembers voids, if it was kept.
         floor: Pa, the lowest pressure that a gauge shows; pressures: which of the n quantities are those of chambers.
@@ -261,8 +263,9 @@ class Estimate:
 
     @property
     def failures(self) -> int:
-        """Number of steps at which the filter failed and was restarted."""
-        return sum(e.count for e in self.events if e.where == "filter")
+        """Number of steps at which the filter failed and was restarted; of several models, that of the worst."""
+        filters = ("filter", *(f"filter of {name}" for name in self.models))
+        return max(sum(e.count for e in self.events if e.where == where) for where in filters)
 
     @property
     def failed(self) -> bool:

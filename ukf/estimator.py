@@ -21,29 +21,31 @@ from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.sensors import sensor
 from crane_exudyn.statics import vapour_pressure
 
+from .agreed_start import agreed_start
 from .augment import Augment, Sizes, resolve
 from .bounds import Bounds, crane_bounds
 from .channels import Channels
 from .estimate import Estimate
 from .filter import Belief, FilterError
+from .linear_algebra import cholesky
 from .methods import method_of
-from .monitor import ABSENT, FASTEST, OUTLIER, USED, Doubt, Monitor, leaps
+from .monitor import ABSENT, OUTLIER, USED, Doubt, Monitor
 from .noise import ProcessNoise, added_by, measurement_noise
 from .process import EngineMisfit, Process, engine_of
-from .recorder import REJECTED, Recorder
+from .recorder import REJECTED, Outcome, Recorder, kind_of
 from .revisit import Beginning, Revisit, Step
-from .samples import command_of, first_stamp, impossible, number, readings_of
+from .samples import command_of, first_stamp, impossible, number, positive, readings_of
 from .second_opinion import SecondOpinion
 from .signals import LONG_GAP, Plan, Signals
 from .start import UNSHOWN, rivals, showing, start_belief, taken
 from .visible import show
 
-#: in the first so many seconds of a recording a leap puts the start in doubt
-_EARLY = 1.0
 #: after so many growing stamps that are not later than the last good one the clock has gone back
 _LATE_STAMPS = 10
 #: the last stamp that was not later than a good one, and how many of them grew in a row
 _IN_ORDER = (np.inf, 0)
+#: by how much correlations at the start may differ from their mirror images
+_UNEVEN = 1e-6
 #: what a step of the filter may end in
 _FAILURES = (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError)
 
@@ -125,14 +127,18 @@ class Estimator:
         lay = crane.layout
         self.std_of = default_sensors(crane) if sensors is None else sensor_std(crane, sensors)
         self.noise = noise if noise is not None else ProcessNoise.of(lay)
-        self.max_step = _positive(max_step, "max_step", "a positive time in seconds, such as 1e-3")
+        self.max_step = positive(max_step, "max_step", "a positive time in seconds, such as 1e-3")
         deviations = "a positive number of standard deviations, or None for no gate"
-        self.gate = np.inf if gate is None else _positive(gate, "gate", deviations, endless=True)
-        self._pressure_std = _positive(pressure_std, "pressure_std", "a positive one in Pa, such as 1e6")
-        self._adapt = _positive(adapt, "adapt", "a positive time in seconds, or numpy.inf for never", endless=True)
+        self.gate = np.inf if gate is None else positive(gate, "gate", deviations, endless=True)
+        #: minus the log-likelihood of a reading that is not believed: it is as likely as one at the gate
+        self._unlikely = 0.5 * self.gate**2 if self.gate < np.inf else 0.0
+        self._pressure_std = positive(pressure_std, "pressure_std", "a positive one in Pa, such as 1e6")
+        self._adapt = positive(adapt, "adapt", "a positive time in seconds, or numpy.inf for never", endless=True)
         self._floor = vapour_pressure(crane)
         self._units = tuple(lay.sensors[n].unit for n in self.std_of)
         self._std = np.array(list(self.std_of.values()))
+        self._log_peak = np.log(np.sqrt(2.0 * np.pi) * self._std)  # minus that of the density of each sensor's noise
+        self._log_peaks = float(self._log_peak.sum())
         self._variance = measurement_noise(self._std)
         self.augment = (augment,) if isinstance(augment, str | Augment) else tuple(augment)
         self.extras = resolve(crane, self.augment)
@@ -146,12 +152,12 @@ class Estimator:
             self._again = Process(engine, self._channels, self.extras, self._bounds)
         self._method_name = method
         constants = [k for k, e in enumerate(self.extras, self.size - len(self.extras)) if e.memory == np.inf]
-        self._held = constants if revisit is not None else []
+        self._constants = constants if revisit is not None else []
         self._method = method_of(method, np.ones(self.size))
         self._start = start
         self._check_start()
         self._known_noise(self.max_step)  # refused here, not in the middle of a run
-        self._revisit = revisit
+        self.revisit = revisit
         if revisit is not None and method != "ekf":
             raise CraneError(f'revisit goes with the filter "ekf", which takes slopes, not with {method!r}. Use "ekf".')
         self._given: dict[str, Any] = {
@@ -180,6 +186,22 @@ class Estimator:
             )
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise CraneError(f"start: mean or covariance of {names} holds what is not finite. Give numbers in SI.")
+        for name, variance in zip(self.engine.state_names, np.diag(covariance), strict=True):
+            if not variance > 0.0:
+                raise CraneError(f"start: {name} has variance {variance:g}. Give a small positive one.")
+        scale = np.sqrt(np.diag(covariance))
+        correlation = np.asarray(covariance / np.outer(scale, scale), float)
+        uneven = np.abs(correlation - correlation.T) > _UNEVEN
+        if uneven.any():
+            one, other = (self.engine.state_names[i] for i in np.argwhere(uneven)[0])
+            raise CraneError(f"start: the covariance of {one} and {other} is not that of {other} and {one}. Mend one.")
+        column = cholesky(correlation, np.empty_like(correlation))
+        if column >= 0:
+            name = self.engine.state_names[column]
+            raise CraneError(
+                f"start: the covariance is not positive definite, as {name} follows from the states before it or is "
+                "correlated with them by more than is possible. Give smaller covariances."
+            )
 
     def varied(self, **changes: Any) -> Estimator:
         """Return a fresh estimator with some arguments changed."""
@@ -229,6 +251,7 @@ class Estimator:
         self._last_input: np.ndarray | None = None
         self._last_command: np.ndarray | None = None
         self._late = _IN_ORDER
+        self._odd: set[tuple[str, str]] = set()
         self._broken = False  # whether the belief was set up anew on the way
         self._flags = np.zeros(len(self.std_of), np.uint8)
         self._sizes = Sizes(self.extras, self._engine_states + len(self._channels.lags), self._adapt)
@@ -255,13 +278,22 @@ class Estimator:
             CraneError: a command or measurement with an unknown name or of a wrong shape, or a first time that is no
                 number.
         """
-        command, values, supply = self._sorted_out(commands, measurements)
+        lay = self.crane.layout
+        command = command_of(commands, lay.commands)
+        readings = readings_of(measurements, (*self.std_of, *lay.supply))
         if self.time is None:
-            self._begin(0.0 if time is None else first_stamp(time), command, values, supply)
+            time = 0.0 if time is None else first_stamp(time)
+        else:
+            time = self.time + self.max_step if time is None else number(time, "time")
+        command, values, supply, odd = self._usable(command, readings)
+        late = self.time is not None and not (np.isfinite(time) and (time > self.time or self._went_back(time)))
+        if late:
+            odd.append(("time", "stamp not later than the last one: sample left out"))
+        self._note(time, odd)
+        if late:
             return self._unchanged()
-        time = self.time + self.max_step if time is None else number(time, "time")
-        if not (np.isfinite(time) and (time > self.time or self._went_back(time))):
-            self.events.append((time, "time", "stamp not later than the last one: sample left out"))
+        if self.time is None:
+            self._begin(time, command, values, supply)
             return self._unchanged()
         if not 0.0 < time - self.time <= LONG_GAP:
             self._resume(time, dict(zip(self._channels.names, values, strict=True)), {})
@@ -273,22 +305,42 @@ class Estimator:
             self._set_inputs(command, supply)
         times = inner_times(self.time, time, self.max_step)
         inputs = self._live_inputs(times, command, supply)
-        innovation, _, flags, nis, _ = self._advance(times, inputs, values)
-        self._note_rejections(time, flags)
-        return self._now(innovation, flags, nis)
+        outcome = self._advance(times, inputs, values)
+        self._note_rejections(time, outcome.flags)
+        return self._now(outcome)
 
-    def _sorted_out(
-        self, commands: Sequence[float] | Mapping[str, float], measurements: Mapping[str, float]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        supply = self.crane.layout.supply
-        command = self._usable(command_of(commands, self.crane.layout.commands))
-        readings = readings_of(measurements, (*self.std_of, *supply))
-        units = (*self._units, *("Pa" for _ in supply))
-        for k, (name, unit) in enumerate(zip((*self.std_of, *supply), units, strict=True)):
+    def _usable(
+        self, command: np.ndarray, readings: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[tuple[str, str]]]:
+        """Return command (valves,), values (k,) of the sensors and supply pressures (2,) of a sample as the filter
+        takes them, and what is odd about it: (where, what).
+
+        A command that is missing stays as it was, one beyond ±1 is cut; a reading that no crane shows is missing; a
+        supply pressure that is missing stays as it was, NaN before the first.
+        """
+        lay, odd = self.crane.layout, list[tuple[str, str]]()
+        units = (*self._units, *("Pa" for _ in lay.supply))
+        for k, (name, unit) in enumerate(zip((*self.std_of, *lay.supply), units, strict=True)):
             if impossible(unit, readings[k]):
-                self.events.append((self._clock, name, f"no crane shows {readings[k]:g}: taken as missing"))
+                odd.append((name, f"no crane shows this: {readings[k]:g}, taken as missing"))
                 readings[k] = np.nan
-        return command, readings[: -len(supply)], readings[-len(supply) :]
+        values, supply = np.split(readings, [len(self.std_of)])
+        if self._last_input is not None:
+            supply = np.where(np.isnan(supply), self._last_input[lay.supplies], supply)
+        missing = ~np.isfinite(command)
+        if missing.any():
+            odd.append(("commands", "missing, the last one is held"))
+            command[missing] = 0.0 if self._last_command is None else self._last_command[missing]
+        if (np.abs(command) > 1.0).any():
+            odd.append(("commands", "beyond ±1, cut"))
+            command = np.clip(command, -1.0, 1.0)
+        return command, values, supply, odd
+
+    def _note(self, time: float, odd: Sequence[tuple[str, str]]) -> None:
+        """Tell what is odd about a sample, (where, what), and was not so about the one before."""
+        kinds = {(where, kind_of(text)) for where, text in odd}
+        self.events += [(time, where, text) for where, text in odd if (where, kind_of(text)) not in self._odd]
+        self._odd = kinds
 
     @property
     def _clock(self) -> float:
@@ -309,19 +361,6 @@ class Estimator:
             if flags[row] in REJECTED:
                 self.events.append((time, self._channels.names[row], REJECTED[int(flags[row])]))
             self._flags[row] = flags[row]
-
-    def _usable(self, command: np.ndarray) -> np.ndarray:
-        """Return a command that the valves can follow: a missing one stays as it was, one beyond ±1 is cut, both are
-        told.
-        """
-        missing = ~np.isfinite(command)
-        if missing.any():
-            self.events.append((self._clock, "commands", "missing, the last one is held"))
-            command[missing] = 0.0 if self._last_command is None else self._last_command[missing]
-        if (np.abs(command) > 1.0).any():
-            self.events.append((self._clock, "commands", "beyond ±1, cut"))
-            command = np.clip(command, -1.0, 1.0)
-        return command
 
     def _begin(self, time: float, command: np.ndarray, values: np.ndarray, supply: np.ndarray) -> None:
         self.start_at(time, dict(zip(self._channels.names, values, strict=True)))
@@ -350,10 +389,9 @@ class Estimator:
 
     def _unchanged(self) -> Now:
         """Return what is known after a call that was corrected by no sensor."""
-        innovation, _, flags, nis, _ = self._nothing(len(self.std_of))
-        return self._now(innovation, flags, nis)
+        return self._now(Outcome.none(len(self.std_of)))
 
-    def _now(self, innovation: np.ndarray, flags: np.ndarray, nis: float) -> Now:
+    def _now(self, outcome: Outcome) -> Now:
         assert self.time is not None
         names = self._channels.names
         mean, variance = self.belief.mean.copy(), self.belief.covariance.diagonal().copy()
@@ -362,9 +400,9 @@ class Estimator:
             time=self.time,
             mean=mean,
             std=np.sqrt(variance),
-            innovation={n: float(v) for n, v in zip(names, innovation, strict=True) if np.isfinite(v)},
-            rejected=tuple(n for n, f in zip(names, flags, strict=True) if f not in (USED, ABSENT)),
-            nis=nis,
+            innovation={n: float(v) for n, v in zip(names, outcome.innovation, strict=True) if np.isfinite(v)},
+            rejected=tuple(n for n, f in zip(names, outcome.flags, strict=True) if f not in (USED, ABSENT)),
+            nis=outcome.nis,
             names=self.state_names,
         )
 
@@ -381,8 +419,8 @@ class Estimator:
         mean[extras] = [e.value for e in self.extras]
         covariance[extras, extras] = np.diag([e.std**2 for e in self.extras])
         self._set_states(start, mean, covariance)
-        self._opened = covariance
-        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)), self._held, bool(self.extras))
+        self._start_covariance = covariance
+        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)), self._constants, bool(self.extras))
         self.belief = self._method.begin(mean, covariance)
         self._forget_doubts(time, taken(self.crane.layout, first) if self._start is None else ())
         self.time = time
@@ -412,34 +450,26 @@ class Estimator:
 
     def _advance(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-        """Predict to times[-1] and correct by `values` (k,), NaN for missing.
-
-        Returns innovation (k,), its variance (k,), flags (k,), NIS and log-likelihood.
-        """
+    ) -> Outcome:
+        """Predict to times[-1] and correct by `values` (k,), NaN for missing."""
         try:
-            result = self._predict_and_correct(times, inputs, values, recorder)
+            outcome = self._predict_and_correct(times, inputs, values, recorder)
         except EngineMisfit:
             raise
         except _FAILURES as problem:
             self._restart(float(times[-1]), str(problem))
-            result = self._nothing(values.size)
+            unlikely = self._unlikely * np.count_nonzero(~np.isnan(values))
+            outcome = Outcome.none(values.size)._replace(log_likelihood=-unlikely)
             if recorder is not None and recorder.smooth:
                 recorder.cut(self.belief)
         self.time = float(times[-1])
         self.count += 1
-        lost = self._belief_in_doubt.ripe(self.time, result[3])
+        lost = self._belief_in_doubt.ripe(self.time, outcome.nis)
         if self._opinion is not None:
-            self._hear(times, inputs, values, result, recorder)
-        elif lost or (result[2] == OUTLIER).any():
-            self._doubt(lost, values, result[2], recorder)
-        return result
-
-    @staticmethod
-    def _nothing(sensors: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-        """Return what a step tells that was corrected by no sensor."""
-        unknown = np.full(sensors, np.nan)
-        return unknown, unknown.copy(), np.full(sensors, ABSENT, np.uint8), float("nan"), 0.0
+            self._hear(times, inputs, values, outcome, recorder)
+        elif lost or (outcome.flags == OUTLIER).any():
+            self._doubt(lost, values, outcome.flags, recorder)
+        return outcome
 
     def _doubt(self, lost: bool, values: np.ndarray, flags: np.ndarray, recorder: Recorder | None) -> None:
         """Set up a second filter that believes a sensor which stays rejected, or the sensors where they do not fit the
@@ -463,16 +493,11 @@ class Estimator:
                 self._overturn(np.full(flags.size, np.nan), recorder)
 
     def _hear(
-        self,
-        times: np.ndarray,
-        inputs: np.ndarray,
-        values: np.ndarray,
-        result: tuple[np.ndarray, np.ndarray, np.ndarray, float, float],
-        recorder: Recorder | None,
+        self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, first: Outcome, recorder: Recorder | None
     ) -> None:
         """Let the second filter weigh one more sample, and go on with it where it is right."""
         assert self._opinion is not None
-        time, flags, row = float(times[-1]), result[2], self._opinion.row
+        time, flags, row = float(times[-1]), first.flags, self._opinion.row
         rows = flags == USED
         if row is not None:
             rows[row] = not np.isnan(values[row])
@@ -488,7 +513,7 @@ class Estimator:
             right: bool | None = False
         else:
             self._opinion.belief = self._inside(prior if second is None else second)
-            self._opinion.weigh(time, result[:2], (innovation, variance), rows)
+            self._opinion.weigh(time, (first.innovation, first.variance), (innovation, variance), rows)
             right = self._opinion.right(time)
         if right:
             self._overturn(innovation, recorder)
@@ -532,7 +557,9 @@ class Estimator:
         self, time: float, first: Mapping[str, float], spread: Mapping[str, float], recorder: Recorder | None = None
     ) -> None:
         """Go on after a gap that is too long to be predicted through."""
-        self.events.append((time, "time", f"clock went on by {time - self._clock:.3g} s: anew from the sensors"))
+        by = time - self._clock
+        text = f"clock went {'on' if by > 0.0 else 'back'} by {abs(by):.3g} s: anew from the sensors"
+        self.events.append((time, "time", text))
         self.belief, self._broken = self._anew(first, spread), True
         self._forget_doubts(time, taken(self.crane.layout, first))
         if recorder is not None and recorder.smooth:
@@ -560,16 +587,14 @@ class Estimator:
 
     def _predict_and_correct(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+    ) -> Outcome:
         noise = self.process_noise(float(times[-1] - times[0]))
         prior = self._method.predict(self.belief, self._process.over(inputs, times), noise, self.count)
         if recorder is not None and recorder.smooth:
             recorder.predicted(prior)
         return self._correct(prior, float(times[-1]), values)
 
-    def _correct(
-        self, prior: Any, time: float, values: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+    def _correct(self, prior: Any, time: float, values: np.ndarray) -> Outcome:
         """Correct by what is there, let the monitor judge it, and correct anew without what cannot be believed."""
         energy = values.dot(values)
         if energy == energy:  # no NaN: every sensor was read, which is worth a short cut
@@ -580,13 +605,15 @@ class Estimator:
         flags, bad = self._monitor.judge(time, values, innovation, variance)
         if bad:
             result, _, _ = self._correct_some(prior, values, flags == USED)
+        peaks = self._log_peaks if energy == energy and not bad else float(self._log_peak[flags == USED].sum())
+        unlikely = self._unlikely * np.count_nonzero(flags == OUTLIER) if bad else 0.0
         if result is None:
             self.belief = prior
-            return innovation, variance, flags, float("nan"), 0.0
+            return Outcome(innovation, variance, flags, float("nan"), -unlikely)
         self.belief = self._inside(result)
         if self._sizes.adapted:
             self._sizes.follow(self.belief.mean, self.belief.covariance.diagonal(), time - self._clock)
-        return innovation, variance, flags, result.nis, result.log_likelihood
+        return Outcome(innovation, variance, flags, result.nis, result.log_likelihood + peaks - unlikely)
 
     def _inside(self, belief: Any) -> Any:
         """Return a belief whose mean is physical."""
@@ -638,7 +665,7 @@ class Estimator:
         if not np.isfinite(mean).all():
             mean = np.where(np.isfinite(mean), mean, 0.0)
         mean = np.clip(mean, self._limits.lower, self._limits.upper)
-        self.belief, self._broken = self._method.begin(mean, self._opened), True
+        self.belief, self._broken = self._method.begin(mean, self._start_covariance), True
 
     def _all_bounds(self, lengths: Callable[[np.ndarray], np.ndarray] | None) -> Bounds:
         engine = crane_bounds(self.crane, lengths, self._engine_states)
@@ -671,9 +698,9 @@ class Estimator:
             CraneError: the recording has none of the sensors, or no commands.
         """
         recorder, plan = self.recorded(recording, smooth=smooth, keep_covariance=keep_covariance, progress=progress)
-        return self.told(recorder, plan, self.events)
+        return self.estimate_of(recorder, plan, self.events)
 
-    def told(self, recorder: Recorder, plan: Plan, events: list[tuple[float, str, str]]) -> Estimate:
+    def estimate_of(self, recorder: Recorder, plan: Plan, events: list[tuple[float, str, str]]) -> Estimate:
         """Return the estimate that a recorder has collected over a plan, with what happened on the way."""
         return recorder.estimate(plan, events, self.crane, self._method_name, self._std, self._floor)
 
@@ -686,50 +713,45 @@ class Estimator:
         progress: Callable[[float], None] | None = None,
     ) -> tuple[Recorder, Plan]:
         """Return what a run over a recording leaves behind, and the instants that it went over; see `run`."""
-        plan = self.opened(recording)
+        plan = self.set_out(recording)
         recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
         recorder.start(self.belief)
-        until = plan.time[0] + (self._revisit.until if self._revisit else 0.0)
-        beginning = Beginning(self.belief, float(until), self._held)
+        until = plan.time[0] + (self.revisit.until if self.revisit else 0.0)
+        beginning = Beginning(self.belief, float(until), self._constants)
         for k in range(1, plan.time.size):
-            result = self.on_plan(plan, k, recorder)
+            outcome = self.on_plan(plan, k, recorder)
             if not beginning.over:
-                self._look_back(beginning, plan, k, result[2] == USED, recorder)
-            recorder.note(k, self.belief, *result)
+                self._look_back(beginning, plan, k, outcome.flags == USED, recorder)
+            recorder.note(k, self.belief, outcome)
             if progress is not None and k % 500 == 0:
                 progress(k / plan.time.size)
         return recorder, plan
 
-    def opened(self, recording: Any) -> Plan:
+    def set_out(self, recording: Any) -> Plan:
         """Return the instants of a recording (as of `run`), with the belief set up at the first of them."""
         signals = recording if isinstance(recording, Signals) else Signals.of(recording, self.crane)
         self.reset()
         plan = signals.plan(self.crane, self.channel_names, self.max_step)
-        since = self._agreed_start(plan)
+        since = agreed_start(self, plan) if self._start is None else {}
         self.reset()
         self.events.extend(plan.events)
         for name, begin in since.items():
             text = f"until {begin:.3f} s at odds with what it shows later and with the other sensors: left out"
             self.events.append((float(plan.time[0]), name, text))
         plan = plan.without(self.channel_names, since)
-        self.start_at(float(plan.time[0]), *plan.opening())
+        self.start_at(float(plan.time[0]), *plan.first_readings())
         return plan
 
     def believe(self, belief: Belief) -> None:
         """Go on from another belief, of all that is estimated, at the same time."""
         self.belief = self._method.begin(belief.mean, belief.covariance)
 
-    def on_plan(
-        self, plan: Plan, k: int, recorder: Recorder | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-        """Go on to instant k of a plan: by prediction and correction, or anew from the sensors after a long gap.
-
-        Returns innovation (k,), its variance (k,), flags (k,), NIS and log-likelihood.
-        """
+    def on_plan(self, plan: Plan, k: int, recorder: Recorder | None = None) -> Outcome:
+        """Go on to instant k of a plan: by prediction and correction, or anew from the sensors after a long gap."""
         i, j = plan.inner[k - 1], plan.inner[k] + 1
         if plan.time[k] - plan.time[k - 1] > LONG_GAP:
-            self._resume(float(plan.time[k]), *plan.opening(at=float(plan.time[k])), recorder)
-            return self._nothing(plan.values.shape[1])
+            self._resume(float(plan.time[k]), *plan.first_readings(at=float(plan.time[k])), recorder)
+            return Outcome.none(plan.values.shape[1])
         return self._advance(plan.grid[i:j], plan.inputs[i:j], plan.values[k], recorder)
 
     def _look_back(self, beginning: Beginning, plan: Plan, k: int, used: np.ndarray, recorder: Recorder) -> None:
@@ -761,57 +783,6 @@ class Estimator:
         if recorder.smooth:
             recorder.cut(self.belief)
 
-    def _agreed_start(self, plan: Plan) -> dict[str, float]:
-        """Return {channel: time} of the channels whose samples before that time the start must not be taken from.
-
-        A channel that leaps early on was wrong before or is wrong after. The start is tried both ways, and the filter
-        says with which of them the first samples of all channels agree better.
-        """
-        since: dict[str, float] = {}
-        if self._start is not None:
-            return since
-        end = float(plan.time[0]) + _EARLY
-        groups: dict[float, list[str]] = {}
-        for name, (time, values) in plan.series.items():
-            early, std = time <= end, self.std_of[name]
-            at = leaps(time[early], values[early], std, FASTEST[self.crane.layout.sensors[name].unit], self.gate)
-            if at.size:
-                longest = at[np.argmax(np.diff([*at, early.sum()]))]
-                for k in sorted({int(at[0]), int(longest)}):
-                    groups.setdefault(float(time[k]), []).append(name)
-        best = self._disagreement(plan, since, end) if groups else np.inf
-        for begin, names in sorted(groups.items()):
-            trial = since | dict.fromkeys(names, begin)
-            score = self._disagreement(plan, trial, end)
-            if score < best:
-                best, since = score, trial
-        return since
-
-    def _disagreement(self, plan: Plan, since: Mapping[str, float], end: float) -> float:
-        """Return how badly the samples up to twice the time to `end` fit a start: Σ min(ν²/S, gate²) + log S."""
-        self.reset()
-        start, tried = float(plan.time[0]), plan.without(self.channel_names, since)
-        self.start_at(start, *tried.opening())
-        total: float = 0.0
-        most = self.gate**2
-        for k in range(1, plan.until(2.0 * end - start)):
-            innovation, variance, flags, _, _ = self.on_plan(tried, k)
-            used = flags == USED
-            size = variance[used] / self._variance.diagonal()[used]
-            total += float(np.sum(np.minimum(innovation[used] ** 2 / variance[used], most) + np.log(size)))
-            total += most * int((~used & ~np.isnan(plan.values[k])).sum())
-        return total
-
-
-def _positive(given: Any, what: str, mend: str, *, endless: bool = False) -> float:
-    """Return a positive number, which may be infinite only where it may be `endless`. Raises CraneError, which tells
-    the mend, for anything else.
-    """
-    found = number(given, what)
-    if not 0.0 < found < np.inf and not (endless and found == np.inf):
-        raise CraneError(f"{what} is {given}. Give {mend}.")
-    return found
-
 
 def inner_times(start: float, end: float, max_step: float) -> np.ndarray:
     """Return instants from `start` to `end` inclusive, evenly apart, at most `max_step`."""
@@ -840,8 +811,6 @@ def sensor_std(crane: Crane, sensors: Mapping[str, float] | Sequence[str] | str)
         raise CraneError(f"The estimator has no sensor. Give at least one of {', '.join(table)}.")
     for name, std in given.items():
         sensor(name, table)
-        if std is not None and not (np.isfinite(std) and std > 0):
-            raise CraneError(
-                f"sensor {name!r}: a noise standard deviation of {std:g} cannot be used. Give a positive one."
-            )
+        if std is not None:
+            given[name] = positive(std, f"sensor {name!r}: the noise", f"a positive deviation in {table[name].unit}")
     return {n: float(s if s is not None else crane.sensors.get(n, table[n].sizes.noise)) for n, s in given.items()}

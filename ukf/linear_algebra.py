@@ -58,20 +58,6 @@ def solve_lower(root: np.ndarray, rhs: np.ndarray) -> np.ndarray:
 
 
 @njit()
-def solve_lower_transposed(root: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-    """Return root⁻ᵀ rhs (n, m) for a lower triangular `root` (n, n)."""
-    n, m = rhs.shape
-    out = np.empty((n, m))
-    for j in range(m):
-        for i in range(n - 1, -1, -1):
-            total = rhs[i, j]
-            for k in range(i + 1, n):
-                total -= root[k, i] * out[k, j]
-            out[i, j] = total / root[i, i]
-    return out
-
-
-@njit()
 def lower_factor(wide: np.ndarray) -> np.ndarray:
     """Return the lower triangular L (n, n), diagonal not negative, with L Lᵀ = wide wideᵀ; `wide` (n, m), m >= n.
 

@@ -25,11 +25,23 @@ METHODS = ("ukf", "sr-ukf", "ckf", "simplex", "ekf")
 class Method(Protocol):
     """One filter: `begin` makes its kind of belief, `predict` and `update` return new ones."""
 
-    def begin(self, mean: np.ndarray, covariance: np.ndarray) -> Any: ...
+    def begin(self, mean: np.ndarray, covariance: np.ndarray) -> Any:
+        """Return the belief to start with, of mean (n,) and covariance (n, n)."""
+        ...
 
-    def predict(self, belief: Any, propagate: kf.Points, noise: np.ndarray, step: int) -> Any: ...
+    def predict(self, belief: Any, propagate: kf.Points, noise: np.ndarray, step: int) -> Any:
+        """Return the belief one step on: points (m, n) go over by `propagate`, `noise` (n, n) is added; `step` counts.
 
-    def update(self, belief: Any, observe: kf.Points, y: np.ndarray, std: np.ndarray, step: int) -> Any: ...
+        Raises:
+            FilterError: the covariance has no Cholesky factor.
+        """
+        ...
+
+    def update(self, belief: Any, observe: kf.Points, y: np.ndarray, noise: np.ndarray, step: int) -> Any:
+        """Return the belief corrected by measurements `y` (k,), whose noise has the covariance `noise` (k, k);
+        `observe` tells what sensors show (m, k) of points (m, n). Raises FilterError as `predict` does.
+        """
+        ...
 
 
 @dataclass(frozen=True)

@@ -3,24 +3,11 @@
 Process noise that is white says that a model errs anew at every instant, and averages out. Errors of a model do not: a
 leak, a load or a valve that is not as the file says acts for seconds in one direction, and what no sensor measures
 follows it. So the filter estimates along with the state what may act so, each unknown as first-order Gauss-Markov
-noise:
-
-| unknown | acts | size that is expected | memory |
-|---|---|---|---|
-| a moment on each joint | always | 5 % of what its cylinder can do | 10 s, or less: it is searched; a walk from a
-constant where the crane file's own uncertainties do more to the balance |
-| a flow into each chamber | always | 0.5 % of the valve's flow under full pump pressure | 3 s |
-| flow coefficient of each valve | while its spool is open | 10 % | 3 s |
-| pump pressure | while a valve draws from it | 5 % | 3 s |
-| volume of the hoses, which stands for softness of the oil | while the pressure changes | 50 % | 1 s |
-| an offset of each pressure sensor | always | a third of its noise | 10 s |
-| an offset of each other sensor, which lags or rings | always | a third of its noise | 0.2 s |
-| a parameter that the crane file calls unknown, such as the payload | as the model says | 100 kg for a payload |
-constant |
+noise; "When the model is wrong" in docs/estimator.md has the table of them.
 
 How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the
 innovations are most likely (`replay`), held back from leaving what is expected by a prior of half a power of ten. Then
-each size is opened by a quarter of a power of ten, or as much less as leaves the innovations nearly as likely: they
+each size is widened by a quarter of a power of ten, or as much less as leaves the innovations nearly as likely: they
 tell of an unknown what it does to the sensors, and what is not measured may suffer more. With a model that is right all
 sizes fall, and the intervals are those of the filter without them.
 
@@ -53,9 +40,14 @@ from .side_by_side import SideBySide
 from .signals import Signals
 from .tuning import busiest, descend, limits_of, logs_of, noise_of
 
+#: (size that is expected, memory in s) of a moment, in parts of what the joint's cylinder can do; of a flow, in parts
+#: of the valve's under full pump pressure; of a flow coefficient, the pump pressure and a volume of hoses, in parts of
+#: each; of an offset of a pressure sensor and of any other, in parts of the sensor's noise
+_MOMENT, _FLOW, _VALVE, _PUMP, _HOSES = (0.05, 10.0), (0.005, 3.0), (0.1, 3.0), (0.05, 3.0), (0.5, 1.0)
+_GAUGE, _OTHER = (1.0 / 3.0, 10.0), (1.0 / 3.0, 0.2)
 #: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are
-#: opened afterwards
-_PRIOR, _PRIOR_NOISE, _OPENED = 0.5, 3.0, 0.25
+#: widened afterwards
+_PRIOR, _PRIOR_NOISE, _WIDENED = 0.5, 3.0, 0.25
 #: shares of that that are tried, the widest first
 _SHARES = (1.0, 0.75, 0.5, 0.25)
 #: largest offset of a sensor in parts of its noise; and of a gauge where a crane file is to tell of the model: what is
@@ -65,7 +57,7 @@ _DRIFT, _STEADY = 30.0, 1.0 / 3.0
 _BELOW = -4.0
 #: unknowns whose size is so many powers of ten below what is expected are left out
 _NOTHING = -2.5
-#: log-likelihood a sample that opened sizes may cost
+#: log-likelihood a sample that widened sizes may cost
 _PRICE = 0.02
 #: first step of the search in each run that is replayed, powers of ten, and what a round of it must gain in
 #: log-likelihood
@@ -155,9 +147,9 @@ def unknowns(
     """
     lay, pump = crane.layout, crane["supply.pump_pressure"]
     found = [
-        Unknown((name,), 0.05 * most, 10.0, most, stays)
-        if stays > 0.05 * most
-        else Unknown((name,), 0.05 * most, 10.0, most, least=_QUICK)
+        Unknown((name,), *_share(most, _MOMENT), most, stays)
+        if stays > _MOMENT[0] * most
+        else Unknown((name,), *_share(most, _MOMENT), most, least=_QUICK)
         for name, most, stays in zip(lay.torques, _moments(crane), filed_moments(crane), strict=True)
     ]
     for cylinder, sides in zip(lay.cylinders, lay.sides, strict=True):
@@ -165,20 +157,25 @@ def unknowns(
         hoses = tuple(f"cylinders.{cylinder}.hose_volume_{side}" for side in ("piston", "rod"))
         flow, volume = crane[valve] * np.sqrt(pump), float(np.mean([crane[h] for h in hoses]))
         found += [
-            Unknown(tuple(f"flow.{chamber}" for chamber in sides), 0.005 * flow, 3.0, flow),
-            Unknown((valve,), 0.1 * crane[valve], 3.0, crane[valve]),
-            Unknown(hoses, 0.5 * volume, 1.0, volume),
+            Unknown(tuple(f"flow.{chamber}" for chamber in sides), *_share(flow, _FLOW), flow),
+            Unknown((valve,), *_share(crane[valve], _VALVE), crane[valve]),
+            Unknown(hoses, *_share(volume, _HOSES), volume),
         ]
-    found.append(Unknown(("supply.pump_pressure",), 0.05 * pump, 3.0, pump))
+    found.append(Unknown(("supply.pump_pressure",), *_share(pump, _PUMP), pump))
     gauges = [n for n in sensors if lay.sensors[n].unit == "Pa"]
     found = [_as_filed(u, crane) for u in found]
-    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 10.0, drift * sensors[n]) for n in gauges]
+    found += [Unknown((f"bias.{n}",), *_share(sensors[n], _GAUGE), drift * sensors[n]) for n in gauges]
     others = [n for n in sensors if n not in gauges]
-    found += [Unknown((f"bias.{n}",), sensors[n] / 3.0, 0.2, _DRIFT * sensors[n]) for n in others]
+    found += [Unknown((f"bias.{n}",), *_share(sensors[n], _OTHER), _DRIFT * sensors[n]) for n in others]
     found += [
         Unknown((e.name,), e.std, np.inf, 10.0 * e.std, spared=True) for e in resolve(crane, _openly_unknown(crane))
     ]
     return tuple(u for u in found if u.size > 0.0 and not set(u.names) & set(without))  # machines without hoses
+
+
+def _share(whole: float, kind: tuple[float, float]) -> tuple[float, float]:
+    """Return the size and the memory of an unknown of a kind."""
+    return kind[0] * whole, kind[1]
 
 
 def _openly_unknown(crane: Crane) -> list[str]:
@@ -216,17 +213,17 @@ def filed_moments(crane: Crane) -> list[float]:
     """Return the standard deviation (N m; sliding: N) of each joint's balance at rest, in the pose to start with, by
     what the crane file says of the uncertainty of its parameters.
     """
-    held = _held(crane)
+    held_by = _holding_moments(crane)
     squares = np.zeros(len(crane.layout.coordinates))
     for name, known in crane.uncertainty.items():
         if np.isfinite(known.std) and name in crane.machine.index:
             # a parameter with which the machine cannot stand there tells nothing
             with suppress(CraneError):
-                squares += (_held(crane.with_parameters({name: crane[name] + known.std})) - held) ** 2
+                squares += (_holding_moments(crane.with_parameters({name: crane[name] + known.std})) - held_by) ** 2
     return np.sqrt(squares).tolist()
 
 
-def _held(crane: Crane) -> np.ndarray:
+def _holding_moments(crane: Crane) -> np.ndarray:
     """Return the moments (coordinates,) by which the pressures hold a crane at rest in the pose to start with, as far
     as its own cylinder does for each joint.
     """
@@ -254,7 +251,7 @@ def live(plain: Estimator, adapt: float = _ADAPT) -> Estimator:
     """
     first = expected(plain.crane, plain.std_of, _names(plain.augment))
     start = _Search(replace(first, unknowns=tuple(replace(u, stays=0.0) for u in first.unknowns)))
-    return start.opened(start.first).behind(plain).varied(adapt=adapt)
+    return start.widened(start.first).behind(plain).varied(adapt=adapt)
 
 
 def _names(augment: Iterable[Any]) -> list[str]:
@@ -271,7 +268,7 @@ def find(
     seconds: float = _SECONDS,
     progress: Callable[[float], None] | None = None,
 ) -> ModelError:
-    """Return the model error under which the innovations of a recording are most likely, its sizes opened afterwards.
+    """Return the model error under which the innovations of a recording are most likely, its sizes widened afterwards.
 
     Args:
         crane: the model.
@@ -282,7 +279,7 @@ def find(
         progress: called with the fraction done.
     """
     search, logs, replay = _searched(crane, recording, sensors, engine, augment, seconds, progress)
-    return search.opened(logs, search.opening(replay, logs))
+    return search.widened(logs, search.widening(replay, logs))
 
 
 def lasting(
@@ -335,7 +332,7 @@ def _searched(
     """Return the search, the most likely logarithms, and the last run in which they were searched."""
     std = sensor_std(crane, sensors)
     signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
-    piece = busiest(signals, seconds).thinned(_RATE)
+    piece = busiest(signals, seconds).thinned(_RATE, crane.layout)
     search = _Search(expected(crane, std, _names(augment), drift))
     logs = search.first
     for k, step in enumerate(_STEPS):
@@ -410,22 +407,22 @@ class _Search:
         now = self.model_error(logs)
         return replay.log_likelihood(now.noise, now.augment)
 
-    def opening(self, replay: Replay, logs: np.ndarray) -> float:
-        """Return by how many powers of ten sizes may be opened before the innovations become less likely than that is
+    def widening(self, replay: Replay, logs: np.ndarray) -> float:
+        """Return by how many powers of ten sizes may be widened before the innovations become less likely than that is
         worth.
         """
         least = self._log_likelihood(replay, logs) - _PRICE * replay.used
-        shares = (s for s in _SHARES if self._log_likelihood(replay, self._widened(logs, s * _OPENED)) >= least)
-        return _OPENED * next(shares, 0.0)
+        shares = (s for s in _SHARES if self._log_likelihood(replay, self._wide(logs, s * _WIDENED)) >= least)
+        return _WIDENED * next(shares, 0.0)
 
-    def _widened(self, logs: np.ndarray, by: float) -> np.ndarray:
+    def _wide(self, logs: np.ndarray, by: float) -> np.ndarray:
         wide = logs.copy()
         wide[: self.count] = np.minimum(wide[: self.count] + by, self._most)
         return wide
 
-    def opened(self, logs: np.ndarray, by: float = _OPENED) -> ModelError:
-        """Return the model error with sizes that are opened, without unknowns of no account."""
-        wide = self._widened(logs, by)
+    def widened(self, logs: np.ndarray, by: float = _WIDENED) -> ModelError:
+        """Return the model error with sizes that are widened, without unknowns of no account."""
+        wide = self._wide(logs, by)
         found = self.model_error(wide)
         sizes = self._sizes(wide)
         kept = [k for k, u in enumerate(found.unknowns) if sizes[k] > _NOTHING or u.stays]
@@ -488,7 +485,9 @@ def estimate(
             return _run(plain, recording, smooth, noise_slack, done)
 
     result, account = _chosen(mode, first, wider)
-    return _told(plain.crane, result, found[0], account) if account.used else replace(result, model_error=account)
+    if account.used:
+        return _without_unknowns(plain.crane, result, found[0], account)
+    return replace(result, model_error=account)
 
 
 def estimate_side_by_side(
@@ -558,7 +557,7 @@ def lacking(plain: Estimate) -> bool:
     return plain.judgement in ("too narrow", "lacking")
 
 
-def _told(crane: Crane, result: Estimate, found: ModelError, account: Account) -> Estimate:
+def _without_unknowns(crane: Crane, result: Estimate, found: ModelError, account: Account) -> Estimate:
     """Return an estimate without the unknowns among its states, and with an account of them."""
     count = len(result.state_names) - len(found.augment)
     ends = {

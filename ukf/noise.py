@@ -27,17 +27,6 @@ def measurement_noise(standard_deviations: np.ndarray) -> np.ndarray:
     return np.diag(np.asarray(standard_deviations, float) ** 2)
 
 
-def paper_process_noise(
-    dt: float, acceleration: float = PAPER_ACCELERATION, pressure: float = PAPER_PRESSURE
-) -> np.ndarray:
-    """Return Rw (8, 8) of (33), for [z1 z4 ż1 ż4 p1 p2 p3 p4].
-
-    The pressure variance stands on the diagonal as it is, whatever the step. `acceleration` in rad²/s⁴ and `pressure`
-    in Pa² are variances.
-    """
-    return _in_blocks(dt, [acceleration] * _COUNTS[0], [pressure] * _COUNTS[2])
-
-
 def _in_blocks(dt: float, accelerations: Sequence[float], pressures: Sequence[float]) -> np.ndarray:
     """Return the covariance (n, n) of states over `dt` seconds: of each coordinate and its rate Van Loan's integral of
     a white acceleration, by its density; variances of pressures.
@@ -100,14 +89,16 @@ class ProcessNoise:
 
 @dataclass(frozen=True)
 class PaperNoise:
-    """The paper's (33): its pressure variance is added at every step of the filter, however long the step is."""
+    """The paper's (33): variances of acceleration, rad²/s⁴, and of pressure, Pa², which is added at every step of the
+    filter, however long the step is.
+    """
 
     acceleration: float = PAPER_ACCELERATION
     pressure: float = PAPER_PRESSURE
 
     def covariance(self, dt: float) -> np.ndarray:
-        """Return Rw (8, 8) of one step of `dt` seconds."""
-        return paper_process_noise(dt, self.acceleration, self.pressure)
+        """Return Rw (8, 8) of one step of `dt` seconds, for [z1 z4 ż1 ż4 p1 p2 p3 p4]."""
+        return _in_blocks(dt, [self.acceleration] * _COUNTS[0], [self.pressure] * _COUNTS[2])
 
 
 def added_by(noise: Any, dt: float, sizes: Collection[int], names: Sequence[str]) -> np.ndarray:

@@ -46,12 +46,14 @@ class Process:
         self._plain = not extras and not self._lags
 
     def over(self, inputs: np.ndarray, times: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """Return the function points (m, n) -> points (m, n) from times[0] to times[-1] (s,) with inputs (s, 4)."""
+        """Return the function points (m, n) -> points (m, n) from times[0] to times[-1] (s,) with inputs (s, valves +
+        2).
+        """
         return lambda points: self.run(points, inputs, times)
 
     def run(self, points: np.ndarray, inputs: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return the points (m, n), which lie about their mean, carried along the inner steps `times` (s,) with inputs
-        (s, 4).
+        (s, valves + 2).
 
         A point whose parameters no machine has, such as a payload of less than nothing, is carried as the line through
         the mean and the farthest possible point between, or on the other side of it, goes on: with its parameter cut

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,24 @@ from .visible import show
 
 #: flags of samples that are not believed, in words
 REJECTED = {OUTLIER: "leapt away: samples rejected", FROZEN: "frozen at one value: samples rejected"}
+
+
+class Outcome(NamedTuple):
+    """What a step tells of k sensors: innovation (k,) and its variance (k,), SI, NaN where there is no sample; flags
+    (k,) as of `monitor`; NIS, NaN where no sample was used; log-likelihood as of `Estimate`.
+    """
+
+    innovation: np.ndarray
+    variance: np.ndarray
+    flags: np.ndarray
+    nis: float
+    log_likelihood: float
+
+    @classmethod
+    def none(cls, sensors: int) -> Outcome:
+        """Return what a step tells that was corrected by no sensor."""
+        unknown = np.full(sensors, np.nan)
+        return cls(unknown, unknown.copy(), np.full(sensors, ABSENT, np.uint8), float("nan"), 0.0)
 
 
 class Recorder:
@@ -56,22 +74,13 @@ class Recorder:
         k = self._at + 1
         self.prior_mean[k], self.prior_covariance[k], self.cross[k] = belief.mean, belief.covariance, 0.0
 
-    def note(
-        self,
-        k: int,
-        belief: Any,
-        innovation: np.ndarray,
-        variance: np.ndarray,
-        flags: np.ndarray,
-        nis: float,
-        ll: float,
-    ) -> None:
-        """Note the result of step k."""
+    def note(self, k: int, belief: Any, outcome: Outcome) -> None:
+        """Note the belief after step k, and what the step told."""
         self._keep(k, belief)
         self._at = k
-        self.innovation[k], self.spread[k], self.flags[k] = innovation, variance, flags
-        self.nis[k] = nis
-        self.log_likelihood += ll
+        self.innovation[k], self.spread[k], self.flags[k] = outcome.innovation, outcome.variance, outcome.flags
+        self.nis[k] = outcome.nis
+        self.log_likelihood += outcome.log_likelihood
 
     def _keep(self, k: int, belief: Any) -> None:
         covariance = belief.covariance
@@ -138,8 +147,13 @@ def merged(events: Sequence[tuple[float, str, str]]) -> list[Event]:
     """Return events in order, those of the same place and kind put together; the first one's details are kept."""
     groups: dict[tuple[str, str], tuple[str, list[float]]] = {}
     for time, where, text in events:
-        groups.setdefault((where, text.split(":")[0]), (text, []))[1].append(time)
+        groups.setdefault((where, kind_of(text)), (text, []))[1].append(time)
     return [Event(min(t), max(t), where, text, len(t)) for (where, _), (text, t) in groups.items()]
+
+
+def kind_of(text: str) -> str:
+    """Return what the text of an event says before its details."""
+    return text.split(":")[0]
 
 
 def flagged(time: np.ndarray, flags: np.ndarray, channels: Sequence[str]) -> list[Event]:

@@ -71,11 +71,11 @@ class Replay:
         self._offset[1:] = np.einsum("kij,kj->ki", self._transition[1:], self._moved[1:-1])
         nominal = np.array([e.value for e in varied])
         self._before, self._after = mean[:-1, self._first :] - nominal, prior[1:, self._first :] - nominal
-        self._still = np.diag(estimator.process_noise(1.0) - _padded(estimator.noise.covariance(1.0), estimator.size))
+        self._others = estimator.extras[: len(estimator.extras) - len(varied)]
 
     def log_likelihood(self, noise: ProcessNoise, varied: Sequence[Augment]) -> float:
-        """Return the log-likelihood of all samples, but for a constant, for a noise and the varied states as they are
-        in `varied`: with other standard deviations, drifts and memories.
+        """Return the log-likelihood of all samples, as of `Estimate`, for a noise and the varied states as they are in
+        `varied`: with other standard deviations, drifts and memories.
         """
         dt = self._dt[:, None]
         pairs = zip(self._varied, varied, strict=True)
@@ -88,16 +88,22 @@ class Replay:
         lengths, which = np.unique(np.round(self._dt, 9), return_inverse=True)
         noises = np.stack([self._noise(noise, h) for h in lengths])
         steps = _Steps(self._transition, self._slope, self._innovation, which, kept, added, offset)
-        return sum(
-            _run(tuple(a[begin:end] for a in steps), self._variance, self._opening(begin, extras), noises, self._first)
-            for begin, end in self._stretches
-        )
+        total = 0.0
+        for begin, end in self._stretches:
+            start, stretch = self._start_covariance(begin, extras), tuple(a[begin:end] for a in steps)
+            total += _run(stretch, self._variance, start, noises, self._first)
+        return total
 
     def _noise(self, noise: ProcessNoise, dt: float) -> np.ndarray:
-        return _padded(noise.covariance(dt), self._first) + np.diag(self._still[: self._first] * dt)
+        """Return the covariance that `dt` s add to the states that are not varied."""
+        out = np.zeros((self._first, self._first))
+        known, others = noise.covariance(dt), range(self._first - len(self._others), self._first)
+        out[: len(known), : len(known)] = known
+        out[others, others] = [e.variance(dt) for e in self._others]
+        return out
 
-    def _opening(self, at: int, extras: Sequence[Extra]) -> np.ndarray:
-        """Return the covariance (n, n) that the run was opened with before step `at`, with other variances of the
+    def _start_covariance(self, at: int, extras: Sequence[Extra]) -> np.ndarray:
+        """Return the covariance (n, n) that the run began with before step `at`, with other variances of the
         varied states.
         """
         out = self._prior_covariance[at].copy()
@@ -105,13 +111,6 @@ class Replay:
         out[:, self._first :] = 0.0
         out[np.arange(self._first, len(out)), np.arange(self._first, len(out))] = [e.std**2 for e in extras]
         return out
-
-
-def _padded(block: np.ndarray, size: int) -> np.ndarray:
-    """Return a matrix (size, size) with `block` in its upper left corner and zeros elsewhere."""
-    out = np.zeros((size, size))
-    out[: len(block), : len(block)] = block
-    return out
 
 
 def _transitions(covariance: np.ndarray, cross: np.ndarray) -> np.ndarray:
@@ -138,10 +137,10 @@ def _slopes(estimator: Estimator, recorder: Any) -> np.ndarray:
 
 
 @njit()
-def _run(steps, variance, opening, noises, first):  # type: ignore[no-untyped-def]
+def _run(steps, variance, start, noises, first):  # type: ignore[no-untyped-def]
     steps = _Steps(*steps)
     n = steps.offset.shape[1]
-    deviation, covariance, total = np.zeros(n), opening.copy(), 0.0
+    deviation, covariance, total = np.zeros(n), start.copy(), 0.0
     carried, gain = np.zeros((first, n)), np.zeros(n)
     for t in range(steps.offset.shape[0]):
         _predict(deviation, covariance, carried, steps, t, noises[steps.which[t]], first)

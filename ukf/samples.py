@@ -65,6 +65,16 @@ def first_stamp(time: Any) -> float:
     return first
 
 
+def positive(given: Any, what: str, mend: str, *, endless: bool = False) -> float:
+    """Return a positive number, which may be infinite only where it may be `endless`. Raises CraneError, which tells
+    the mend, for anything else.
+    """
+    found = number(given, what)
+    if not 0.0 < found < np.inf and not (endless and found == np.inf):
+        raise CraneError(f"{what} is {given}. Give {mend}.")
+    return found
+
+
 def number(value: Any, what: str) -> float:
     """Return a number, NaN for None.
 

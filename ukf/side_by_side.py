@@ -26,12 +26,12 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 
-from .consistency import log_likelihood
 from .estimate import Estimate
 from .estimator import Estimator
 from .filter import Belief
-from .monitor import ABSENT, USED
-from .recorder import Recorder
+from .monitor import ABSENT
+from .recorder import Outcome, Recorder
+from .samples import positive
 from .signals import Plan
 
 #: s that the machine stays with a model on the average
@@ -62,15 +62,21 @@ class SideBySide:
         stays: seconds that the machine stays with a model on the average.
 
     Raises:
-        CraneError: fewer than two models, other states or sensors in one, or a time that is not positive.
+        CraneError: fewer than two models, no estimator of its own for each, one that goes through its beginning again,
+            other states or sensors in one, or a time that is not positive.
     """
 
     def __init__(self, estimators: Mapping[str, Estimator], stays: float = STAYS) -> None:
+        if not isinstance(estimators, Mapping) or not all(isinstance(e, Estimator) for e in estimators.values()):
+            raise CraneError('SideBySide: found no estimators by name. Give {"sound": Estimator(…), "leaky": …}.')
         if len(estimators) < 2:
             raise CraneError(f"Only one model ({', '.join(estimators)}). Give two or more to run side by side.")
-        if not stays > 0.0:
-            raise CraneError(f"A machine cannot stay {stays:g} s with a model. Give a positive time.")
-        self.names, self.estimators, self.stays = tuple(estimators), list(estimators.values()), float(stays)
+        self.stays = positive(stays, "stays", "the seconds for which a machine stays with a model", endless=True)
+        self.names, self.estimators = tuple(estimators), list(estimators.values())
+        if len({id(e) for e in self.estimators}) < len(self.names):
+            raise CraneError(f"{', '.join(self.names)}: two names have one estimator. Give each one of its own.")
+        if again := [n for n, e in estimators.items() if e.revisit is not None]:
+            raise CraneError(f"{again[0]}: models side by side go through nothing again. Leave revisit out.")
         check_same_machine({name: e.crane for name, e in estimators.items()})
         first = self.estimators[0]
         self.states = first.crane.layout.states
@@ -89,20 +95,20 @@ class SideBySide:
         """Return the mixed estimate, over a recording, of the states that all models have; its `models` say how
         probable each was.
         """
-        plans = [e.opened(recording) for e in self.estimators]
+        plans = [e.set_out(recording) for e in self.estimators]
         lead, common = plans[0], len(self.states)
         probability = np.full((lead.time.size, len(plans)), 1.0 / len(plans))
         recorder = Recorder(self.states, self.estimators[0].channel_names, lead.time, False, False)
         recorder.start(mixture(probability[0], self._beliefs(common)))
         for k in range(1, lead.time.size):
             before = self._interact(probability[k - 1], float(lead.time[k] - lead.time[k - 1]), common)
-            results = [e.on_plan(plan, k) for e, plan in zip(self.estimators, plans, strict=True)]
-            probability[k], likelihood = _weighed(before, *_logs(results, [e.gate for e in self.estimators]))
-            best = results[int(probability[k].argmax())]
-            recorder.note(k, mixture(probability[k], self._beliefs(common)), *best[:4], likelihood)
+            outcomes = [e.on_plan(plan, k) for e, plan in zip(self.estimators, plans, strict=True)]
+            probability[k], likelihood = _weighed(before, outcomes)
+            best = outcomes[int(probability[k].argmax())]
+            recorder.note(k, mixture(probability[k], self._beliefs(common)), best._replace(log_likelihood=likelihood))
             if progress is not None and k % 500 == 0:
                 progress(k / lead.time.size)
-        return self._told(recorder, plans, probability)
+        return self._mixed(recorder, plans, probability)
 
     def _beliefs(self, count: int) -> list[Belief]:
         """Return each filter's belief in the states that all have."""
@@ -123,12 +129,12 @@ class SideBySide:
             estimator.believe(followed(estimator.belief, mixed))
         return np.asarray(after)
 
-    def _told(self, recorder: Recorder, plans: Sequence[Plan], probability: np.ndarray) -> Estimate:
+    def _mixed(self, recorder: Recorder, plans: Sequence[Plan], probability: np.ndarray) -> Estimate:
         events = list(plans[0].events)
         for name, estimator, plan in zip(self.names, self.estimators, plans, strict=True):
             own = estimator.events[len(plan.events) :]
-            events += [(time, where, f"{text} (as {name} sees it)") for time, where, text in own]
-        mixed = self.estimators[0].told(recorder, plans[0], events)
+            events += [(time, f"{where} of {name}", text) for time, where, text in own]
+        mixed = self.estimators[0].estimate_of(recorder, plans[0], events)
         models = dict(zip(self.names, probability.T, strict=True))
         return replace(
             mixed, crane=" | ".join(self.names), method=f"{mixed.method}, models side by side", models=models
@@ -160,28 +166,15 @@ def followed(own: Any, mixed: Belief) -> Belief:
     return Belief(mean, np.block([[mixed.covariance, across], [across.T, rest + slope @ across]]))
 
 
-Result = tuple[np.ndarray, np.ndarray, np.ndarray, float, float]
+def _weighed(before: np.ndarray, outcomes: Sequence[Outcome]) -> tuple[np.ndarray, float]:
+    """Return the probabilities (m,) of the models after a sample, and its log-likelihood under all of them.
 
-
-def _logs(results: Sequence[Result], gates: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return log-likelihoods of a sample by model (m,): of the same sensors for all, by which they are compared, and of
-    those that each believes.
-
-    A sensor that a filter does not believe counts against it as a reading at its gate does; a filter that failed is
-    worth the least of the others.
+    A filter that failed is worth the least of the others.
     """
-    alike, own = np.empty(len(results)), np.array([r[4] for r in results])
-    for k, (innovation, variance, flags, _, log) in enumerate(results):
-        left = ~np.isnan(innovation) & (flags != USED) & (flags != ABSENT)
-        reach = gates[k] * np.sqrt(variance[left])
-        alike[k] = log + log_likelihood(np.clip(innovation[left], -reach, reach), variance[left])
-    lost = np.array([bool((r[2] == ABSENT).all()) for r in results])
+    logs = np.array([o.log_likelihood for o in outcomes])
+    lost = np.array([bool((o.flags == ABSENT).all()) for o in outcomes])
     if lost.any():
-        alike[lost] = 0.0 if lost.all() else alike[~lost].min()
-    return alike, own
-
-
-def _weighed(before: np.ndarray, alike: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the probabilities (m,) after a sample, and its log-likelihood under all models; see `_logs`."""
-    after = np.maximum(before * np.exp(alike - alike.max()), _LEAST)
-    return np.asarray(after / after.sum()), float(own.max() + np.log(before @ np.exp(own - own.max())))
+        logs[lost] = 0.0 if lost.all() else logs[~lost].min()
+    weights = before * np.exp(logs - logs.max())
+    after = np.maximum(weights, _LEAST)
+    return np.asarray(after / after.sum()), float(logs.max() + np.log(weights.sum()))

@@ -17,6 +17,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.layout import Layout
 from crane_exudyn.recording import given_recording
+from crane_exudyn.signals import early
 from crane_exudyn.simulation import inner_grid
 
 from .samples import impossible
@@ -31,7 +32,8 @@ _GLANCE = 0.1  # s, in which the angles must show a rate for it to be believed
 
 @dataclass(frozen=True)
 class Plan:
-    """Instants `time` (N,), measurements `values` (N, k) with NaN, inner `grid` (G,) with `inputs` (G, valves + 2).
+    """Instants `time` (N,), s, measurements `values` (N, k), SI, with NaN, inner `grid` (G,), s, with `inputs` (G,
+    valves + 2), in [-1, 1] and Pa.
 
     `inner[k]` is where instant k stands in the grid; `series` are the known samples of each sensor of a machine with
     this `layout`.
@@ -46,14 +48,17 @@ class Plan:
     events: list[tuple[float, str, str]]
     layout: Layout
 
-    def opening(self, at: float = -np.inf) -> tuple[dict[str, float], dict[str, float]]:
-        """Return the measurements to start from at `at`, and how far they may be from that instant because the crane
-        moves.
+    def first_readings(self, at: float = -np.inf) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the readings, SI, to start from at `at`, s, or at the first instant, and how far they may be from that
+        instant because the crane moves, SI, both by channel.
 
+        A sensor that is first read later (`crane_exudyn.signals.early`) says nothing of that instant and is left out.
         Rates are given where the coordinates show them.
         """
-        begins = {name: int(np.searchsorted(time, at)) for name, (time, _) in self.series.items()}
-        shown = {n: (t[begins[n] :], y[begins[n] :]) for n, (t, y) in self.series.items() if begins[n] < t.size}
+        at = max(at, float(self.time[0]))
+        early_on = {n: early(t, at) for n, (t, _) in self.series.items()}
+        shown = {n: (t[early_on[n]], y[early_on[n]]) for n, (t, y) in self.series.items()}
+        shown = {n: (t, y) for n, (t, y) in shown.items() if t.size}
         first = {c: float(np.median(y[:_FIRST])) for c, (_, y) in shown.items()} | _rates(shown, self.layout)
         spread = {c: float(np.subtract(*np.percentile(y[:_FIRST], [75, 25]))) for c, (_, y) in shown.items()}
         return first, spread
@@ -98,24 +103,25 @@ class Signals:
         """
         recording = given_recording(recording, crane.layout, "recording")
         time, commands = recording.commands(crane)
-        held = {n: (c.time, c.values) for n, c in recording.channels.items()}
+        series = {n: (c.time, c.values) for n, c in recording.channels.items()}
         return cls(
             np.asarray(time, float),
             np.asarray(commands, float),
-            {n: held[n] for n in crane.layout.sensors if n in held},
-            {n: held[n] for n in crane.layout.supply if n in held},
+            {n: series[n] for n in crane.layout.sensors if n in series},
+            {n: series[n] for n in crane.layout.supply if n in series},
             str(recording.name),
             tuple(recording.notes),
         )
 
-    def thinned(self, rate: float) -> Signals:
-        """Return the signals with at most about `rate` samples a second of each sensor."""
+    def thinned(self, rate: float, layout: Layout) -> Signals:
+        """Return the signals with at most about `rate` known samples a second of each sensor of a machine."""
 
-        def part(time: np.ndarray, values: np.ndarray) -> Series:
+        def part(name: str, time: np.ndarray, values: np.ndarray) -> Series:
+            time, values = clean(time, values, name, layout.sensors[name].unit, [])
             every = max(1, round(1.0 / (rate * float(np.median(np.diff(time)))))) if time.size > 1 else 1
             return time[::every], values[::every]
 
-        return replace(self, sensors={n: part(*series) for n, series in self.sensors.items()})
+        return replace(self, sensors={n: part(n, *series) for n, series in self.sensors.items()})
 
     def plan(self, crane: Crane, channels: Sequence[str], max_step: float) -> Plan:
         """Return the filter's instants for these channels.
@@ -152,7 +158,7 @@ class Signals:
         if name not in self.supply:
             return np.full(grid.size, np.nan)
         t, y = clean(*self.supply[name], name, "Pa", [])
-        return _held(grid, t, y)
+        return _interpolated(grid, t, y)
 
 
 def _grid(time: np.ndarray, max_step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -163,7 +169,7 @@ def _grid(time: np.ndarray, max_step: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(grids), np.concatenate([r + b for r, b in zip(rows, before, strict=True)])
 
 
-def _held(grid: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _interpolated(grid: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return values linear between samples, constant outside; NaN samples are skipped."""
     known = np.isfinite(values)
     return np.interp(grid, time[known], values[known]) if known.any() else np.full(grid.size, np.nan)
@@ -176,10 +182,10 @@ def _rates(series: Mapping[str, Series], layout: Layout) -> dict[str, float]:
     rates = {}
     for shown in (n for n, own in layout.sensors.items() if own.place in layout.coordinates):
         time, values = series.get(shown, (np.empty(0), np.empty(0)))
-        early = time <= time[:1] + _GLANCE
-        if early.sum() < _FIRST or f"d{shown}" in series:
+        glance = time <= time[:1] + _GLANCE
+        if glance.sum() < _FIRST or f"d{shown}" in series:
             continue
-        (slope, _), covariance = np.polyfit(time[early] - time[0], values[early], 1, cov=True)
+        (slope, _), covariance = np.polyfit(time[glance] - time[0], values[glance], 1, cov=True)
         if abs(slope) > 6.0 * np.sqrt(covariance[0, 0]):
             rates[f"d{shown}"] = float(slope)
     return rates

@@ -1,7 +1,7 @@
 """Noise covariances from the data: those under which the innovations are most likely.
 
 The filter's innovations are independent normal variables if its covariances are right, so their log-likelihood,
--½ Σ (νᵀ S⁻¹ ν + log det 2πS), measures how right they are. It is maximised over the logarithms of a few densities by a
+-½ Σ (νᵀ S⁻¹ ν + log det S), measures how right they are. It is maximised over the logarithms of a few densities by a
 pattern search: first all together by powers of ten, then one by one by half and quarter powers. Averaging over many
 samples makes the measure sharp, and it charges for boasting (small S) as well as for shyness.
 """
@@ -212,11 +212,8 @@ def _cost(
             Estimator(crane, engine, std, noise_of(logs), augment=augment, max_step=max_step) for crane in cranes
         ]
         estimate = (SideBySide({str(k): f for k, f in enumerate(filters)}) if filters[1:] else filters[0]).run(piece)
-        restarts = sum(e.count for e in estimate.events if e.where == "filter")
-        used = float(estimate.dof.sum())
-        rejected = 1.0 - used / max(float(np.isfinite(estimate.measured[1:]).sum()), 1.0)
-        # a jump of a sensor is the monitor's business: noise wide enough to explain it would spoil everything else
-        return -estimate.log_likelihood / max(used, 1.0) + rejected + 10.0 * restarts
+        read = float(np.isfinite(estimate.measured[1:]).sum())
+        return -estimate.log_likelihood / max(read, 1.0) + 10.0 * estimate.failures
 
     return cost, count
 
