@@ -42,9 +42,13 @@ def agreed_start(estimator: Estimator, plan: Plan) -> dict[str, float]:
 
 
 def _agreement(estimator: Estimator, plan: Plan, since: Mapping[str, float]) -> float:
-    """Return the log-likelihood of the first samples, without those of the channels in `since` before their times."""
+    """Return the log-likelihood of the first samples where those of the channels in `since` before their times are not
+    believed.
+    """
     estimator.reset()
     tried = plan.without(estimator.channel_names, since)
     estimator.start_at(float(plan.time[0]), *tried.first_readings())
     count = plan.until(float(plan.time[0]) + 2.0 * _EARLY)
-    return sum(estimator.on_plan(tried, k).log_likelihood for k in range(1, count))
+    left_out = sum(np.count_nonzero(plan.series[name][0] < begin) for name, begin in since.items())
+    unlikely = 0.5 * estimator.gate**2 * left_out  # as readings that the filter rejects
+    return sum(estimator.on_plan(tried, k).log_likelihood for k in range(1, count)) - unlikely

@@ -269,7 +269,7 @@ class Estimator:
         Args:
             commands: spool commands in [-1, 1] at `time`; between two calls they are taken as linear.
             measurements: any of the sensors, SI; what is missing or NaN is missing. `pp`, `pt` go to the model as
-                inputs.
+                inputs, and stay as they were where they are missing.
             time: s; without it one `max_step` after the last call. A time that is not later than the last one is
                 not a new sample: the call changes nothing, and says so in `events`. After more than `LONG_GAP` seconds,
                 and when the clock went back for good, the estimator goes on anew from the sensors.
@@ -324,7 +324,7 @@ class Estimator:
             if impossible(unit, readings[k]):
                 odd.append((name, f"no crane shows this: {readings[k]:g}, taken as missing"))
                 readings[k] = np.nan
-        values, supply = np.split(readings, [len(self.std_of)])
+        values, supply = readings[: len(self.std_of)], readings[len(self.std_of) :]
         if self._last_input is not None:
             supply = np.where(np.isnan(supply), self._last_input[lay.supplies], supply)
         missing = ~np.isfinite(command)

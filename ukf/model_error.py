@@ -302,14 +302,14 @@ def lasting(
         progress: called with the fraction done.
     """
     crane = replace(crane, model_error={})
-    told = set(crane.layout.disturbances) | set(crane.machine.index) - set(_openly_unknown(crane))
+    lasts = set(crane.layout.disturbances) | set(crane.machine.index) - set(_openly_unknown(crane))
     found: dict[str, list[tuple[float, float]]] = {}
     for k, (recording, sensors) in enumerate(recordings):
         done = None if progress is None else partial(_share_of, progress, k, len(recordings))
         search, logs, _ = _searched(crane, recording, sensors, engine, (), _LONG, done, _STEADY)
         model, usual = search.model_error(logs), search.start.sizes
         for unknown, size, expected_size in zip(model.unknowns, model.sizes, usual, strict=True):
-            if unknown.names[0] in told:
+            if unknown.names[0] in lasts:
                 found.setdefault(unknown.names[0], []).append((max(size, _LEAST * expected_size), unknown.memory))
     means = {name: np.exp(np.log(pairs).mean(axis=0)) for name, pairs in found.items()}
     return {name: GaussMarkov(*(float(f"{m:.3g}") for m in mean)) for name, mean in means.items()}
