@@ -24,6 +24,14 @@ def test_a_step_is_held_until_the_sample_that_shows_it_and_a_ramp_is_left_alone(
     assert np.array_equal(t, time)
 
 
+def test_commands_that_are_held_jump_at_every_sample_that_shows_a_change():
+    time, ramp = np.arange(0.0, 1.0, 0.1), np.clip(np.arange(0.0, 1.0, 0.1) - 0.25, 0.0, 0.4)
+    t, u = with_steps(time, np.column_stack([ramp, 0.0 * ramp]), held=True)
+    for at in (0.35, 0.44, 0.55, 0.95):
+        assert np.interp(at, t, u[:, 0]) == pytest.approx(ramp[int(at / 0.1 + 1e-9)])
+    assert not u[:, 1].any()
+
+
 def test_spool_positions_follow_the_exponential_whatever_the_grid():
     crane = Crane.load("patu655")
     time, u = with_steps(

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane, Recording
+from crane_exudyn.channels import Channel
+from crane_exudyn.drive import with_steps
 from crane_exudyn.measurement import Measurement
 from validation.fit import linear, sweeps
 from validation.fit.columns import columns_of, model_at, pack
@@ -28,14 +30,16 @@ from validation.fit.staged import (
     rms,
     run_fitted,
     staged,
+    timings,
 )
 from validation.fit.sweeps import RATE, forgotten, sweep
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.fit.windows import Group, cut
 from validation.selection.criteria import CRITERIA
 from validation.selection.levels import levels_of
-from validation.selection.model import moved_to
+from validation.selection.model import Model, fitted, moved_to
 from validation.selection.screen import likely, screened
+from validation.selection.search import Problem
 from validation.semi_recursive import kernel, sensitivity
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -577,3 +581,20 @@ def test_a_fit_begins_where_a_fitted_crane_has_its_parameters_whatever_that_fit_
     u = np.array([moved_to(mass, crane, nothing.crane, nothing)])
     assert with_variables(crane, [mass], u)["payload.mass"] == pytest.approx(60.0)
     assert moved_to(mass, crane, crane, nothing) == 0.0
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_search_finds_out_whether_commands_keep_their_value_until_the_next_sample(held):
+    crane = replace(Crane.load("patu655"), sensors=NOISE)
+    time, fine = np.arange(0.0, 5.0, 0.02), np.arange(0.0, 4.98, 2e-3)
+    ramps = np.column_stack([0.3 * np.sin(1.6 * time), 0.25 * np.sin(2.1 * time)])
+    ramps[(time < 0.5) | (time > 4.0)] = 0.0  # a clock that is late makes no jump late
+    t, u = with_steps(time, ramps, held)
+    acting = np.column_stack([np.interp(fine, t, column) for column in u.T])
+    driven_at = driven(crane, fine, acting, (0.2, -0.8))
+    commands = {n: Channel(time, c, "") for n, c in zip(("u1", "u2"), ramps.T, strict=True)}
+    recording = replace(driven_at, channels={**driven_at.channels, **commands})
+    problem = Problem.of(crane, [recording], (), jobs=1)
+    found = problem.held(fitted(crane, problem.data, Model(tuple(timings(problem.data))), problem.nominal, (STIFF,)))
+    assert (found is not None) == held
+    assert found is None or (found.recordings[0].held and found.alike(recording).held)

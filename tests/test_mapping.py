@@ -48,6 +48,17 @@ def test_columns_are_read_as_the_map_file_says(logged: Path) -> None:
     assert np.degrees(recording["z4"].values) == pytest.approx([1.0, 1.5, 1.5])
     assert recording["u1"].values == pytest.approx([0.1, 0.2, 0.2])
     assert recording["u1"].time == pytest.approx([-0.05, 0.04995, 0.1499])
+    assert not recording.held
+
+
+def test_a_map_file_says_that_commands_are_held_and_says_it_of_commands_only(logged: Path) -> None:
+    (logged / "map.toml").write_text(MAP + "held = true\n")
+    mapping = load_map(logged / "map.toml", LAYOUT)
+    assert Recording.load(logged / "log.csv", mapping).held
+    assert "held = true" in map_text(mapping, LAYOUT)
+    (logged / "map.toml").write_text(MAP.replace("scale = 0.5", "held = true"))
+    with pytest.raises(CraneError, match=r"\[z4\]: held = True, expected true or false, of a command"):
+        load_map(logged / "map.toml", LAYOUT)
 
 
 def test_a_recordings_columns_are_a_map_file_of_it(logged: Path) -> None:
