@@ -14,6 +14,7 @@ from validation import hidden
 from validation.diagnosis import Diagnosis, diagnose, held_to_runs, sentence
 from validation.fit.data import FitData
 from validation.fitness import check_check
+from validation.selection.criteria import CRITERIA
 from validation.selection.moves import Start, around, starts
 from validation.selection.search import Round
 from validation.selection.verdict import verdict_of, within_clocks
@@ -113,7 +114,13 @@ def path(
     given: SimpleNamespace, parameters: SimpleNamespace, *weighed: SimpleNamespace, **more: object
 ) -> SimpleNamespace:
     """Return a path that weighed these models, best first."""
-    asked = {"fewest": parameters, "left_out": {}, "problem": None, "bare": max(given.evidence, parameters.evidence)}
+    asked = {
+        "fewest": parameters,
+        "left_out": {},
+        "problem": None,
+        "bare": max(given.evidence, parameters.evidence),
+        "adequate": given.good and parameters.evidence < given.evidence + CRITERIA.proof,
+    }
     return SimpleNamespace(
         given=given,
         parameters=parameters,
@@ -183,6 +190,7 @@ def test_parameters_moved_far_are_tied_with_one_effect_that_explains_at_once():
         found = verdict_of(path(model(**WRONG), far, bias))
         assert found.kind == kind
         assert [t.keys for t in found.ties] == ([()] if kind == "tied" else [])
+        assert ("would need 3 nominal parameters beyond twice" in " ".join(found.notes)) == (kind == "tied")
 
 
 def test_several_weak_effects_are_justified_together_where_none_of_them_is_alone():
