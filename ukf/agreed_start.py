@@ -6,22 +6,21 @@ The start is tried both ways, and the filter says with which of them the first s
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from .monitor import FASTEST, leaps
 from .signals import Plan
 
-if TYPE_CHECKING:
-    from .estimator import Estimator
-
 #: in the first so many seconds of a recording a leap puts the start in doubt; each trial goes on for as long again
 _EARLY = 1.0
 
 
-def agreed_start(estimator: Estimator, plan: Plan) -> dict[str, float]:
-    """Return {channel: time in s} of the channels whose samples before that time the start must not be taken from."""
+def agreed_start(estimator: Any, plan: Plan) -> dict[str, float]:
+    """Return {channel: time in s} of the channels whose samples before that time the start must not be taken from; an
+    `Estimator` tries it.
+    """
     since: dict[str, float] = {}
     groups: dict[float, list[str]] = {}
     layout = estimator.crane.layout
@@ -41,7 +40,7 @@ def agreed_start(estimator: Estimator, plan: Plan) -> dict[str, float]:
     return since
 
 
-def _agreement(estimator: Estimator, plan: Plan, since: Mapping[str, float]) -> float:
+def _agreement(estimator: Any, plan: Plan, since: Mapping[str, float]) -> float:
     """Return the log-likelihood of the first samples where those of the channels in `since` before their times are not
     believed.
     """
@@ -51,4 +50,4 @@ def _agreement(estimator: Estimator, plan: Plan, since: Mapping[str, float]) -> 
     count = plan.until(float(plan.time[0]) + 2.0 * _EARLY)
     left_out = sum(np.count_nonzero(plan.series[name][0] < begin) for name, begin in since.items())
     unlikely = 0.5 * estimator.gate**2 * left_out  # as readings that the filter rejects
-    return sum(estimator.on_plan(tried, k).log_likelihood for k in range(1, count)) - unlikely
+    return float(sum(estimator.on_plan(tried, k).log_likelihood for k in range(1, count)) - unlikely)

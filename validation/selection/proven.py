@@ -229,18 +229,20 @@ class _Way:
 def _whole_run(problem: Problem, last: Sequence[Standing]) -> Standing:
     """Return the most likely of the last round's models, fitted to open-loop runs of the whole recordings.
 
-    Each begins at its fit, at the machine, and anew: at the crane as given, with effects of the size that is met in
-    practice. Where much has moved step by step, that valley may be the deeper one.
+    Each begins with the parameters as given, which may have moved step by step to do the work of what is still missing:
+    with its effects, in windows that begin at its fit and at the machine, and anew, with effects of the size that is met
+    in practice.
     """
     ways = []
     for standing in last:
         found, fresh = standing.extended(problem), typical(problem.crane, standing.effects)
+        given = replace(problem.crane, effects=found.crane.effects)
         windows = tuple(cut(found.data, CRITERIA.window))
         machine = [
             replace(found, windows=windows, knots=first_knots(c, found.data, CRITERIA.window))
             for c in (found.crane, fresh)
         ]
-        begins = (found.crane, found), (found.crane, machine[0]), (fresh, machine[1])
+        begins = (given, found), (given, machine[0]), (fresh, machine[1])
         ways += [_Way(standing, standing.keys, crane, fit) for crane, fit in begins]
     return _settled(problem, ways)[0][0]
 
