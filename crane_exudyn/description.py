@@ -129,7 +129,8 @@ def _of_each(initial: Initial, where: str, layout: Layout) -> Initial:
     numbers of them, or of coordinates.
     """
     pose, low, n = initial.pose, initial.less_loaded_pressure, len(layout.cylinders)
-    low = tuple(low) * n if len(low) == 1 else tuple(low)
+    low = tuple(np.atleast_1d(low).tolist())
+    low = low * n if len(low) == 1 else low
     for what, found, names in (("pose", pose, layout.coordinates), ("less_loaded_pressure", low, layout.cylinders)):
         if len(found) != len(names):
             raise CraneError(f"{where}: initial.{what} has {len(found)} numbers. Give one each for {', '.join(names)}.")

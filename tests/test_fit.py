@@ -533,7 +533,7 @@ def _slowed(recording: Recording, every: int, keep: slice = slice(None), only: s
 def test_no_window_is_shorter_than_from_one_sample_to_the_next():
     crane = Crane.load("patu655")
     data = FitData.of(_slowed(recorded(crane), 80), replace(crane, sensors=NOISE))  # 2.5 Hz
-    for seconds in (LOOSE.window, STIFF.window):
+    for seconds in (LOOSE.seconds, STIFF.seconds):
         windows = cut(data, seconds)
         assert min(len(w.data.time) for w in windows) > 1
         assert windows[0].data.time[0] == data.time[0] and windows[-1].data.time[-1] == data.time[-1]

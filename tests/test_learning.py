@@ -352,7 +352,9 @@ def stubbed(monkeypatch):
     def set_up(verdict, evidence, laws):
         def searched(crane, *_):
             best = SimpleNamespace(evidence=evidence(crane))
-            problem = SimpleNamespace(recordings=(), data=SimpleNamespace(own=(), parts=()), crane=crane)
+            problem = SimpleNamespace(
+                recordings=(), data=SimpleNamespace(own=(), parts=()), crane=crane, alike=lambda check: check
+            )
             return SimpleNamespace(best=best, bare=evidence(crane), weighed=(best,), problem=problem), []
 
         def diagnosis_of(path, *_):

@@ -164,8 +164,7 @@ def grown(crane: Crane, predicted: float) -> Proven:
     with_effect = crane.with_effect("dead_band@lift", {"upper": 0.1})
     errors = {"p1": predicted}
     return Proven(
-        with_effect, (Taken("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}),), {"p1": 30.0},
-        errors,
+        with_effect, (Taken("dead_band@lift", 30.0, {"command_delay@lift": 28.0, "sensor_lag@p1": 6.0}),), errors,
         {"dead_band@lift": 40.0}, {"dead_band@lift": {"p1": 25.0}}, {"p1": 20.0}, errors,
         {"dead_band@lift:upper": 0.01, "fluid.oil_bulk_modulus": 5e6},
         {("dead_band@lift:upper", "valves.lift.time_constant"): -0.95},

@@ -492,7 +492,7 @@ def test_a_recording_and_a_single_mark_are_taken_as_they_are():
     [
         ("a.png", {"start": 0.1, "end": 0.2}, "start, end would change nothing in a picture"),
         ("a.gif", {"time": 1.0}, "time would change nothing in a gif"),
-        ("a.png", {"renderer": "foo"}, "no renderer 'foo'"),
+        ("a.png", {"renderer": "foo"}, "unknown renderer 'foo'"),
     ],
 )
 def test_nothing_asked_for_is_ignored(name, words, message, tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -142,12 +142,12 @@ class FitData:
 
         The commands are those that the crane's valve calibration makes of the recording. Noise standard deviations are
         the crane file's or, where it names none, estimated from the data; a channel free of noise, as of a simulation,
-        is given some. A sensor that shows one value throughout is left out.
+        is given some. A sensor that shows one value throughout, of which no noise is stated, is left out.
 
         Raises:
             CraneError: commands or sensors are missing, or no stretch with known commands is long enough.
         """
-        recording = usable(recording).with_noise(crane.sensors)
+        recording = usable(recording, crane.sensors).with_noise(crane.sensors)
         times, commands = recording.commands(crane)
         sensors = list(recording.sensors)
         if not sensors:
@@ -250,11 +250,12 @@ class Joint:
 Data = FitData | Joint
 
 
-def usable(recording: Recording) -> Recording:
-    """Return the recording without sensors that show one value throughout: they have no noise to be measured
-    against.
+def usable(recording: Recording, stated: Container[str] = ()) -> Recording:
+    """Return the recording without sensors that show one value throughout: they have no noise to be measured against,
+    unless theirs is `stated`.
     """
-    alive = [n for n, c in recording.channels.items() if n not in recording.sensors or not is_constant(c)]
+    dead = [n for n in recording.sensors if n not in stated and is_constant(recording[n])]
+    alive = [n for n in recording.channels if n not in dead]
     return recording if len(alive) == len(recording.channels) else recording.select(alive)
 
 
@@ -265,7 +266,7 @@ def is_constant(channel: Channel) -> bool:
 
 def noise_of(recording: Recording, crane: Crane) -> dict[str, float]:
     """Return the noise (SI) of each sensor that `FitData.of` finds in a recording, or the crane file states."""
-    noisy = usable(recording).with_noise(crane.sensors)
+    noisy = usable(recording, crane.sensors).with_noise(crane.sensors)
     return {c: crane.sensors.get(c) or float(noise_std(noisy[c].values)) for c in noisy.sensors}
 
 

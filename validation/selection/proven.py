@@ -229,20 +229,19 @@ class _Way:
 def _whole_run(problem: Problem, last: Sequence[Standing]) -> Standing:
     """Return the most likely of the last round's models, fitted to open-loop runs of the whole recordings.
 
-    Each begins with the parameters as given, which may have moved step by step to do the work of what is still missing:
-    with its effects, in windows that begin at its fit and at the machine, and anew, with effects of the size that is met
-    in practice.
+    Parameters may have moved step by step to do the work of what is still missing. So each model begins with the
+    parameters as given and its effects, in windows that begin at its fit and at the machine; and anew, with effects of
+    the size that is met in practice and the parameters as far on the other side as they had moved: another valley.
     """
     ways = []
     for standing in last:
         found, fresh = standing.extended(problem), typical(problem.crane, standing.effects)
-        given = replace(problem.crane, effects=found.crane.effects)
         windows = tuple(cut(found.data, CRITERIA.window))
         machine = [
             replace(found, windows=windows, knots=first_knots(c, found.data, CRITERIA.window))
             for c in (found.crane, fresh)
         ]
-        begins = (given, found), (given, machine[0]), (fresh, machine[1])
+        begins = (found.crane, found), (found.crane, machine[0]), (fresh, machine[1])
         ways += [_Way(standing, standing.keys, crane, fit) for crane, fit in begins]
     return _settled(problem, ways)[0][0]
 
@@ -264,14 +263,14 @@ def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) 
 
 
 def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
-    """Return clocks, all uncertain parameters and all effects as variables, and their values in a crane; clocks as a
-    fit found them.
+    """Return clocks, all uncertain parameters and all effects as variables, and their values in a crane, parameters as
+    they differ from what a fit began at; clocks as the fit found them.
     """
     given, data = problem.crane, problem.data
     nominal = [believable(v) for v in uncertain_parameters(given, data.own, len(data.parts))]
     stated, clocks, known = stated_effects(given), timings(data), values_of(before)
     values: list[float] = [known.get(v.name, 0.0) for v in clocks]
-    values += [moved_to(v, given, crane, before) for v in nominal]
+    values += [moved_to(v, before.origin, crane, before) for v in nominal]
     values += [
         v.to_u(parameters_of(crane, v.key)[v.parameter.name]) if isinstance(v, EffectParameter) else v.begin
         for v in stated
