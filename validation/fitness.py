@@ -19,7 +19,7 @@ from crane_exudyn.recording import Recording
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
 from crane_exudyn.vetting import OPEN, Finding, accepted, vet, vetted, worst_first
 
-from .fit.data import is_constant
+from .fit.data import constant_sensors, is_constant
 
 Purpose = Literal["compare", "diagnose"]
 
@@ -51,7 +51,7 @@ def examine(recording: Recording, crane: Crane) -> list[Finding]:
             for f in unfit(recording, crane, "diagnose")
         ]
         mend = "Check that it was connected."
-        found += [Finding("saturation", (n,), "note", _left_out(n), mend) for n in _constant(recording)]
+        found += [Finding("saturation", (n,), "note", _left_out(n), mend) for n in constant_sensors(recording)]
     return worst_first(found)
 
 
@@ -93,7 +93,7 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
     recording = vetted(recording, crane)
     accepted(recording, unfit(recording, crane, purpose))
     time, commands = recording.commands(crane)
-    constant = _constant(recording)
+    constant = constant_sensors(recording)
     notes = _notes(recording, crane, time, commands, constant, _moves(recording, crane, commands))
     return notes + _wavering(recording, crane, time, commands, constant)
 
@@ -182,17 +182,12 @@ def _short(recording: Recording, command_time: np.ndarray) -> Iterator[Finding]:
         yield Finding("clock", (n,), "error", text, "Leave it out, or sample faster.")
 
 
-def _constant(recording: Recording) -> list[str]:
-    """Return the sensors that show one value throughout."""
-    return [name for name in recording.sensors if is_constant(recording[name])]
-
-
 def _left_out(name: str) -> str:
     return f"{name} shows one value throughout and is left out"
 
 
 def _dead(recording: Recording) -> Iterator[Finding]:
-    constant = _constant(recording)
+    constant = constant_sensors(recording)
     if len(constant) == len(recording.sensors):
         shown = ", ".join(constant)
         text = f"every sensor ({shown}) shows one value from beginning to end, so there is nothing to compare"

@@ -38,13 +38,13 @@ def verdict_of(path: WhitePath) -> Verdict:
     if enough and not (proven and best is not None and not within_clocks(path.problem, best)):
         at_once = _at_once(path, path.fewest, moved.evidence)
         if at_once is not None:
-            return Verdict("tied", at_once, (path.fewest,), (_strained(path.fewest, at_once), *_bounds(at_once)))
+            return Verdict("tied", at_once, (path.fewest,), (_far_moves(path.fewest, at_once), *_bounds(at_once)))
         return Verdict("adequate", path.given) if path.adequate else Verdict("parameters", path.fewest)
     if best is None or not explains(path, best):
         return Verdict("unknown", path.given)
     at_once = _at_once(path, best, best.evidence)
     if at_once is not None:
-        return Verdict("tied", at_once, (best,), (_strained(best, at_once), *_bounds(at_once)))
+        return Verdict("tied", at_once, (best,), (_far_moves(best, at_once), *_bounds(at_once)))
     ties = tuple(
         w for w in path.weighed[1:]
         if w.evidence > best.evidence - CRITERIA.tie and len(w.keys) <= len(best.keys)
@@ -84,7 +84,7 @@ def _at_once(path: WhitePath, w: Fitted, evidence: float) -> Fitted | None:
     return next((v for v in able if v.evidence > evidence - CRITERIA.tie), None)
 
 
-def _strained(w: Fitted, at_once: Fitted) -> str:
+def _far_moves(w: Fitted, at_once: Fitted) -> str:
     """Return what a model needs that does with one effect less, and how much likelier the one is that has it."""
     gap = at_once.evidence - w.evidence
     less = f", and is less likely by {gap:.0f} units of log evidence" if gap > CRITERIA.tie else ""

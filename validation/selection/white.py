@@ -384,13 +384,9 @@ def _left_out(problem: Problem, w: Fitted) -> tuple[float, float]:
     rest = [r.window(*span) for r, span in zip(problem.recordings, ends, strict=True)]
     found = fitted(problem.crane, first_part(problem.data), Model(w.model.variables, w.effects), w.fit, (STIFF,))
     noise = [noise_of(r, problem.crane) for r in problem.recordings]  # a part of one would tell another
-    pairs = [(problem.crane, found.fit.of(i).crane) for i in range(len(rest))]
-    runs = [
-        (run_error, replace(crane, sensors=noise[i]), rest[i], None)
-        for both in zip(*pairs, strict=True)
-        for i, crane in enumerate(both)
-    ]
-    errors = in_parallel(problem.jobs, runs)
+    cranes = [problem.crane] * len(rest) + [found.fit.of(i).crane for i in range(len(rest))]
+    each = zip(cranes, noise * 2, rest * 2, strict=True)
+    errors = in_parallel(problem.jobs, [(run_error, replace(c, sensors=std), r, None) for c, std, r in each])
     return together(rest, errors[: len(rest)]), together(rest, errors[len(rest) :])
 
 

@@ -938,7 +938,7 @@ def cylinder(c, flow_a, flow_b, P, E, s):
     v, pa, pb = s.numbers[k, SPEED_S], s.numbers[k, OIL_A + PRESSURE], s.numbers[k, OIL_B + PRESSURE]
     pump, tank = s.numbers[k, DRAWN], s.numbers[k, RETURNED]
     Qa, Qb = (pump, tank) if s.numbers[k, OPENING] > 0.0 else (-tank, -pump)
-    outside = P[AIR] - P[REFERENCE] * P[AIR]
+    outside = (1.0 - P[REFERENCE]) * P[AIR]
     leak_a, leak_b = hooks.leakage(E, c, pa - outside, pb - outside)
     leak_a, leak_b = leak_a + flow_a, leak_b + flow_b
     Ga, Gb = s.numbers[k, OIL_A + DENSITY] * (Qa + leak_a), s.numbers[k, OIL_B + DENSITY] * (leak_b - Qb)
@@ -952,7 +952,7 @@ def cylinder(c, flow_a, flow_b, P, E, s):
             Aa * Aa * ka * s.numbers[k, OIL_A + BY_VOLUME] + Ab * Ab * kb * s.numbers[k, OIL_B + BY_VOLUME]
         )
     la = s.numbers[k, LA]
-    Fmu, air = friction(P, i, v), (1.0 - P[REFERENCE]) * P[AIR] * (Aa - Ab)
+    Fmu, air = friction(P, i, v), outside * (Aa - Ab)
     s.numbers[k, F] = pa * Aa - pb * Ab - air - Fmu + hooks.cylinder_force(E, c, v, pa, pb, la, P[i + RANGE] - la)
     s.numbers[k, QA], s.numbers[k, QB], s.numbers[k, LEAK_A], s.numbers[k, LEAK_B] = Qa, Qb, leak_a, leak_b
     s.numbers[k, FMU], s.numbers[k, SPEED_LA], s.numbers[k, GA], s.numbers[k, GB] = Fmu, v, Ga, Gb
