@@ -21,14 +21,16 @@ from crane_exudyn.errors import counted, names_of
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording, given_recording
 
+from .fit.data import noise_of
 from .fit.solve import Fit
 from .report import amount, evidence_difference, three_digits
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
-from .selection.model import Fitted, best_of_each, misled, together
+from .selection.model import Fitted, best_of_each, misled, run_error, together
 from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .selection.white import WHITE, WhitePath
+from .workers import in_parallel
 
 ERRORS = ("error_before", "error_after", "check_error_before", "check_error_after")
 
@@ -84,6 +86,8 @@ class Diagnosis:
         where: for "unknown", where and when something is left, worst first.
         recordings: with several recordings, the errors by recording, and what differs from one to another, as in the
             JSON.
+        between: open-loop error of runs between the stretches that the choice leaves unexplained, where one run over all
+            of a recording goes astray in them; nan elsewhere.
         misses_check: whether what explains the recording does not predict the check recording; then the verdict is
             "unknown".
     """
@@ -103,6 +107,7 @@ class Diagnosis:
     error_after: float = math.nan
     check_error_before: float = math.nan
     check_error_after: float = math.nan
+    between: float = math.nan
     late: float = 0.0
     seconds: float = 0.0
     misses_check: bool = False
@@ -156,6 +161,8 @@ class Diagnosis:
 def sentence(d: Diagnosis) -> str:
     """Return the verdict in one sentence."""
     fall = f"error {d.error_before:.3g} -> {d.error_after:.3g} noise units"
+    if math.isfinite(d.between):
+        fall += f", {d.between:.3g} beside what it leaves unexplained"
     if d.verdict == "adequate":
         return f"the model explains the recording (error {d.error_before:.3g} noise units)"
     if d.verdict == "parameters":
@@ -283,7 +290,7 @@ def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] 
         next_manoeuvre=problem.telling(lean.fit.crane, verdict.ties[0].fit.crane) if verdict.ties else "",
         notes=(*verdict.notes, *notes), late=lean.fit.late,
     )  # fmt: skip
-    result = held_to_runs(_with_errors(result, path, check))
+    result = held_to_runs(_between_stretches(_with_errors(result, path, check), problem, lean))
     if result.verdict == "unknown" and not result.misses_check:
         result = replace(result, where=_where(problem) or left_over(path.best or path.parameters))
     return result
@@ -296,7 +303,7 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
     Then the candidates stay, but none of them is what the machine lacks, or the check recording is of another machine.
     """
     after, before = d.check_error_after, d.check_error_before
-    drifts = d.error_after > CRITERIA.misled
+    drifts = np.fmin(d.error_after, d.between) > CRITERIA.misled
     if d.verdict == "unknown" or not (drifts or misled(before, after)):
         return d
     found = " and ".join(d.effects) or "the model" + " with moved parameters" * (d.verdict == "parameters")
@@ -316,6 +323,41 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
             for r in d.recordings
         ),
     )  # fmt: skip
+
+
+def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
+    """Return the diagnosis; where one run goes astray in stretches that the choice leaves unexplained, with the error of
+    runs between them and a note, if these hold.
+    """
+    if d.verdict == "unknown" or not d.error_after > CRITERIA.misled or not w.bad.any():
+        return d
+    left = sorted(left_over(w), key=lambda e: (e["recording"], e["from"]))
+    noisy = [replace(w.fit.of(i).crane, sensors=noise_of(r, problem.crane)) for i, r in enumerate(problem.recordings)]
+    runs = [
+        (crane, r.window(*span))
+        for crane, r in zip(noisy, problem.recordings, strict=True)
+        for span in _spans_between(r, [(e["from"], e["to"]) for e in left if e["recording"] == r.name])
+    ]
+    kept = sum(r.end - r.start for _, r in runs) / sum(r.end - r.start for r in problem.recordings)
+    if kept < CRITERIA.repaired:
+        return d
+    errors: list[float] = in_parallel(problem.jobs, [(run_error, crane, r, None) for crane, r in runs])
+    between = together([r for _, r in runs], errors)
+    if between > CRITERIA.misled:
+        return d
+    several = len(problem.recordings) > 1
+    where = (f"{e['from']:.1f}-{e['to']:.1f} s" + f" of {e['recording']}" * several for e in left)
+    note = (
+        f"{' and '.join(d.effects) or 'the model'} explains the recording but for {', '.join(where)}, where one run goes "
+        f"astray: runs between leave {between:.3g} times the noise"
+    )
+    return replace(d, between=between, notes=(note, *d.notes))
+
+
+def _spans_between(recording: Recording, stretches: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return what a recording has beside stretches (from, to) in time, as far as it is long enough for a run."""
+    ends = [recording.start, *(t for span in stretches for t in span), recording.end]
+    return [(a, b) for a, b in zip(ends[::2], ends[1::2], strict=True) if b - a > CRITERIA.window]
 
 
 def _where(problem: Problem) -> tuple[Mapping[str, Any], ...]:
