@@ -301,9 +301,11 @@ def diagnosis(results: Results, crane: Crane) -> None:
     end = time.perf_counter()
     results.add("diagnosis", end - begin, "s", "real_time")
     results.add("diagnosis.weighed", len(found.candidates), "1")
-    ends = [at for _, at in stages[1:]] + [end]
+    ends, spent = [at for _, at in stages[1:]] + [end], dict[str, float]()
     for (text, at), until in zip(stages, ends, strict=True):
-        results.add(f"diagnosis.{text.replace(' ', '_')}", until - at, "s", "diagnosis")
+        spent[text] = spent.get(text, 0.0) + until - at  # effects are looked for in several rounds
+    for text, seconds in spent.items():
+        results.add(f"diagnosis.{text.replace(' ', '_')}", seconds, "s", "diagnosis")
 
 
 def leaking_recording(crane: Crane, rate: float = 200.0) -> Any:

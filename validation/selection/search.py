@@ -143,14 +143,15 @@ class Problem:
 
     def held(self, w: Fitted) -> Problem | None:
         """Return the problem with commands that keep their value until the next sample, as a controller puts them out;
-        None where a model that was fitted with lines between them is not clearly likelier so.
+        None where a model that was fitted with lines between them is not clearly likelier so, or leaves so much that
+        what it gains tells nothing of the commands.
         """
         recordings = [replace(r, held=True) for r in self.recordings]
         data = data_of(recordings, self.crane, self.data.own)
         if all(len(a.commands) == len(b.commands) for a, b in zip(data.parts, self.data.parts, strict=True)):
             return None
         again = fitted(self.crane, data, w.model, w.fit, (STIFF,))
-        if again.evidence < w.evidence + CRITERIA.proof:
+        if again.evidence < w.evidence + CRITERIA.proof or again.level >= CRITERIA.left_level:
             return None
         return Problem.of(self.crane, recordings, self.data.own, self.jobs)
 
