@@ -24,9 +24,11 @@ from .windows import Window, alike, follows
 
 #: lowest pressure of a state, Pa: a void of more than half of its chamber is remembered as that
 EMPTIEST = -1e9
-#: how often a step is shortened at most; the same derivatives serve on while a step promises at most this share of
-#: what the one before it brought
-_TRIES, _SERVES = 6, 0.3
+#: how often a step is shortened at most, by which damping first (in shares of the Hessian's diagonal), and by how much
+#: more each time: in a bent valley a step along it must become shorter, and one across it hardly
+_TRIES, _DAMPED, _MORE = 8, 1e-4, 10.0
+#: the same derivatives serve on while a step promises at most this share of what the one before it brought
+_SERVES = 0.3
 #: how near to what it promised a step must fall for the cost to be the parabola that its derivatives tell: then the
 #: next step leads to the end, and derivatives are not needed there
 _AS_PROMISED = 0.1
@@ -311,7 +313,7 @@ class _Task:
             moved = self.taken(point, step, 1.0 / (1.0 + damping))
             if moved.cost < point.cost:
                 return moved if moved.linear.swept else self.at(moved.u, moved.knots, moved.guess)
-            damping = 4.0 * damping if damping else 0.3
+            damping = _MORE * damping if damping else _DAMPED
             du = bounded_step(step.H, step.g, point.u, self.lower, self.upper, damping)
             step = replace(step, du=du)
         return None
