@@ -86,8 +86,8 @@ class Diagnosis:
         where: for "unknown", where and when something is left, worst first.
         recordings: with several recordings, the errors by recording, and what differs from one to another, as in the
             JSON.
-        between: open-loop error of runs between the stretches that the choice leaves unexplained, where one run over all
-            of a recording goes astray in them; nan elsewhere.
+        between: open-loop error of runs between the stretches that the choice leaves unexplained, where one run over
+            all of a recording goes astray in them; nan elsewhere.
         misses_check: whether what explains the recording does not predict the check recording; then the verdict is
             "unknown".
     """
@@ -326,8 +326,8 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
 
 
 def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
-    """Return the diagnosis; where one run goes astray in stretches that the choice leaves unexplained, with the error of
-    runs between them and a note, if these hold.
+    """Return the diagnosis; where one run goes astray in stretches that the choice leaves unexplained, with the error
+    of runs between them and a note, if these hold.
     """
     if d.verdict == "unknown" or not d.error_after > CRITERIA.misled or not w.bad.any():
         return d
@@ -348,8 +348,8 @@ def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
     several = len(problem.recordings) > 1
     where = (f"{e['from']:.1f}-{e['to']:.1f} s" + f" of {e['recording']}" * several for e in left)
     note = (
-        f"{' and '.join(d.effects) or 'the model'} explains the recording but for {', '.join(where)}, where one run goes "
-        f"astray: runs between leave {between:.3g} times the noise"
+        f"{' and '.join(d.effects) or 'the model'} explains the recording but for {', '.join(where)}, where one run "
+        f"goes astray: runs between leave {between:.3g} times the noise"
     )
     return replace(d, between=between, notes=(note, *d.notes))
 

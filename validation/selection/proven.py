@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.effects.registry import split_key
 
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
@@ -167,7 +168,24 @@ def _brought_back(problem: Problem, now: Standing, left: Mapping[str, _Without])
         _Way(now, now.keys, typical(without.fit.crane, effects_of(now.fit.crane, [key])), without.fit)
         for key, without in left.items()
     ]
-    return next(iter(_likelier(problem, now, ways)), now)
+    return next(iter(_likelier(problem, now, [*ways, *_of_other_shapes(problem, now)])), now)
+
+
+def _of_other_shapes(problem: Problem, now: Standing) -> list[_Way]:
+    """Return ways that begin with one effect in each of the shapes that the library tries of it (the pressure up to
+    which air is free, say), in long windows that begin as measured: from one shape to another a fit seldom finds.
+    """
+    crane, data = now.fit.crane, now.fit.data
+    windows, ways = tuple(cut(data, CRITERIA.window)), []
+    for key in now.keys:
+        own = [p.name for p in split_key(key)[0].parameters if p.shape and not (p.moment or p.along_stroke)]
+        begins = [s.values for s in starts(crane.without_effect(key), data) if s.key == key]
+        shapes = {tuple(v.get(name) for name in own) for v in begins}
+        for values in begins if len(shapes) > 1 else ():
+            begun = crane.with_effect(key, values)
+            knots = first_knots(begun, data, CRITERIA.window)
+            ways.append(_Way(now, now.keys, begun, replace(now.fit, windows=windows, knots=knots)))
+    return ways
 
 
 def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Standing]:
