@@ -331,12 +331,12 @@ def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
     """
     if d.verdict == "unknown" or not d.error_after > CRITERIA.misled or not w.bad.any():
         return d
-    left = sorted(left_over(w), key=lambda e: (e["recording"], e["from"]))
+    left = [_unexplained(w, i) for i in range(len(problem.recordings))]
     noisy = [replace(w.fit.of(i).crane, sensors=noise_of(r, problem.crane)) for i, r in enumerate(problem.recordings)]
     runs = [
         (crane, r.window(*span))
-        for crane, r in zip(noisy, problem.recordings, strict=True)
-        for span in _spans_between(r, [(e["from"], e["to"]) for e in left if e["recording"] == r.name])
+        for crane, r, own in zip(noisy, problem.recordings, left, strict=True)
+        for span in _spans_beside(r, own)
     ]
     kept = sum(r.end - r.start for _, r in runs) / sum(r.end - r.start for r in problem.recordings)
     if kept < CRITERIA.repaired:
@@ -345,8 +345,8 @@ def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
     between = together([r for _, r in runs], errors)
     if between > CRITERIA.misled:
         return d
-    several = len(problem.recordings) > 1
-    where = (f"{e['from']:.1f}-{e['to']:.1f} s" + f" of {e['recording']}" * several for e in left)
+    of = [f" of {r.name}" * (len(problem.recordings) > 1) for r in problem.recordings]
+    where = [f"{a:.1f}-{b:.1f} s{name}" for name, own in zip(of, left, strict=True) for a, b, _ in own]
     note = (
         f"{' and '.join(d.effects) or 'the model'} explains the recording but for {', '.join(where)}, where one run "
         f"goes astray: runs between leave {between:.3g} times the noise"
@@ -354,9 +354,9 @@ def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
     return replace(d, between=between, notes=(note, *d.notes))
 
 
-def _spans_between(recording: Recording, stretches: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return what a recording has beside stretches (from, to) in time, as far as it is long enough for a run."""
-    ends = [recording.start, *(t for span in stretches for t in span), recording.end]
+def _spans_beside(recording: Recording, left: Sequence[tuple[float, float, float]]) -> list[tuple[float, float]]:
+    """Return what a recording has beside stretches (from, to, …) in s, as far as it is long enough for a run."""
+    ends = [recording.start, *(t for span in left for t in span[:2]), recording.end]
     return [(a, b) for a, b in zip(ends[::2], ends[1::2], strict=True) if b - a > CRITERIA.window]
 
 
@@ -431,22 +431,31 @@ def _posterior(chosen: Fitted, prior: Mapping[str, float]) -> dict[str, float]:
 
 
 def left_over(w: Fitted) -> tuple[Mapping[str, Any], ...]:
-    """Return the stretches of the recording that a fit leaves unexplained, worst first."""
-    found: list[dict[str, Any]] = []
-    for k in np.flatnonzero(w.bad):
-        window, error = w.fit.windows[k].data, float(w.fit.linear.window_error[k])
-        start, end = float(window.time[0]), float(window.time[-1])
-        if found and found[-1]["recording"] == window.name and found[-1]["to"] >= start - 1e-9:
-            found[-1] |= {"to": end, "score": max(found[-1]["score"], error)}
-        else:
-            found.append(
-                {"recording": window.name, "channel": "all", "from": start, "to": end, "phase": "", "score": error}
-            )
-    for entry in found:
-        entry["text"] = (
-            f"from {entry['from']:.2f} to {entry['to']:.2f} s errors reach {entry['score']:.1f} times the noise"
-        )
+    """Return the stretches of the recordings that a fit leaves unexplained, worst first."""
+    found = [
+        {
+            "recording": part.name, "channel": "all", "from": start, "to": end, "phase": "", "score": error,
+            "text": f"from {start:.2f} to {end:.2f} s errors reach {error:.1f} times the noise",
+        }
+        for i, part in enumerate(w.fit.data.parts)
+        for start, end, error in _unexplained(w, i)
+    ]  # fmt: skip
     return tuple(sorted(found, key=lambda e: -e["score"]))
+
+
+def _unexplained(w: Fitted, recording: int) -> list[tuple[float, float, float]]:
+    """Return the stretches (from, to, largest error) of one recording that a fit leaves unexplained, in their order."""
+    found: list[tuple[float, float, float]] = []
+    for k in np.flatnonzero(w.bad):
+        window, error = w.fit.windows[k], float(w.fit.linear.window_error[k])
+        if window.recording != recording:
+            continue
+        start, end = float(window.data.time[0]), float(window.data.time[-1])
+        if found and found[-1][1] >= start - 1e-9:
+            start, _, before = found.pop()
+            error = max(error, before)
+        found.append((start, end, error))
+    return found
 
 
 def _with_errors(d: Diagnosis, path: WhitePath, check: Recording | None) -> Diagnosis:
