@@ -171,20 +171,24 @@ def _brought_back(problem: Problem, now: Standing, left: Mapping[str, _Without])
     return next(iter(_likelier(problem, now, [*ways, *_of_other_shapes(problem, now)])), now)
 
 
+def _as_measured(fit: Fit, crane: Crane) -> Fit:
+    """Return the fit with long windows that begin as a crane shows what was measured."""
+    windows = tuple(cut(fit.data, CRITERIA.window))
+    return replace(fit, windows=windows, knots=first_knots(crane, fit.data, CRITERIA.window))
+
+
 def _of_other_shapes(problem: Problem, now: Standing) -> list[_Way]:
     """Return ways that begin with one effect in each of the shapes that the library tries of it (the pressure up to
     which air is free, say), in long windows that begin as measured: from one shape to another a fit seldom finds.
     """
-    crane, data = now.fit.crane, now.fit.data
-    windows, ways = tuple(cut(data, CRITERIA.window)), []
+    crane, ways = now.fit.crane, []
     for key in now.keys:
         own = [p.name for p in split_key(key)[0].parameters if p.shape and not (p.moment or p.along_stroke)]
-        begins = [s.values for s in starts(crane.without_effect(key), data) if s.key == key]
+        begins = [s.values for s in starts(crane.without_effect(key), now.fit.data) if s.key == key]
         shapes = {tuple(v.get(name) for name in own) for v in begins}
         for values in begins if len(shapes) > 1 else ():
             begun = crane.with_effect(key, values)
-            knots = first_knots(begun, data, CRITERIA.window)
-            ways.append(_Way(now, now.keys, begun, replace(now.fit, windows=windows, knots=knots)))
+            ways.append(_Way(now, now.keys, begun, _as_measured(now.fit, begun)))
     return ways
 
 
@@ -193,6 +197,8 @@ def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Sta
     with their open-loop errors.
     """
     found = _settled(problem, ways, now.fit) if ways else []
+    of_each = {frozenset(w.keys): (w, gain) for w, gain in reversed(found)}  # of the same effects the likeliest
+    found = sorted(of_each.values(), key=lambda one: -one[1])
     likelier = []
     for one, gain in found[: CRITERIA.finished]:
         if gain > CRITERIA.proof:
@@ -206,13 +212,16 @@ def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Sta
 
 
 def _one_more(now: Standing) -> list[_Way]:
-    """Return the ways to what a look along its runs promises beside a model, at least half as much as the first."""
+    """Return the ways to what a look along its runs promises beside a model, at least half as much as the first, in
+    long windows that begin on these runs, or as measured: without an effect a run may be far from the machine.
+    """
     found = best_starts(screen(now.fit, starts(now.fit.crane, now.fit.data), 1.0))[: CRITERIA.tried]
     ways = []
     for s in found:
         if s.gain >= CRITERIA.serious * found[0].gain:
             crane = now.fit.crane.with_effect(s.start.key, scaled(s.start, s.amplitude))
-            ways.append(_Way(now, (*now.keys, s.start.key), crane, now.fit))
+            begins = now.fit, _as_measured(now.fit, crane)
+            ways += [_Way(now, (*now.keys, s.start.key), crane, fit) for fit in begins]
     return ways
 
 
@@ -254,12 +263,7 @@ def _whole_run(problem: Problem, last: Sequence[Standing]) -> Standing:
     ways = []
     for standing in last:
         found, fresh = standing.extended(problem), typical(problem.crane, standing.effects)
-        windows = tuple(cut(found.data, CRITERIA.window))
-        machine = [
-            replace(found, windows=windows, knots=first_knots(c, found.data, CRITERIA.window))
-            for c in (found.crane, fresh)
-        ]
-        begins = (found.crane, found), (found.crane, machine[0]), (fresh, machine[1])
+        begins = (found.crane, found), *((c, _as_measured(found, c)) for c in (found.crane, fresh))
         ways += [_Way(standing, standing.keys, crane, fit) for crane, fit in begins]
     return _settled(problem, ways)[0][0]
 
@@ -270,7 +274,9 @@ def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) 
     """
     fits: list[Fit] = in_parallel(problem.jobs, [(_open_loop, problem, w, 6) for w in ways])
     likely = likelihoods(fits, problem.data)
-    leading = sorted(range(len(ways)), key=lambda k: -likely[k])[: CRITERIA.finished]
+    ranked = sorted(range(len(ways)), key=lambda k: likely[k])
+    of_each = {frozenset(ways[k].keys): k for k in ranked}.values()  # of the same effects the likeliest
+    leading = sorted(ranked, key=lambda k: (k in of_each, likely[k]), reverse=True)[: CRITERIA.finished]
     ended: list[Fit] = in_parallel(problem.jobs, [(_at_own_levels, problem, fits[k]) for k in leading])
     for k, fit in zip(leading, ended, strict=True):
         fits[k] = fit
@@ -326,9 +332,8 @@ def _best_run(problem: Problem, now: Standing, without: str) -> Fit:
     final, data = now.fit, now.fit.data
     crane, keys = final.crane.without_effect(without), [k for k in now.keys if k != without]
     straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
-    knots = first_knots(crane, data, CRITERIA.window)
-    measured = replace(final, windows=tuple(cut(data, CRITERIA.window)), knots=knots)
-    ways = [straight, *(_open_loop(problem, _Way(now, keys, crane, start), 4) for start in (final, measured))]
+    begins = final, _as_measured(final, crane)
+    ways = [straight, *(_open_loop(problem, _Way(now, keys, crane, start), 4) for start in begins)]
     return max(ways, key=log_evidence)
 
 
