@@ -21,16 +21,14 @@ from crane_exudyn.errors import counted, names_of
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording, given_recording
 
-from .fit.data import noise_of
 from .fit.solve import Fit
 from .report import amount, evidence_difference, three_digits
 from .selection.criteria import CRITERIA
 from .selection.lean import leaner
-from .selection.model import Fitted, best_of_each, misled, run_error, together
+from .selection.model import Fitted, best_of_each, misled, together
 from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .selection.white import WHITE, WhitePath
-from .workers import in_parallel
 
 ERRORS = ("error_before", "error_after", "check_error_before", "check_error_after")
 
@@ -306,7 +304,7 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
     drifts = np.fmin(d.error_after, d.between) > CRITERIA.misled
     if d.verdict == "unknown" or not (drifts or misled(before, after)):
         return d
-    found = " and ".join(d.effects) or "the model" + " with moved parameters" * (d.verdict == "parameters")
+    found = _choice(d)
     note = (
         f"{found} explains short stretches of the recording, but leaves {d.error_after:.3g} times the noise in one run"
         if drifts
@@ -325,6 +323,11 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
     )  # fmt: skip
 
 
+def _choice(d: Diagnosis) -> str:
+    """Return in words what was chosen."""
+    return " and ".join(d.effects) or "the model" + " with moved parameters" * (d.verdict == "parameters")
+
+
 def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
     """Return the diagnosis; where one run goes astray in stretches that the choice leaves unexplained, with the error
     of runs between them and a note, if these hold.
@@ -332,24 +335,19 @@ def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
     if d.verdict == "unknown" or not d.error_after > CRITERIA.misled or not w.bad.any():
         return d
     left = [_unexplained(w, i) for i in range(len(problem.recordings))]
-    noisy = [replace(w.fit.of(i).crane, sensors=noise_of(r, problem.crane)) for i, r in enumerate(problem.recordings)]
-    runs = [
-        (crane, r.window(*span))
-        for crane, r, own in zip(noisy, problem.recordings, left, strict=True)
-        for span in _spans_beside(r, own)
-    ]
-    kept = sum(r.end - r.start for _, r in runs) / sum(r.end - r.start for r in problem.recordings)
+    pairs = enumerate(zip(problem.recordings, left, strict=True))
+    parts = [(w.fit.of(i).crane, i, span) for i, (r, own) in pairs for span in _spans_beside(r, own)]
+    kept = sum(b - a for _, _, (a, b) in parts) / sum(r.end - r.start for r in problem.recordings)
     if kept < CRITERIA.repaired:
         return d
-    errors: list[float] = in_parallel(problem.jobs, [(run_error, crane, r, None) for crane, r in runs])
-    between = together([r for _, r in runs], errors)
+    between = together(*problem.errors_over(parts))
     if between > CRITERIA.misled:
         return d
     of = [f" of {r.name}" * (len(problem.recordings) > 1) for r in problem.recordings]
     where = [f"{a:.1f}-{b:.1f} s{name}" for name, own in zip(of, left, strict=True) for a, b, _ in own]
     note = (
-        f"{' and '.join(d.effects) or 'the model'} explains the recording but for {', '.join(where)}, where one run "
-        f"goes astray: runs between leave {between:.3g} times the noise"
+        f"{_choice(d)} explains the recording but for {', '.join(where)}, where one run goes astray: runs between "
+        f"leave {between:.3g} times the noise"
     )
     return replace(d, between=between, notes=(note, *d.notes))
 

@@ -168,7 +168,7 @@ def _brought_back(problem: Problem, now: Standing, left: Mapping[str, _Without])
         _Way(now, now.keys, typical(without.fit.crane, effects_of(now.fit.crane, [key])), without.fit)
         for key, without in left.items()
     ]
-    return next(iter(_likelier(problem, now, [*ways, *_of_other_shapes(problem, now)])), now)
+    return next(iter(_likelier(problem, now, [*ways, *_of_other_shapes(now)])), now)
 
 
 def _as_measured(fit: Fit, crane: Crane) -> Fit:
@@ -177,7 +177,7 @@ def _as_measured(fit: Fit, crane: Crane) -> Fit:
     return replace(fit, windows=windows, knots=first_knots(crane, fit.data, CRITERIA.window))
 
 
-def _of_other_shapes(problem: Problem, now: Standing) -> list[_Way]:
+def _of_other_shapes(now: Standing) -> list[_Way]:
     """Return ways that begin with one effect in each of the shapes that the library tries of it (the pressure up to
     which air is free, say), in long windows that begin as measured: from one shape to another a fit seldom finds.
     """
@@ -196,9 +196,10 @@ def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Sta
     """Return the models that ways lead to which the data demand instead of `now`, best first; those with more effects
     with their open-loop errors.
     """
-    found = _settled(problem, ways, now.fit) if ways else []
-    of_each = {frozenset(w.keys): (w, gain) for w, gain in reversed(found)}  # of the same effects the likeliest
-    found = sorted(of_each.values(), key=lambda one: -one[1])
+    of_each: dict[frozenset[str], tuple[Standing, float]] = {}  # of the same effects the likeliest
+    for w, gain in _settled(problem, ways, now.fit) if ways else []:
+        of_each.setdefault(frozenset(w.keys), (w, gain))
+    found = list(of_each.values())
     likelier = []
     for one, gain in found[: CRITERIA.finished]:
         if gain > CRITERIA.proof:

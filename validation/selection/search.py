@@ -18,7 +18,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.recording import Recording
 
-from ..fit.data import Data, data_of
+from ..fit.data import Data, data_of, noise_of
 from ..fit.solve import Fit
 from ..fit.staged import STIFF, Stage, all_parameters, informed_directions
 from ..fit.variables import Variable, stated_effects
@@ -189,6 +189,18 @@ class Problem:
             tasks += [(run_error, fit.crane, check, None, self.data.own) for fit in fits]
         found: list[float] = in_parallel(self.jobs, tasks)
         return [[*found[n * k : n * (k + 1)], *found[len(own) + k : len(own) + k + 1]] for k in range(len(fits))]
+
+    def errors_over(
+        self, parts: Sequence[tuple[Crane, int, tuple[float, float]]]
+    ) -> tuple[list[Recording], list[float]]:
+        """Return parts of recordings, each told by a crane, the recording's number and a span (from, to) in s, and the
+        open-loop errors of the cranes on them; noise is that of the whole recording: a part of one would tell another.
+        """
+        noise = [noise_of(r, self.crane) for r in self.recordings]
+        windows = [self.recordings[i].window(*span) for _, i, span in parts]
+        pairs = zip(parts, windows, strict=True)
+        tasks = [(run_error, replace(crane, sensors=noise[i]), r, None) for (crane, i, _), r in pairs]
+        return windows, in_parallel(self.jobs, tasks)
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]], near: Fit | None = None) -> Fit:
         """Return the crane as given with effects as they were found, none of its parameters moved, in loosely joined

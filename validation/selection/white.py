@@ -15,14 +15,12 @@ from typing import Any
 
 from crane_exudyn.effects import registry
 
-from ..fit.data import noise_of
 from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
-from ..workers import in_parallel
 from .criteria import CRITERIA
 from .ending import still_to_do, taken_on
 from .lean import leaner
 from .levels import noise_level
-from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, run_error, together
+from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, together
 from .moves import starts
 from .race import in_heats, raced, still_leading
 from .screen import best_starts, likely, screened, unseen
@@ -380,14 +378,12 @@ def _left_out(problem: Problem, w: Fitted) -> tuple[float, float]:
     """Return the errors, of the crane as given and of a model fitted to the first part of each recording, on the
     rest.
     """
-    ends = [(end_of_learned(p), float(p.time[-1])) for p in problem.data.parts]
-    rest = [r.window(*span) for r, span in zip(problem.recordings, ends, strict=True)]
+    ends = list(enumerate((end_of_learned(p), float(p.time[-1])) for p in problem.data.parts))
     found = fitted(problem.crane, first_part(problem.data), Model(w.model.variables, w.effects), w.fit, (STIFF,))
-    noise = [noise_of(r, problem.crane) for r in problem.recordings]  # a part of one would tell another
-    cranes = [problem.crane] * len(rest) + [found.fit.of(i).crane for i in range(len(rest))]
-    each = zip(cranes, noise * 2, rest * 2, strict=True)
-    errors = in_parallel(problem.jobs, [(run_error, replace(c, sensors=std), r, None) for c, std, r in each])
-    return together(rest, errors[: len(rest)]), together(rest, errors[len(rest) :])
+    given = [(problem.crane, i, span) for i, span in ends]
+    rest, errors = problem.errors_over([*given, *((found.fit.of(i).crane, i, span) for i, span in ends)])
+    n = len(ends)
+    return together(rest[:n], errors[:n]), together(rest[n:], errors[n:])
 
 
 WHITE = Regime(_begun, _beam, _likely, _tried, _judged, _after, _gained, _finished)
