@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -86,13 +85,13 @@ def begun_anew(
 
 
 class _Begun(NamedTuple):
-    """A window that begins with x0 (nx,) and ends with `end` (nx,); cost: of what it leaves and of the jumps at both
-    ends.
+    """A window that begins with x0 (nx,) and ends with `end` (nx,), and the sum of squares that it leaves, in noise
+    units.
     """
 
     x0: np.ndarray
     end: np.ndarray
-    cost: float
+    squares: float
 
 
 def _uncaught(
@@ -101,12 +100,13 @@ def _uncaught(
     knots, scale = knots.copy(), jump_of(model.crane.layout)[: model.nx] / stiffness
     ends, errors = _with_voids(windows, knots, model, *_runs(windows, knots, model))
     for k in np.flatnonzero(errors > _CAUGHT).tolist():
-        before = ends[k - 1] if k and follows(windows[k - 1], windows[k]) else None
-        after = knots[k + 1] if k + 1 < len(windows) and follows(windows[k], windows[k + 1]) else None
-        measured = with_states(knots_of(model.crane, data, [windows[k]]), model.nx)[0]
-        begun = partial(_begun, window=windows[k], model=model, before=before, after=after, scale=scale)
-        tried = [begun(x0) for x0 in (knots[k], measured, before) if x0 is not None]
-        knots[k], ends[k], _ = min(tried, key=lambda one: one.cost)
+        window, count = windows[k], windows[k].data.count
+        before = ends[k - 1] if k and follows(windows[k - 1], window) else None
+        after = knots[k + 1] if k + 1 < len(windows) and follows(window, windows[k + 1]) else None
+        measured = with_states(knots_of(model.crane, data, [window]), model.nx)[0]
+        tried = [_Begun(knots[k], ends[k], float(errors[k]) ** 2 * max(1, count))]
+        tried += [_begun(x0, window, model) for x0 in (measured, before) if x0 is not None]
+        knots[k], ends[k], _ = min(tried, key=lambda one: _cost(one, count, before, after, scale))
     return knots
 
 
@@ -142,15 +142,17 @@ def _runs(windows: Sequence[Window], knots: np.ndarray, model: Model) -> tuple[n
     return np.concatenate(ends), np.nan_to_num(errors, nan=math.inf)
 
 
-def _begun(
-    x0: np.ndarray, window: Window, model: Model, before: np.ndarray | None, after: np.ndarray | None, scale: np.ndarray
-) -> _Begun:
+def _begun(x0: np.ndarray, window: Window, model: Model) -> _Begun:
     alone = Group((window,))
     X, status = ran(alone, x0[None], model)
     if status[0] != 0 or not np.isfinite(X[-1]).all():
         return _Begun(x0, X[-1], math.inf)
-    squares = sum(float(r @ r) for r in left_in(alone, X, model))
-    jumps = [(a - b) / scale for a, b in ((x0, before), (X[-1], after)) if b is not None]
-    return _Begun(
-        x0, X[-1], robust(squares, window.data.count)[0] + sum(robust(float(j @ j), len(j))[0] for j in jumps)
-    )
+    return _Begun(x0, X[-1], sum(float(r @ r) for r in left_in(alone, X, model)))
+
+
+def _cost(one: _Begun, count: int, before: np.ndarray | None, after: np.ndarray | None, scale: np.ndarray) -> float:
+    """Return what a window of so many samples adds to the cost by what it leaves and by the jumps at both ends."""
+    if not math.isfinite(one.squares):
+        return math.inf
+    jumps = [(a - b) / scale for a, b in ((one.x0, before), (one.end, after)) if b is not None]
+    return robust(one.squares, count)[0] + sum(robust(float(j @ j), len(j))[0] for j in jumps)

@@ -93,12 +93,11 @@ def model_of(crane: Crane, data: FitData, late: float = 0.0, near: Model | None 
             only time constants of the valves differ (many joint moves of parameters change them a little each).
     """
     P, E = crane.parameter_vector(), crane.effect_vector()
-    spool = None if near is None else _extrapolated(near, crane, P, E, data, late)
-    if spool is None:
-        spool = _paths(crane, P, E, data, late)
-    W = _inputs(crane, data, spool)
-    if near is not None and np.array_equal(W, near.W, equal_nan=True):
-        W = near.W  # of hundreds of models that are screened most have the same
+    W = None if near is None else _extrapolated(near, crane, P, E, data, late)
+    if W is None:
+        W = _inputs(crane, data, _paths(crane, P, E, data, late))
+        if near is not None and np.array_equal(W, near.W, equal_nan=True):
+            W = near.W  # of hundreds of models that are screened most have the same
     return Model(crane, P, E, W, late, data.accuracy)
 
 
@@ -133,12 +132,12 @@ _NEAR, _QUOTIENT = 1e-2, 1e-4
 def _extrapolated(
     near: Model, crane: Crane, P: np.ndarray, E: np.ndarray, data: FitData, late: float
 ) -> np.ndarray | None:
-    """Return spool positions (N, valves) from those of a model nearby, or None if more than the time constants
-    differ.
+    """Return the inputs (N, …) from those of a model nearby, its own where its valves are the same; None if more than
+    the time constants differ.
     """
     if late != near.late or _commanded(crane) != _commanded(near.crane):
         return None
-    spool = near.W[:, crane.layout.spools].copy()
+    W = near.W
     for c, name in enumerate(crane.layout.cylinders):
         here, there = valve_of(P, E, c), valve_of(near.P, near.E, c)
         change = here.tau - there.tau
@@ -148,8 +147,9 @@ def _extrapolated(
             step = _QUOTIENT * there.tau
             beside = near.crane.with_parameters({f"valves.{name}.time_constant": there.tau + step})
             path = _valve_path(beside, data, c, there._replace(tau=there.tau + step), late)
-            spool[:, c] += change / step * (path - near.W[:, c])
-    return spool
+            W = W.copy() if W is near.W else W
+            W[:, c] += change / step * (path - near.W[:, c])
+    return W
 
 
 def _commanded(crane: Crane) -> tuple[object, ...]:

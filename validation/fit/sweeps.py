@@ -73,7 +73,7 @@ def left_in(group: Group, X: np.ndarray, base: Model) -> list[np.ndarray]:
     Z, lags = _shown(measurement, group, X), dict(measurement.lags)
     for j, sample in enumerate(group.samples):
         r = sample.residuals(Z[:, j])
-        residuals.append(_without_memory(r[:, None], group, j, lags.get(j), base)[0][:, 0])
+        residuals.append(_without_memory(r[:, None], group, j, lags[j], base)[0][:, 0] if j in lags else r)
     return residuals
 
 
@@ -201,8 +201,8 @@ def _sweep_piece(group: Group, begun: _Begun, base: Model, columns: Columns) -> 
     lags, others = dict(measurement.lags), _other_lags(measurement, base, columns)
     for j, (sample, owner) in enumerate(zip(group.samples, group.owner, strict=True)):
         r, dr = sample.residuals(Z[:, j]), grid.taken(sample, owner, group, dZ[:, j]) / sample.noise
-        if begun.shown is None:
-            both, own = _without_memory(np.column_stack([r, dr]), group, j, lags.get(j), base)
+        if begun.shown is None and j in lags:
+            both, own = _without_memory(np.column_stack([r, dr]), group, j, lags[j], base)
             for c, tau in others.get(j, ()):  # with another lag, something else is forgotten
                 beside, _ = _without_memory(r[:, None], group, j, tau, base)
                 both[:, 1 + nx + c] += (both[:, 0] - beside[:, 0]) / columns.size[c]
@@ -327,15 +327,12 @@ def _other_lags(measurement: Measurement, base: Model, columns: Columns) -> dict
 
 
 def _without_memory(
-    columns: np.ndarray, group: Group, j: int, tau: float | None, base: Model
+    columns: np.ndarray, group: Group, j: int, tau: float, base: Model
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return columns (n, m) at the samples of channel j, which lags by tau (s), without what its unknown first value in
-    each window may have done, and the cost of that (K,); nothing where it does not lag, or was known as the recording
-    began.
+    each window may have done, and the cost of that (K,); nothing where it was known as the recording began.
     """
     cost = np.zeros(len(group.windows))
-    if tau is None:
-        return columns, cost
     rate, parts = RATE[base.crane.layout.sensors[group.samples[j].channel].unit], []
     for k, window in enumerate(group.windows):
         own = columns[group.owner[j] == k]
