@@ -37,13 +37,13 @@ def coloured(rng: np.random.Generator, n: int, rho: float) -> np.ndarray:
     return np.asarray(lfilter([math.sqrt(1.0 - rho**2)], [1.0, -rho], rng.standard_normal(n + 500))[500:])
 
 
-def recorded(crane: Crane, seconds: float = 4.5) -> Recording:
+def recorded(crane: Crane, seconds: float = 4.5, less_loaded: float | None = None) -> Recording:
     """Return a lift with correlated, rounded sensors that drift, from a start that the crane file does not tell."""
     time = np.arange(0.0, seconds, 0.01)
     u = np.column_stack([np.interp(time, [0.5, 0.8, 3.0, 3.3], [0.0, 0.25, 0.25, 0.0]), np.zeros_like(time)])
     engine = SemiRecursiveEngine(crane)
     w = np.column_stack([SpoolPath(crane).run(time, u), np.full((len(time), 2), np.nan)])
-    start = engine.static_start(0.13, -0.7)
+    start = engine.static_start(0.13, -0.7, less_loaded=less_loaded)
     start[4] += 3e5  # not at rest: it rings from the first sample on
     X = engine.simulate(start, time, w)
     rng = np.random.default_rng(11)
@@ -140,6 +140,17 @@ def test_two_are_taken_in_at_once_where_neither_alone_lowers_the_errors_by_enoug
     monkeypatch.setattr("validation.selection.whole_runs.CRITERIA", enough)
     found = proven(path.problem, [path.parameters], path.parameters.errors[1], most=2)
     assert len(found.needed) == 2 and "pressure_compensation@lift" in found.needed
+
+
+def test_what_no_look_shows_is_fitted_where_everything_is_fitted_together(crane, monkeypatch):
+    """Air begun at each pressure up to which it may be free, of which no look along a run promises anything."""
+    truth = crane.with_effect("released_air", {"alpha": 0.1, "ps": 10e5})
+    path = searched(crane, recorded(truth, less_loaded=2e5), most=0)
+    monkeypatch.setattr("validation.selection.proven.screen", lambda fit, starts, stiffness: [])
+    found = proven(path.problem, [path.parameters], path.parameters.errors[1], most=1)
+    (air,) = found.crane.effects
+    assert air.key == "released_air" and air.parameters == pytest.approx(truth.effects[0].parameters, rel=0.15)
+    assert found.after["p2"] < 0.1 * path.parameters.errors[0]["p2"]
 
 
 def test_what_shows_in_the_last_part_alone_is_learned_from_all_of_the_recording(crane):

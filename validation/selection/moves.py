@@ -112,6 +112,13 @@ def around(start: Start) -> list[Start]:
     return [Start(start.key, {**start.values, timed.name: t}, start.two_sided) for t in moments if t >= timed.lower]
 
 
+def of_typical_size(key: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Return values of an effect of the size that is met in practice; what gives it its shape (a moment, a place of the
+    stroke) as it is.
+    """
+    return {p.name: values[p.name] if p.shape else p.typical for p in registry.split_key(key)[0].parameters}
+
+
 def scaled(start: Start, amplitude: float) -> dict[str, float]:
     """Return the start's values with its acting parameters scaled by an amplitude (1 = as they are), within their
     range; thresholds as they are.

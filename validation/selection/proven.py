@@ -23,7 +23,7 @@ from .criteria import CRITERIA
 from .levels import Errors, left_over, levels_of, likelihoods, noise_level
 from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of
 from .moves import scaled, starts
-from .screen import best_starts, screen
+from .screen import best_starts, screen, unseen
 from .search import Problem, Progress, silent
 from .whole_runs import Judged, Standing, Taken, errors_of, first_part, joined, judged, run, typical
 
@@ -214,16 +214,19 @@ def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Sta
 
 def _one_more(now: Standing) -> list[_Way]:
     """Return the ways to what a look along its runs promises beside a model, at least half as much as the first, in
-    long windows that begin on these runs, or as measured: without an effect a run may be far from the machine.
+    long windows that begin on these runs, or as measured: without an effect a run may be far from the machine; and to
+    the effects that no look along them sees, as measured.
     """
     found = best_starts(screen(now.fit, starts(now.fit.crane, now.fit.data), 1.0))[: CRITERIA.tried]
-    ways = []
-    for s in found:
-        if s.gain >= CRITERIA.serious * found[0].gain:
-            crane = now.fit.crane.with_effect(s.start.key, scaled(s.start, s.amplitude))
-            begins = now.fit, _as_measured(now.fit, crane)
-            ways += [_Way(now, (*now.keys, s.start.key), crane, fit) for fit in begins]
-    return ways
+    shown = {s.start.key: scaled(s.start, s.amplitude) for s in found if s.gain >= CRITERIA.serious * found[0].gain}
+    ways = [_wider(now, key, values, along) for key, values in shown.items() for along in (True, False)]
+    return [*ways, *(_wider(now, s.key, s.values, False) for s in unseen(now.fit))]
+
+
+def _wider(now: Standing, key: str, values: Mapping[str, float], along: bool) -> _Way:
+    """Return the way to a model with one effect more, in long windows that begin along its runs, or as measured."""
+    crane = now.fit.crane.with_effect(key, values)
+    return _Way(now, (*now.keys, key), crane, now.fit if along else _as_measured(now.fit, crane))
 
 
 def _judged_apart(problem: Problem, now: Standing) -> Judged:
@@ -272,19 +275,30 @@ def _whole_run(problem: Problem, last: Sequence[Standing]) -> Standing:
 def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) -> list[tuple[Standing, float]]:
     """Return where several ways lead, the likeliest carried to their ends with the error levels that they leave, and by
     how much each is likelier than a fit beside them (than the first); best first.
+
+    Of those that bring at least half as much as the first the best of each set of effects is fitted with its own levels
+    before they are compared: at those of a model without it, what an effect mends of a channel that was given up hardly
+    counts.
     """
     fits: list[Fit] = in_parallel(problem.jobs, [(_open_loop, problem, w, 6) for w in ways])
-    likely = likelihoods(fits, problem.data)
-    ranked = sorted(range(len(ways)), key=lambda k: likely[k])
-    of_each = {frozenset(ways[k].keys): k for k in ranked}.values()  # of the same effects the likeliest
-    leading = sorted(ranked, key=lambda k: (k in of_each, likely[k]), reverse=True)[: CRITERIA.finished]
-    ended: list[Fit] = in_parallel(problem.jobs, [(_at_own_levels, problem, fits[k]) for k in leading])
-    for k, fit in zip(leading, ended, strict=True):
-        fits[k] = fit
-    first, *likely = likelihoods([fits[0] if beside is None else beside, *fits], problem.data)
-    rows = zip(ways, fits, likely, strict=True)
-    found = [(_with_fit(w.parent, fit, w.keys), gain - first) for w, fit, gain in rows]
-    return sorted(found, key=lambda one: -one[1])
+
+    def gains() -> list[float]:
+        first, *likely = likelihoods([fits[0] if beside is None else beside, *fits], problem.data)
+        return [one - first for one in likely]
+
+    def carried(chosen: Sequence[int], times: int) -> None:
+        ended: list[Fit] = in_parallel(problem.jobs, [(_at_own_levels, problem, fits[k], times) for k in chosen])
+        for k, fit in zip(chosen, ended, strict=True):
+            fits[k] = fit
+
+    gain = gains()
+    best = {frozenset(ways[k].keys): k for k in sorted(range(len(ways)), key=lambda k: gain[k])}.values()
+    carried([k for k in best if gain[k] >= CRITERIA.serious * max(gain)], 1)
+    gain = gains()
+    leading = sorted(range(len(ways)), key=lambda k: (k in best, gain[k]), reverse=True)[: CRITERIA.finished]
+    carried(leading, CRITERIA.settled)
+    rows = zip(ways, fits, gains(), strict=True)
+    return sorted(((_with_fit(w.parent, fit, w.keys), one) for w, fit, one in rows), key=lambda row: -row[1])
 
 
 def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
@@ -318,9 +332,9 @@ def _open_loop(problem: Problem, way: _Way, iterations: int) -> Fit:
     return staged(problem.crane, way.before.data, variables, windows.u, windows, run(2 * iterations))
 
 
-def _at_own_levels(problem: Problem, found: Fit) -> Fit:
-    """Return an open-loop fit made again a few times with the error levels that it leaves."""
-    for _ in range(CRITERIA.settled):
+def _at_own_levels(problem: Problem, found: Fit, times: int) -> Fit:
+    """Return an open-loop fit made again so many times with the error levels that it leaves."""
+    for _ in range(times):
         data = levels_of(found, problem.data, apart=CRITERIA.drifts).raised(problem.data)
         found = staged(problem.crane, data, found.variables, found.u, found, run(12))
     return found

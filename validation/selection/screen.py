@@ -20,7 +20,7 @@ from ..fit.linear import linearised
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
 from .criteria import CRITERIA
-from .moves import Start, around, starts
+from .moves import Start, around, of_typical_size, starts
 
 #: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the
 #: softer machine, since a little of it has nearly the whole effect
@@ -89,13 +89,12 @@ def _stops(start: Start) -> bool:
 
 
 def unseen(fit: Fit) -> list[Start]:
-    """Return a start of each effect that softens: where parameters stand for it already, not even a run tells what
-    follows, only a fit.
+    """Return starts of the effects that soften, each in all of its shapes and of the size that is met in practice:
+    where parameters stand for it already, not even a run tells what follows, only a fit.
     """
-    found: dict[str, Start] = {}
-    for start in filter(_softens, starts(fit.crane, fit.data)):
-        found.setdefault(start.key, start)
-    return list(found.values())
+    every = filter(_softens, starts(fit.crane, fit.data))
+    found = [Start(s.key, of_typical_size(s.key, s.values)) for s in every]
+    return [s for i, s in enumerate(found) if s not in found[:i]]
 
 
 def best_starts(scores: Sequence[Score]) -> list[Score]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.effects.registry import split_key
 
 from ..fit.data import Data, FitData
 from ..fit.knots import reknot
@@ -19,6 +18,7 @@ from ..fit.windows import cut
 from .criteria import CRITERIA
 from .levels import Errors, Levels, each_part, falls, left_over
 from .model import Fitted
+from .moves import of_typical_size
 from .search import Problem
 
 Judged = tuple[Errors, Errors]
@@ -127,13 +127,8 @@ def end_of_learned(data: FitData) -> float:
 
 
 def typical(crane: Crane, effects: Mapping[str, Mapping[str, float]]) -> Crane:
-    """Return the crane with effects of the size that is met in practice; what gives one its shape (a moment, a place of
-    the stroke) as it is.
-    """
-    of = {k: split_key(k)[0].parameters for k in effects}
-    return crane.changed(
-        {}, {k: {p.name: effects[k][p.name] if p.shape else p.typical for p in own} for k, own in of.items()}
-    )
+    """Return the crane with effects of the size that is met in practice."""
+    return crane.changed({}, {key: of_typical_size(key, values) for key, values in effects.items()})
 
 
 def judged(problem: Problem, found: Fit) -> Judged:
