@@ -150,9 +150,7 @@ class Problem:
         data = data_of(recordings, self.crane, self.data.own)
         if all(len(a.commands) == len(b.commands) for a, b in zip(data.parts, self.data.parts, strict=True)):
             return None
-        again = fitted(self.crane, data, w.model, w.fit, (replace(STIFF, iterations=1),))
-        if again.evidence > w.evidence:  # else it is the same but for what further iterations bring
-            again = fitted(self.crane, data, w.model, again.fit, (STIFF,))
+        again = fitted(self.crane, data, w.model, w.fit, (STIFF,))
         if again.evidence < w.evidence + CRITERIA.proof or again.level >= CRITERIA.left_level:
             return None
         return Problem.of(self.crane, recordings, self.data.own, self.jobs)
