@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crane_exudyn import Crane, CraneError, Recording
+from crane_exudyn import Crane, CraneError, Recording, simulate
 from crane_exudyn.channels import Channel
 from validation import hidden
 from validation.diagnosis import Diagnosis, diagnose, held_to_runs, sentence
@@ -19,6 +19,7 @@ from validation.selection.moves import Start, around, starts
 from validation.selection.search import Round
 from validation.selection.verdict import verdict_of, within_clocks
 from validation.selection.white import WHITE, WhitePath
+from validation.semi_recursive import SemiRecursiveEngine
 
 DATA = Path(__file__).parent / "data"
 ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
@@ -55,6 +56,19 @@ def test_a_stretch_that_nothing_explains_spoils_one_run_but_not_what_lies_beside
     assert found.verdict == "effect" and found.effects == ("pump_droop",)
     assert found.error_after > 2.0 and found.between < 1.1
     assert "but for 7.5-8.8 s" in found.notes[0]
+
+
+def test_commands_that_a_controller_held_between_samples_are_found_out():
+    crane, rng = Crane.load("patu655"), np.random.default_rng(5)
+    time = np.arange(0.0, 5.0, 0.04)
+    u1 = np.interp(time, [0.5, 1.1, 2.5, 3.0], [0.0, 0.4, 0.4, 0.0])
+    u2 = np.interp(time, [2.6, 3.2, 4.0, 4.5], [0.0, -0.3, -0.3, 0.0])
+    driven = Recording.from_arrays("held", time, {"u1": u1, "u2": u2})
+    run = simulate(crane, replace(driven, held=True), start=SemiRecursiveEngine(crane).static_start(0.2, -0.8))
+    noise = {"z1": 8e-4, "z4": 8e-4, **dict.fromkeys(("p1", "p2", "p3", "p4"), 3e4)}
+    shown = {n: np.interp(time, run.time, run[n]) + s * rng.standard_normal(len(time)) for n, s in noise.items()}
+    found = diagnose(crane, Recording.from_arrays("held", time, {"u1": u1, "u2": u2, **shown}))
+    assert found.verdict == "adequate" and any("held = true" in note for note in found.notes)
 
 
 def test_a_recording_without_motion_is_refused():
