@@ -104,7 +104,8 @@ def _uncaught(
         before = ends[k - 1] if k and follows(windows[k - 1], window) else None
         after = knots[k + 1] if k + 1 < len(windows) and follows(window, windows[k + 1]) else None
         measured = with_states(knots_of(model.crane, data, [window]), model.nx)[0]
-        tried = [_Begun(knots[k], ends[k], float(errors[k]) ** 2 * max(1, count))]
+        error = float(errors[k])  # of a run that goes far astray its square is infinite
+        tried = [_Begun(knots[k], ends[k], error * error * max(1, count))]
         tried += [_begun(x0, window, model) for x0 in (measured, before) if x0 is not None]
         knots[k], ends[k], _ = min(tried, key=lambda one: _cost(one, count, before, after, scale))
     return knots
@@ -145,14 +146,13 @@ def _runs(windows: Sequence[Window], knots: np.ndarray, model: Model) -> tuple[n
 def _begun(x0: np.ndarray, window: Window, model: Model) -> _Begun:
     alone = Group((window,))
     X, status = ran(alone, x0[None], model)
-    if status[0] != 0 or not np.isfinite(X[-1]).all():
-        return _Begun(x0, X[-1], math.inf)
-    return _Begun(x0, X[-1], sum(float(r @ r) for r in left_in(alone, X, model)))
+    squares = sum(float(r @ r) for r in left_in(alone, X, model)) if status[0] == 0 else math.inf
+    return _Begun(x0, X[-1], squares)
 
 
 def _cost(one: _Begun, count: int, before: np.ndarray | None, after: np.ndarray | None, scale: np.ndarray) -> float:
     """Return what a window of so many samples adds to the cost by what it leaves and by the jumps at both ends."""
-    if not math.isfinite(one.squares):
+    if not (math.isfinite(one.squares) and np.isfinite(one.end).all()):
         return math.inf
     jumps = [(a - b) / scale for a, b in ((one.x0, before), (one.end, after)) if b is not None]
     return robust(one.squares, count)[0] + sum(robust(float(j @ j), len(j))[0] for j in jumps)
