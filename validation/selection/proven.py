@@ -196,10 +196,7 @@ def _likelier(problem: Problem, now: Standing, ways: Sequence[_Way]) -> list[Sta
     """Return the models that ways lead to which the data demand instead of `now`, best first; those with more effects
     with their open-loop errors.
     """
-    of_each: dict[frozenset[str], tuple[Standing, float]] = {}  # of the same effects the likeliest
-    for w, gain in _settled(problem, ways, now.fit) if ways else []:
-        of_each.setdefault(frozenset(w.keys), (w, gain))
-    found = list(of_each.values())
+    found = _settled(problem, ways, now.fit) if ways else []
     likelier = []
     for one, gain in found[: CRITERIA.finished]:
         if gain > CRITERIA.proof:
@@ -273,8 +270,9 @@ def _whole_run(problem: Problem, last: Sequence[Standing]) -> Standing:
 
 
 def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) -> list[tuple[Standing, float]]:
-    """Return where several ways lead, the likeliest carried to their ends with the error levels that they leave, and by
-    how much each is likelier than a fit beside them (than the first); best first.
+    """Return where several ways lead, of those with the same effects the likeliest, and by how much each is likelier
+    than a fit beside them (than the first); best first, these carried to their ends with the error levels that they
+    leave.
 
     Of those that bring at least half as much as the first the best of each set of effects is fitted with its own levels
     before they are compared: at those of a model without it, what an effect mends of a channel that was given up hardly
@@ -291,14 +289,20 @@ def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) 
         for k, fit in zip(chosen, ended, strict=True):
             fits[k] = fit
 
+    def likeliest(gain: Sequence[float]) -> list[int]:
+        found = dict[frozenset[str], int]()
+        for k in sorted(range(len(ways)), key=lambda k: -gain[k]):
+            found.setdefault(frozenset(ways[k].keys), k)
+        return list(found.values())
+
     gain = gains()
-    best = {frozenset(ways[k].keys): k for k in sorted(range(len(ways)), key=lambda k: gain[k])}.values()
+    best = likeliest(gain)
     carried([k for k in best if gain[k] >= CRITERIA.serious * max(gain)], 1)
     gain = gains()
     leading = sorted(range(len(ways)), key=lambda k: (k in best, gain[k]), reverse=True)[: CRITERIA.finished]
     carried(leading, CRITERIA.settled)
-    rows = zip(ways, fits, gains(), strict=True)
-    return sorted(((_with_fit(w.parent, fit, w.keys), one) for w, fit, one in rows), key=lambda row: -row[1])
+    gain = gains()
+    return [(_with_fit(ways[k].parent, fits[k], ways[k].keys), gain[k]) for k in likeliest(gain)]
 
 
 def _everything(problem: Problem, keys: Sequence[str], before: Fit, crane: Crane) -> tuple[list[Variable], np.ndarray]:
