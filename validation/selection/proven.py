@@ -5,7 +5,7 @@ recordings; each effect left out once, and what acts beside them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -274,18 +274,18 @@ def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) 
     than a fit beside them (than the first); best first, these carried to their ends with the error levels that they
     leave.
 
-    Of those that bring at least half as much as the first the best of each set of effects is fitted with its own levels
-    before they are compared: at those of a model without it, what an effect mends of a channel that was given up hardly
-    counts.
+    Beside a fit, those that are far behind after a few iterations stop. Of those that bring at least half as much as
+    the first the best of each set of effects is fitted with its own levels before they are compared: at those of a
+    model without it, what an effect mends of a channel that was given up hardly counts.
     """
-    fits: list[Fit] = in_parallel(problem.jobs, [(_open_loop, problem, w, 6) for w in ways])
+    fits: list[Fit] = in_parallel(problem.jobs, [(_begun, problem, w) for w in ways])
 
     def gains() -> list[float]:
         first, *likely = likelihoods([fits[0] if beside is None else beside, *fits], problem.data)
         return [one - first for one in likely]
 
-    def carried(chosen: Sequence[int], times: int) -> None:
-        ended: list[Fit] = in_parallel(problem.jobs, [(_at_own_levels, problem, fits[k], times) for k in chosen])
+    def carried(chosen: Sequence[int], further: Callable[..., Fit], *how: int) -> None:
+        ended: list[Fit] = in_parallel(problem.jobs, [(further, problem, fits[k], *how) for k in chosen])
         for k, fit in zip(chosen, ended, strict=True):
             fits[k] = fit
 
@@ -296,11 +296,14 @@ def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) 
         return list(found.values())
 
     gain = gains()
+    least = -math.inf if beside is None else min(max(gain) - CRITERIA.apart, CRITERIA.chance * max(gain))
+    carried([k for k in range(len(ways)) if gain[k] >= least and not fits[k].converged], _further)
+    gain = gains()
     best = likeliest(gain)
-    carried([k for k in best if gain[k] >= CRITERIA.serious * max(gain)], 1)
+    carried([k for k in best if gain[k] >= CRITERIA.serious * max(gain)], _at_own_levels, 1)
     gain = gains()
     leading = sorted(range(len(ways)), key=lambda k: (k in best, gain[k]), reverse=True)[: CRITERIA.finished]
-    carried(leading, CRITERIA.settled)
+    carried(leading, _at_own_levels, CRITERIA.settled)
     gain = gains()
     return [(_with_fit(ways[k].parent, fits[k], ways[k].keys), gain[k]) for k in likeliest(gain)]
 
@@ -329,11 +332,16 @@ def believable(v: NominalDirection) -> NominalDirection:
     )
 
 
-def _open_loop(problem: Problem, way: _Way, iterations: int) -> Fit:
-    """Return everything fitted to one open-loop run, by way of long windows."""
+def _begun(problem: Problem, way: _Way) -> Fit:
+    """Return the first iterations of everything fitted to one open-loop run, by way of long windows."""
     variables, u = _everything(problem, way.keys, way.before, way.crane)
-    windows = staged(problem.crane, way.before.data, variables, u, way.before, joined(iterations))
-    return staged(problem.crane, way.before.data, variables, windows.u, windows, run(2 * iterations))
+    windows = staged(problem.crane, way.before.data, variables, u, way.before, joined(2 * CRITERIA.sifted))
+    return staged(problem.crane, way.before.data, variables, windows.u, windows, run(CRITERIA.sifted))
+
+
+def _further(problem: Problem, found: Fit) -> Fit:
+    """Return such a fit at its end."""
+    return staged(problem.crane, found.data, found.variables, found.u, found, run(9))
 
 
 def _at_own_levels(problem: Problem, found: Fit, times: int) -> Fit:
@@ -351,9 +359,8 @@ def _best_run(problem: Problem, now: Standing, without: str) -> Fit:
     final, data = now.fit, now.fit.data
     crane, keys = final.crane.without_effect(without), [k for k in now.keys if k != without]
     straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
-    begins = final, _as_measured(final, crane)
-    ways = [straight, *(_open_loop(problem, _Way(now, keys, crane, start), 4) for start in begins)]
-    return max(ways, key=log_evidence)
+    begun = [_begun(problem, _Way(now, keys, crane, start)) for start in (final, _as_measured(final, crane))]
+    return max((straight, *(_further(problem, found) for found in begun)), key=log_evidence)
 
 
 def _deviations(final: Fit, keys: Sequence[str]) -> dict[str, float]:
