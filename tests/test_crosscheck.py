@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 import validation.semi_recursive.equations as equations_module
+import validation.semi_recursive.hydraulics as hydraulics_module
+import validation.semi_recursive.mechanics as mechanics_module
+import validation.semi_recursive.sheet as sheet_module
 import validation.semi_recursive.terms as terms_module
 from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
@@ -197,13 +200,16 @@ def plain(module: types.ModuleType, text: str, **given: object) -> dict[str, obj
 
 def faulty_terms(faults: tuple[tuple[str, str], ...]) -> Callable[..., np.ndarray]:
     """Return `terms` as plain Python, after each fault (found text, put in its place) was put into the equations."""
-    text = Path(equations_module.__file__).read_text(encoding="utf-8")
+    modules = sheet_module, mechanics_module, hydraulics_module, equations_module, terms_module
+    texts = [Path(str(module.__file__)).read_text(encoding="utf-8") for module in modules]
     for right, wrong in faults:
-        assert text.count(right) == 1, f"{right!r} stands {text.count(right)} times in the equations"
-        text = text.replace(right, wrong)
-    equations = plain(equations_module, text)
-    terms = re.sub(r"from \.equations import \([^)]*\)", "", Path(terms_module.__file__).read_text(encoding="utf-8"))
-    return plain(terms_module, terms, **equations)["terms"]  # type: ignore[return-value]
+        count = sum(text.count(right) for text in texts[:-1])
+        assert count == 1, f"{right!r} stands {count} times in the equations"
+        texts = [text.replace(right, wrong) for text in texts]
+    names = dict[str, object]()
+    for module, text in zip(modules, texts, strict=True):
+        names |= plain(module, re.sub(r"from \.\w+ import (\([^)]*\)|.*)", "", text), **names)
+    return names["terms"]  # type: ignore[return-value]
 
 
 def test_without_a_fault_the_plain_equations_agree(crane: Crane, exudyn: ExudynEngine, states: cases.States) -> None:

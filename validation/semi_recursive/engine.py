@@ -12,12 +12,14 @@ from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane, checked_crane
 from crane_exudyn.effects import hooks
 from crane_exudyn.errors import CraneError, listed
-from crane_exudyn.machine import Joint, Machine
+from crane_exudyn.machine import CYLINDERS, Joint, Machine
 from crane_exudyn.row_values import RowValues
 from crane_exudyn.statics import check_less_loaded, check_spools, checked_inputs, checked_state, visible
 from crane_exudyn.step_control import MOST_HALVINGS
 
 from . import equations, kernel
+from .hydraulics import held_pressures
+from .sheet import BY, CYLINDER, JOINTS, LENGTH, N_CYLINDER, RANGE, WEIGHT, first_cylinder, sheet
 from .terms import point_rows, term_names, terms
 
 #: a chamber that is shorter than nothing by this (m) shows whether anything pushes back
@@ -28,7 +30,7 @@ _LEAST_LEVERAGE = 1e-6
 
 @njit
 def _chamber_lengths(X, P, E, topology):
-    out, s = np.empty((X.shape[0], X.shape[1] // 4 * 2)), equations.sheet(topology)
+    out, s = np.empty((X.shape[0], X.shape[1] // 4 * 2)), sheet(topology)
     for i in range(X.shape[0]):
         equations.chamber_lengths(X[i], P, E, s, out[i])
     return out
@@ -39,23 +41,21 @@ def _rest(x, P, E, topology):
     """Return generalised forces (n,) of all but cylinders at rest, those of a unit force in each cylinder (n, n), and
     the lengths (n,).
     """
-    s = equations.sheet(topology)
+    s = sheet(topology)
     equations.at_rest(x, P, E, s)
-    n, first = topology[0, equations.CYLINDERS], equations.first_cylinder(s)
-    units = s.numbers[first : first + n, equations.BY : equations.BY + n].copy()
+    n, first = topology[0, CYLINDERS], first_cylinder(s)
+    units = s.numbers[first : first + n, BY : BY + n].copy()
     return (
-        s.general[equations.WEIGHT] + s.general[equations.JOINTS],
+        s.general[WEIGHT] + s.general[JOINTS],
         units,
-        s.numbers[first : first + n, equations.LENGTH].copy(),
+        s.numbers[first : first + n, LENGTH].copy(),
     )
 
 
 @njit
 def _held(lengths, forces, less_loaded, P, E, pressures):
     for c in range(forces.size):
-        pressures[2 * c], pressures[2 * c + 1] = equations.held_pressures(
-            c, lengths[c], forces[c], less_loaded[c], P, E
-        )
+        pressures[2 * c], pressures[2 * c + 1] = held_pressures(c, lengths[c], forces[c], less_loaded[c], P, E)
     gx, gy = hooks.gravity(E, 0.0, -1.0)
     return math.atan2(gx, -gy)
 
@@ -65,7 +65,7 @@ def _asked(P, E, n):
     """Return the length of the pendulum, and of each chamber (2n,) whether something stops the piston at its end."""
     stopped = np.empty(2 * n, np.bool_)
     for c in range(n):
-        whole = P[equations.CYLINDER + equations.N_CYLINDER * c + equations.RANGE]
+        whole = P[CYLINDER + N_CYLINDER * c + RANGE]
         for side in (0, 1):
             sign, beyond, end = 1.0 - 2.0 * side, -_BEYOND, 0.0
             if side == 1:

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crane_exudyn.compiled import inner, njit, part
+from crane_exudyn.machine import CYLINDERS
 from crane_exudyn.step_control import (
     MOST_HALVINGS,
     POSITION_ERROR,
@@ -31,20 +32,9 @@ from crane_exudyn.step_control import (
     next_level,
 )
 
-from .equations import (
-    CYLINDERS,
-    OIL,
-    Sheet,
-    amounts,
-    at_amounts,
-    at_pressures,
-    balance,
-    inline,
-    rates,
-    read_amounts,
-    settle_pressures,
-    sheet,
-)
+from .equations import amounts, at_amounts, at_pressures, balance, rates, settle_pressures
+from .hydraulics import read_amounts
+from .sheet import OIL, Sheet, inline, sheet
 
 __all__ = ["NOT_CONVERGED", "OK", "TOO_COARSE", "propagate_batch", "simulate", "simulate_each"]
 

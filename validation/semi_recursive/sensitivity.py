@@ -25,10 +25,12 @@ import numpy as np
 
 from crane_exudyn.compiled import inner, njit
 from crane_exudyn.effects.registry import slots_of
+from crane_exudyn.machine import CYLINDERS
 from crane_exudyn.parameters import CYLINDER, FLUID, N_CYLINDER, PAYLOAD
 from crane_exudyn.step_control import MOST_HALVINGS, limit, next_level
 
-from .equations import CYLINDERS, Sheet, amounts, balance, rates, read_pressures, settle_pressures, sheet
+from .equations import amounts, balance, rates, settle_pressures
+from .hydraulics import read_pressures
 from .kernel import (
     ALLOWED,
     ERROR,
@@ -53,6 +55,7 @@ from .kernel import (
     try_step,
     workspace,
 )
+from .sheet import Sheet, sheet
 
 POSITION_EPSILON, RATE_EPSILON, PRESSURE_EPSILON = 1e-6, 1e-6, 1e2
 #: hooks that `mechanics` calls

@@ -8,19 +8,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from crane_exudyn.compiled import inner, njit
-from crane_exudyn.machine import GROUND, Machine
+from crane_exudyn.machine import BODIES, CARRIER, COORDINATE, CYLINDERS, GROUND, Machine
 
-from .equations import (
+from .equations import at_pressures
+from .hydraulics import piston_areas
+from .mechanics import placed
+from .sheet import (
     ACCELERATION,
     AMOUNT,
-    BODIES,
     BY,
     BY_PRESSURE,
     BY_VOLUME,
-    CARRIER,
-    COORDINATE,
     CYLINDER,
-    CYLINDERS,
     DENSITY,
     FMU,
     GA,
@@ -45,10 +44,7 @@ from .equations import (
     VELOCITY,
     WEIGHT,
     F,
-    at_pressures,
     first_cylinder,
-    piston_areas,
-    placed,
     sheet,
 )
 
