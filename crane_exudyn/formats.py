@@ -275,7 +275,7 @@ def _read_mdf(path: Path, wanted: Collection[str]) -> RawTable:
     except ImportError:
         raise CraneError(
             f"{path}: reading MDF files needs asammdf, which is not installed. Install it: pip install "
-            '"crane-exudyn[mdf]"'
+            "'crane-exudyn[mdf]'."
         ) from None
     signals, others = _mdf_content(mdf, path, wanted)
     clocks: dict[bytes, RawColumn] = {}

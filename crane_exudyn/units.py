@@ -56,6 +56,8 @@ def _from_text(text: str, unit: str, where: str) -> float:
     try:
         return float(quantity.to(unit or "dimensionless").magnitude)
     except Exception as problem:
+        if unit and quantity.unitless:
+            raise CraneError(f"{where} = {text!r} has no unit. Write one, such as '{text} {unit}'.") from problem
         raise CraneError(
             f"{where} = {text!r} has the wrong unit: expected something like {unit or 'a plain number'}."
         ) from problem

@@ -488,20 +488,26 @@ def crosscheck(
         "other cranes", lambda: _others(cases.other_cranes(crane.nominal(), rng), make_first, make_second, fewer, rng)
     )
     work = _EFFECT * len(probes), _MANOEUVRE * seconds
-    until = 0.95 * work[0] / sum(work)
+    until = 0.05 + 0.95 * work[0] / sum(work)
     for k, (key, probe) in enumerate(probes.items()):
-        progress(0.05 + until * k / len(probes), key)
+        progress(0.05 + (until - 0.05) * k / len(probes), key)
         result.quantities += _effect(key, probe, make_first, make_second, fewer, rng)
     known = manoeuvres(crane, second, seconds, rng)
-    share = (0.95 - until) / len(known)
-    for k, (name, given) in enumerate(known.items()):
-        begin = 0.05 + until + share * k
-        progress(begin, name)
-        found, runs = _manoeuvre(name, given, first, second, step, partial(_within, progress, begin, share))
-        result.quantities += found
-        result.runs += runs
+    _run_manoeuvres(result, known, first, second, step, partial(_within, progress, until, 1.0 - until))
     progress(1.0, "")
     return result
+
+
+def _run_manoeuvres(
+    result: CrossCheck, known: Mapping[str, Given], first: Engine, second: Engine, step: float, progress: Progress
+) -> None:
+    """Add to a result what manoeuvres bring, by name, and their runs."""
+    share = 1.0 / len(known)
+    for k, (name, given) in enumerate(known.items()):
+        progress(share * k, name)
+        found, runs = _manoeuvre(name, given, first, second, step, partial(_within, progress, share * k, share))
+        result.quantities += found
+        result.runs += runs
 
 
 def _check_extent(states: int, seconds: float, step: float) -> None:
