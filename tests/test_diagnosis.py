@@ -11,10 +11,10 @@ import pytest
 from crane_exudyn import Crane, CraneError, Recording, simulate
 from crane_exudyn.channels import Channel
 from validation import hidden
+from validation.criteria import CRITERIA
 from validation.diagnosis import Diagnosis, diagnose, held_to_runs, sentence
 from validation.fit.data import FitData
 from validation.fitness import check_check
-from validation.selection.criteria import CRITERIA
 from validation.selection.moves import Start, around, starts
 from validation.selection.search import Round
 from validation.selection.verdict import verdict_of, within_clocks

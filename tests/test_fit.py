@@ -13,6 +13,7 @@ from crane_exudyn import Crane, Recording
 from crane_exudyn.channels import Channel
 from crane_exudyn.drive import with_steps
 from crane_exudyn.measurement import Measurement
+from validation.criteria import CRITERIA
 from validation.fit import linear, sweeps
 from validation.fit.columns import columns_of, model_at, pack
 from validation.fit.data import ACCURACY, ACCURATE, FitData, Samples, data_of
@@ -35,7 +36,6 @@ from validation.fit.staged import (
 from validation.fit.sweeps import RATE, forgotten, sweep
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.fit.windows import Group, cut
-from validation.selection.criteria import CRITERIA
 from validation.selection.levels import levels_of
 from validation.selection.model import Model, fitted, moved_to
 from validation.selection.screen import likely, screened

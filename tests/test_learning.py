@@ -19,12 +19,13 @@ from crane_exudyn.effects import hooks, registry
 from crane_exudyn.geometry import chamber_lengths
 from crane_exudyn.measurement import Measurement
 from validation import improvement
+from validation.criteria import CRITERIA
 from validation.diagnosis import Candidate, Diagnosis
 from validation.fit.data import FitData
 from validation.fit.staged import LOOSE, first_knots, staged
 from validation.history import added, learned, removed, without_learned
 from validation.improvement import Step, improve
-from validation.learned.laws import BLOCK, COUNT, Law, curve_at, knots, often_met, possible_laws
+from validation.learned.laws import Law, curve_at, knots, often_met, possible_laws
 from validation.learned.own_effect import own_effect
 from validation.learned.resembles import as_large, resembles
 from validation.learned.screen import best_prior, screened
@@ -162,7 +163,7 @@ def test_a_refined_law_follows_a_narrow_curve_more_closely():
 def test_a_law_that_has_a_name_goes_on_along_it(form, key, over, known):
     """Half as far again as it is known, to within a hundredth of its greatest value."""
     argument = registry.split_key(key)[0].curve.argument(over, key)
-    law = Law(key, argument, argument.against[0], np.linspace(*known, COUNT), np.linspace(*known, 50), known)
+    law = Law(key, argument, argument.against[0], np.linspace(*known, CRITERIA.knots), np.linspace(*known, 50), known)
     named = law.along(form)
     ends = named.x[0], named.x[-1]
     assert ends[1] - known[1] == pytest.approx(0.5 * (known[1] - known[0]))
@@ -266,7 +267,7 @@ def test_a_range_ends_where_it_was_met_within_more_than_a_block_of_time():
     assert 19.9 < low < 20.1
     twice = jolted + 30.0 * np.exp(-(((time - 5.0) / 0.1) ** 2))
     assert often_met(twice, time)[1] > 50.0, "two of them do"
-    assert often_met(swings[time < 0.9 * BLOCK], time[time < 0.9 * BLOCK]) == (0.0, 0.0)
+    assert often_met(swings[time < 0.9 * CRITERIA.block], time[time < 0.9 * CRITERIA.block]) == (0.0, 0.0)
 
 
 def test_a_screen_needs_nothing_that_moves():

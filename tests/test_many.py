@@ -10,14 +10,14 @@ import pytest
 from crane_exudyn import Crane, Recording
 from crane_exudyn.effects.base import Parameter
 from crane_exudyn.inputs import SpoolPath
+from validation.criteria import CRITERIA
 from validation.fit.data import FitData, data_of
 from validation.fit.knots import reknot
 from validation.fit.solve import fit
 from validation.fit.staged import residuals, run_fitted
-from validation.fit.variables import PLAUSIBLE, EffectParameter, uncertain_parameters
+from validation.fit.variables import EffectParameter, uncertain_parameters
 from validation.fit.windows import cut
 from validation.improvement import explained
-from validation.selection.criteria import CRITERIA
 from validation.selection.drifting import DRIFTING, DriftingPath
 from validation.selection.levels import Levels, falls, independent, likelihoods, noise_level, window_errors
 from validation.selection.proven import Proven, believable, proven
@@ -83,7 +83,7 @@ def test_priors_hold_an_effect_near_what_the_file_says_or_near_what_is_met_in_pr
         EffectParameter("dead_band@lift", band, 0.0),
     )
     assert (stated.to_u(0.2), stated.to_value(1.0), stated.prior) == (0.0, pytest.approx(0.2 * 4 / 3), 1.0)
-    assert (free.to_u(0.05), free.prior) == (1.0, PLAUSIBLE)
+    assert (free.to_u(0.05), free.prior) == (1.0, CRITERIA.plausible)
     assert free.to_value(free.to_u(0.3)) == pytest.approx(0.3)
 
 

@@ -21,9 +21,9 @@ from crane_exudyn.errors import counted, names_of
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording, given_recording
 
+from .criteria import CRITERIA
 from .fit.solve import Fit
 from .report import amount, evidence_difference, three_digits
-from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.model import Fitted, best_of_each, misled, together
 from .selection.search import Problem, Progress, search, silent

@@ -15,8 +15,8 @@ from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.frozen import frozen
 from crane_exudyn.parameters import unit_of
 
+from .criteria import CRITERIA
 from .report import amount
-from .selection.criteria import CRITERIA
 
 
 def added(before: Crane, after: Crane, **evidence: Any) -> Crane:

@@ -21,6 +21,7 @@ from crane_exudyn.recording import Recording
 from ukf.model_error import lasting
 
 from .comparison import filtered, longest_stretch
+from .criteria import CRITERIA
 from .diagnosis import Candidate, Diagnosis, OneRecording, diagnosis_of, loaded, searched, sentence
 from .fit.data import FINE, FitData
 from .fit.staged import residuals, rms
@@ -28,7 +29,6 @@ from .history import added, learned, without_learned
 from .learning import Learned
 from .learning import learn as learn_laws
 from .learning import sentence as learned_sentence
-from .selection.criteria import CRITERIA
 from .selection.drifting import DRIFTING
 from .selection.levels import Errors, noise_level
 from .selection.model import open_loop_error, parameters_of, together

@@ -15,6 +15,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.recording import Recording
 
+from .criteria import CRITERIA
 from .diagnosis import OneRecording, loaded, looked_at
 from .fit.staged import STIFF, TIGHT
 from .history import added, moved_in_words
@@ -23,7 +24,6 @@ from .learned.laws import unit_over
 from .learned.learned_law import LearnedLaw
 from .learned.regime import LEARNING, LearningPath, named, sound
 from .learned.resembles import Resemblance, as_large, resembles
-from .selection.criteria import CRITERIA
 from .selection.lean import leaner
 from .selection.levels import noise_level
 from .selection.model import Fitted, misled, run_error, together

@@ -27,10 +27,10 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.machine_toml import usual_layout
 
+from .criteria import CRITERIA, Criteria, other_criteria
 from .hidden import HIDES, KINDS, SENSOR_SETS, SEVERITIES, HiddenCase, hideable, make_case
 from .json_lines import add_line, read_lines
 from .seeds import seed_range
-from .selection.criteria import CRITERIA, Criteria, other_criteria
 from .workers import results_of, scheduled
 
 #: kinds of ten consecutive cases of a plan

@@ -11,10 +11,8 @@ import math
 
 import numpy as np
 
+from ..criteria import CRITERIA
 from .solve import Fit, reduce, with_prior
-
-#: prior standard deviation, in units of u, of a variable that has no prior of its own
-BROAD = 2.0
 
 
 def occam(fit: Fit) -> float:
@@ -23,8 +21,8 @@ def occam(fit: Fit) -> float:
         return 0.0
     reduced = reduce(fit.linear, fit.knots, fit.knots)
     H, _ = with_prior(reduced, fit.variables, fit.u)
-    scale = np.array([BROAD if math.isinf(v.prior) else v.prior for v in fit.variables])
-    broad = np.array([1.0 / BROAD**2 if math.isinf(v.prior) else 0.0 for v in fit.variables])
+    scale = np.array([CRITERIA.broad if math.isinf(v.prior) else v.prior for v in fit.variables])
+    broad = np.array([1.0 / CRITERIA.broad**2 if math.isinf(v.prior) else 0.0 for v in fit.variables])
     A = scale[:, None] * (H + np.diag(broad)) * scale
     sign, value = np.linalg.slogdet(0.5 * (A + A.T))
     return -0.5 * float(value) if sign > 0 else 0.0

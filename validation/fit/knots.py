@@ -13,6 +13,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.hydraulics import vapour_pressure
 
+from ..criteria import CRITERIA
 from .columns import model_at
 from .data import Data, FitData, Joint
 from .linear import robust, with_states
@@ -22,9 +23,6 @@ from .start import knots_of
 from .sweeps import left_in, ran
 from .variables import Variable
 from .windows import Group, Window, by_recording, follows, jump_of, shared_out, side_by_side
-
-#: error of a window, in noise units, from which on its first state may be caught in a false minimum
-_CAUGHT = 1.3
 
 
 def reknot(fit: Fit, windows: Sequence[Window]) -> np.ndarray:
@@ -99,7 +97,7 @@ def _uncaught(
 ) -> np.ndarray:
     knots, scale = knots.copy(), jump_of(model.crane.layout)[: model.nx] / stiffness
     ends, errors = _with_voids(windows, knots, model, *_runs(windows, knots, model))
-    for k in np.flatnonzero(errors > _CAUGHT).tolist():
+    for k in np.flatnonzero(errors > CRITERIA.caught).tolist():
         window, count = windows[k], windows[k].data.count
         before = ends[k - 1] if k and follows(windows[k - 1], window) else None
         after = knots[k + 1] if k + 1 < len(windows) and follows(window, windows[k + 1]) else None
@@ -126,7 +124,7 @@ def _with_voids(
         x0 = knots[k].copy()
         x0[p] = np.where(void, ends[k - 1, p], x0[p])
         (end,), (error,) = _runs([b], x0[None], model)
-        if error < max(errors[k], _CAUGHT):
+        if error < max(errors[k], CRITERIA.caught):
             knots[k], ends[k], errors[k] = x0, end, error
     return ends, errors
 

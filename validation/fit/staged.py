@@ -14,6 +14,7 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 
+from ..criteria import BEGINS, CRITERIA
 from .data import ACCURACY, ACCURATE, FINE, Data, FitData
 from .knots import begun_anew, reknot
 from .linear import with_states
@@ -28,11 +29,6 @@ Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 #: windows of the stages in s, and iterations; the last stage is one window (or windows of this length in very long
 #: recordings)
 SHORT, LONG = 0.25, 60.0
-#: share of a direction's prior variance that the data must remove for the direction to be kept in a fit
-INFORMED = 0.2
-#: median error of short windows, in noise units, from which on an unknown load is also begun at these shares of its
-#: range
-OFF, STARTS = 2.0, (0.15, 0.5, 0.85)
 
 
 @dataclass(frozen=True)
@@ -143,7 +139,7 @@ def informed_directions(result: Fit) -> list[Variable]:
         cross = reduced.H[np.ix_(gaussian, others)]
         H = H - cross @ np.linalg.pinv(reduced.H[np.ix_(others, others)], hermitian=True) @ cross.T
     values, vectors = np.linalg.eigh(0.5 * (H + H.T))
-    keep = values / (1.0 + values) > INFORMED
+    keep = values / (1.0 + values) > CRITERIA.informed
     timing = [v for v in result.variables if isinstance(v, Timing)]
     return [*timing, *free, *principal([nominal[i] for i in gaussian], vectors[:, keep])]
 
@@ -209,8 +205,8 @@ def _over_the_range(
     A window that a load leaves unexplained says little about which way to go; so the load is also begun elsewhere.
     """
     found = [staged(crane, data, unknown, np.zeros(len(unknown)), knots, stages)]
-    if float(np.median(found[0].linear.window_error)) > OFF:
-        for share in STARTS:
+    if float(np.median(found[0].linear.window_error)) > CRITERIA.off:
+        for share in BEGINS:
             u = [0.0 if isinstance(v, Timing) else v.lower + share * (v.upper - v.lower) for v in unknown]
             found.append(staged(crane, data, unknown, np.array(u), knots, stages))
     return min(found, key=lambda f: math.inf if f.linear.failed else f.linear.cost)

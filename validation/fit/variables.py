@@ -20,10 +20,10 @@ from crane_exudyn.effects.base import Parameter
 from crane_exudyn.effects.curve import Table
 from crane_exudyn.layout import Layout
 
+from ..criteria import CRITERIA
+
 #: scale of a parameter of which only a range is known: this share of the range
 _RANGE_SHARE = 0.15
-#: standard deviation of an effect's parameter before the data, in typical sizes
-PLAUSIBLE = 3.0
 SUPPLY = ("supply.pump_pressure", "supply.tank_pressure")
 #: share of the pump's pressure that the tank's is kept below
 _TANK_SHARE = 0.9
@@ -81,7 +81,7 @@ class EffectParameter:
         """
         if self._about_start:
             return 1.0
-        return math.inf if self.parameter.shape or self.stated else PLAUSIBLE
+        return math.inf if self.parameter.shape or self.stated else CRITERIA.plausible
 
     @property
     def inverse(self) -> bool:

@@ -17,25 +17,17 @@ from crane_exudyn.hydraulics import outside_pressure
 from crane_exudyn.layout import Layout
 from crane_exudyn.statics import vapour_pressure
 
+from ..criteria import CRITERIA
 from ..fit.model import model_of
 from ..fit.solve import Fit
 from ..semi_recursive.engine import SemiRecursiveEngine
 
-#: knots of a curve, and share of the visited instants beyond its outermost ones
-COUNT, BEYOND = 9, 0.002
-#: length of the blocks of time that are left out in turn, s; what was met within less than one predicts no other
-BLOCK = 1.5
-#: standard deviation, as a share of the curve's greatest departure from neutral, up to which an end of it is known
-KNOWN = 0.1
-#: share of what is known by which a curve goes on along a form beyond either end; rounds in which its knots find their
-#: places
-ONWARD, _ROUNDS = 0.5, 60
+#: rounds in which a curve's knots find their places
+_ROUNDS = 60
 #: least distance between such knots, as a share of the range
 _CLOSEST = 0.002
 #: time between the instants at which the trajectory is looked at, s
 _EVERY = 0.01
-#: a curve is not sought over less than this share of the range that is met in practice
-_LEAST_RANGE = 0.02
 
 
 @dataclass(frozen=True)
@@ -91,8 +83,8 @@ class Law:
         """Return the law over the range that was met often enough and at whose ends a curve y (K,) is known; itself
         where that is all of it, or little.
         """
-        known = self.x[std <= KNOWN * np.abs(y - self.neutral).max()]
-        if len(known) < COUNT // 2:
+        known = self.x[std <= CRITERIA.known * np.abs(y - self.neutral).max()]
+        if len(known) < CRITERIA.knots // 2:
             return self
         low, high = max(known[0], self.often[0]), min(known[-1], self.often[1])
         if self.over.from_zero:
@@ -117,7 +109,7 @@ class Law:
         (n,) -> (n,), over half as much again to either side as is known.
         """
         low, high = self.x[0], self.x[-1]
-        more = ONWARD * (high - low)
+        more = CRITERIA.onward * (high - low)
         start = low if self.over.from_zero or (self.over.magnitude and low <= 0.0) else low - more
         if self.over.magnitude:
             start = max(start, 0.0)
@@ -193,7 +185,7 @@ def possible_laws(fit: Fit) -> list[Law]:
                 continue
             for over in effect.curve.over:
                 x, often = visits.get((effect.name, place, over.name), (np.zeros(0), (0.0, 0.0)))
-                if often[1] - often[0] > _LEAST_RANGE * (over.high - over.low):
+                if often[1] - often[0] > CRITERIA.ranging * (over.high - over.low):
                     found += [Law(key, over, against, knots(x, over), x, often) for against in over.against]
     return found
 
@@ -202,13 +194,13 @@ def knots(visited: np.ndarray, over: Argument) -> np.ndarray:
     """Return knots over the visited values: half by their range, half by how often they were met; closer at 0 where a
     curve begins there.
     """
-    low, high = np.quantile(visited, [BEYOND, 1.0 - BEYOND])
+    low, high = np.quantile(visited, [CRITERIA.seldom, 1.0 - CRITERIA.seldom])
     low = 0.0 if over.from_zero else max(low, 0.0) if over.magnitude else low
-    shares = np.linspace(0.0, 1.0, COUNT)
+    shares = np.linspace(0.0, 1.0, CRITERIA.knots)
     if over.from_zero:
         return high * shares**1.5  # where nothing flows a curve may be steep
     if over.slope and low < 0.0 < high:
-        each = np.linspace(0.0, 1.0, COUNT // 2 + 2)[1:] ** 1.5
+        each = np.linspace(0.0, 1.0, CRITERIA.knots // 2 + 2)[1:] ** 1.5
         return np.concatenate([low * each[::-1], [0.0], high * each])
     inside = visited[(visited >= low) & (visited <= high)]
     by_range, by_number = low + (high - low) * shares, np.quantile(inside, shares)
@@ -263,12 +255,12 @@ def often_met(values: np.ndarray, time: np.ndarray) -> tuple[float, float]:
     """Return the ends beyond which values (n,) went within less than a block of time only; (0, 0) where they are all
     of one block.
     """
-    if not len(values) or np.ptp(time) < BLOCK:
+    if not len(values) or np.ptp(time) < CRITERIA.block:
         return 0.0, 0.0
     order, ends = np.argsort(values), []
     for out in (order, order[::-1]):
         span = np.maximum.accumulate(time[out]) - np.minimum.accumulate(time[out])
-        ends.append(float(values[out[np.searchsorted(span, BLOCK)]]))
+        ends.append(float(values[out[np.searchsorted(span, CRITERIA.block)]]))
     return ends[0], ends[1]
 
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from ..criteria import CRITERIA
 from ..fit.solve import Fit
 from ..fit.staged import LOOSE, STIFF, TIGHT
-from ..selection.criteria import CRITERIA
 from ..selection.ending import still_to_do, taken_on
 from ..selection.model import Fitted, Model, best_of_each, excess, fitted, plausible, retold
 from ..selection.race import raced, still_leading
@@ -17,7 +17,7 @@ from ..selection.screen import likely, screened
 from ..selection.search import Move, Path, Problem, Progress, Regime, Round, moves_of
 from ..workers import in_parallel
 from .fits import laws_of, left_out_gain, refined, spread
-from .laws import BLOCK, possible_laws
+from .laws import possible_laws
 from .screen import allowed
 from .screen import screened as screened_laws
 
@@ -157,7 +157,7 @@ def _failing(before: Fitted, after: Fitted) -> str:
     """Return in words that a law does not gain on blocks of time that were left out what it should; "" where it
     does.
     """
-    outside, inside = left_out_gain(before, after, BLOCK)
+    outside, inside = left_out_gain(before, after, CRITERIA.block)
     if outside > CRITERIA.predicts * inside:
         return ""
     return (

@@ -13,11 +13,10 @@ from crane_exudyn.effects import registry
 from crane_exudyn.effects.curve import Argument
 from crane_exudyn.units import factor_to_si
 
+from ..criteria import CRITERIA
+
 #: SI unit -> the one in which a curve is read, where that is another one
 _READ = {"Pa": "bar", "N": "kN", "m^3/s": "l/min", "rad": "deg", "rad/s": "deg/s"}
-#: a form is named if it leaves no more than so many standard errors (RMS over the knots), or that share of the curve's
-#: greatest departure
-_ERRORS, _SHARE = 2.0, 0.08
 
 
 def read_in(unit: str) -> tuple[str, float]:
@@ -176,7 +175,7 @@ def resembles(
     _, form, p, squares = best
     left = np.abs(form.law(X, p) - Y).max()
     departure = np.abs(Y - [over.neutral(v * fx) / fy for v in X]).max()
-    if math.sqrt(squares / len(X)) > _ERRORS and left > _SHARE * departure:
+    if math.sqrt(squares / len(X)) > CRITERIA.form_errors and left > CRITERIA.form_share * departure:
         return Resemblance("", "")
     words = form.words(p, y_unit, x_unit).replace("  ", " ").strip()
     text = _told(form, p, words, over)

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
 
+from ..criteria import CRITERIA
 from ..fit.data import Data
 from ..fit.solve import Fit, fit
 from ..fit.staged import SHORT, Stage, all_parameters, first_knots, informed_directions
 from ..fit.variables import CurveDirection, EffectParameter, stated_effects
 from ..fit.windows import cut
 from ..workers import in_parallel
-from .criteria import CRITERIA
 from .levels import Levels, levels_of
 from .model import Fitted, Model, at_bound, best_of_each, effects_of, fitted
 from .moves import scaled, starts

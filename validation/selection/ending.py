@@ -5,22 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from ..criteria import CRITERIA
 from ..fit.staged import STIFF
-from .criteria import CRITERIA
 from .model import Fitted, fitted, retold
 from .search import Problem, Stages
-
-#: windows that end elsewhere: the moment of an event may be caught at the end of one, which the jump makes good
-_ELSEWHERE = replace(STIFF, seconds=0.6)
 
 
 def still_to_do(w: Fitted) -> Sequence[Stages]:
     """Return ways to take a fit to its end: once more, those windows that stay unexplained begun anew, or windows that
-    end elsewhere, where little is left that is more than noise, be it in a single window; more iterations, where it had
-    not converged.
+    end elsewhere (the moment of an event may be caught at the end of one, which the jump makes good), where little is
+    left that is more than noise, be it in a single window; more iterations, where it had not converged.
     """
     if w.level < CRITERIA.left_level and (not w.good or w.bad.any()):
-        return (STIFF,), (_ELSEWHERE, STIFF)
+        elsewhere = replace(STIFF, seconds=CRITERIA.elsewhere)
+        return (STIFF,), (elsewhere, STIFF)
     return () if w.fit.converged else ((STIFF, STIFF),)
 
 

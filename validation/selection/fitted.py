@@ -13,9 +13,9 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.vetting import vetted
 
+from ..criteria import CRITERIA
 from ..fit.staged import LOOSE, STIFF, TIGHT
 from ..history import added
-from .criteria import CRITERIA
 from .model import Model, at_bound, fitted, open_loop_error
 from .moves import scaled, starts
 from .screen import screen

@@ -14,13 +14,12 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 
+from ..criteria import CRITERIA
 from ..fit.data import Data
-from ..fit.evidence import BROAD
 from ..fit.linear import linearised
 from ..fit.solve import Fit, reduce, with_prior
 from ..fit.staged import STIFF, timings
 from ..fit.variables import Variable, stated_effects, uncertain_parameters
-from .criteria import CRITERIA
 from .model import Fitted, fitted
 
 
@@ -69,7 +68,7 @@ def _forward(H: np.ndarray, g: np.ndarray, m: int, most: int, offered: Sequence[
         for j, variable in enumerate(offered):
             if j in chosen or not bend[m + j] > 1e-9:
                 continue
-            prior = 1.0 if np.isfinite(variable.prior) else 1.0 / BROAD**2
+            prior = 1.0 if np.isfinite(variable.prior) else 1.0 / CRITERIA.broad**2
             total = bend[m + j] + (0.0 if np.isfinite(variable.prior) else prior)
             gains[j] = 0.5 * slope[m + j] ** 2 / total - 0.5 * np.log(max(total / prior, 1.0))
         best = max(gains, key=lambda j: gains[j], default=None)

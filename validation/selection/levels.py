@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..criteria import CRITERIA
 from ..fit.data import Data, FitData
 from ..fit.linear import with_states
 from ..fit.model import model_of
 from ..fit.solve import Fit
 from ..fit.sweeps import left_in, ran
 from ..fit.windows import shared_out, side_by_side
-from .criteria import CRITERIA
 
 Errors = Mapping[str, float]
 

@@ -21,6 +21,7 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.layout import Layout
 from crane_exudyn.recording import Recording
 
+from ..criteria import CRITERIA
 from ..fit.data import Data, FitData
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit, fit
@@ -46,7 +47,6 @@ from ..fit.variables import (
     stated_effects,
     uncertain_parameters,
 )
-from .criteria import CRITERIA
 from .levels import noise_level
 
 

@@ -14,11 +14,11 @@ from crane_exudyn.effects.base import SENSING, SENSORS, Effect, Parameter
 from crane_exudyn.geometry import chamber_lengths
 from crane_exudyn.layout import Layout
 
+from ..criteria import CRITERIA, PLACES
 from ..fit.data import Data
 from ..fit.start import knots_of
 from ..fit.variables import at_place
 from ..fit.windows import Window
-from .criteria import CRITERIA, PLACES
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects.registry import split_key
 
+from ..criteria import CRITERIA
 from ..fit.evidence import log_evidence
 from ..fit.solve import Fit
 from ..fit.staged import first_knots, staged, timings
 from ..fit.variables import EffectParameter, NominalDirection, Variable, stated_effects, uncertain_parameters
 from ..fit.windows import cut
 from ..workers import in_parallel
-from .criteria import CRITERIA
 from .levels import Errors, left_over, levels_of, likelihoods, noise_level
 from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of
 from .moves import scaled, starts

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from ..criteria import CRITERIA
 from ..fit.evidence import log_evidence
 from ..fit.staged import LOOSE
-from .criteria import CRITERIA
 from .model import Fitted
 from .search import Move, Problem
 

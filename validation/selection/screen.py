@@ -14,12 +14,12 @@ import numpy as np
 
 from crane_exudyn.effects.registry import split_key
 
+from ..criteria import CRITERIA
 from ..fit.columns import Columns, Probes, pack
 from ..fit.data import FitData
 from ..fit.linear import linearised
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
-from .criteria import CRITERIA
 from .moves import Start, around, of_typical_size, starts
 
 #: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the

@@ -18,12 +18,12 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.recording import Recording
 
+from ..criteria import CRITERIA
 from ..fit.data import Data, data_of, noise_of
 from ..fit.solve import Fit
 from ..fit.staged import STIFF, Stage, all_parameters, informed_directions
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
-from .criteria import CRITERIA
 from .manoeuvre import best_manoeuvre
 from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of
 from .moves import scaled

@@ -10,9 +10,9 @@ import numpy as np
 from crane_exudyn.effects import registry
 from crane_exudyn.effects.base import COMMANDING
 
+from ..criteria import CRITERIA
 from ..fit.data import FitData
 from ..fit.model import spool_path
-from .criteria import CRITERIA
 from .model import Fitted, at_bound, excess
 from .search import Problem
 from .white import WhitePath

@@ -15,8 +15,8 @@ from typing import Any
 
 from crane_exudyn.effects import registry
 
+from ..criteria import CRITERIA
 from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
-from .criteria import CRITERIA
 from .ending import still_to_do, taken_on
 from .lean import leaner
 from .levels import noise_level

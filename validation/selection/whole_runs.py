@@ -9,13 +9,13 @@ import numpy as np
 
 from crane_exudyn.crane import Crane
 
+from ..criteria import CRITERIA
 from ..fit.data import Data, FitData
 from ..fit.knots import reknot
 from ..fit.solve import Fit, fit
 from ..fit.staged import LONG, SHORT, Stage, first_knots, residuals
 from ..fit.variables import Timing
 from ..fit.windows import cut
-from .criteria import CRITERIA
 from .levels import Errors, Levels, each_part, falls, left_over
 from .model import Fitted
 from .moves import of_typical_size

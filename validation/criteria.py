@@ -29,6 +29,13 @@ class Criteria:
     undetermined: float = 1e3  # standard deviation in typical sizes from which on the data say nothing
     at_end: float = 1e-3  # typical sizes from an end of its range, or from neutral, within which a parameter is there
     lost: float = 1.3  # a run is so many times worse than its short windows only if its start went astray
+    # what is believed before the data, and how far fits follow them
+    plausible: float = 3.0  # standard deviation of an effect's parameter, in sizes that are met in practice,
+    broad: float = 2.0  # and of one that only shapes a law
+    informed: float = 0.2  # share of its prior variance that a combination of parameters must lose to be moved
+    off: float = 2.0  # median error of short windows from which on a load is begun over its whole range
+    caught: float = 1.3  # error of a window from which on its first state may be caught in a false minimum
+    elsewhere: float = 0.6  # s, length of windows that are cut elsewhere, where some stay unexplained
     clock: float = 0.1  # share of what an effect does to commands that a shift of their clock may leave,
     shifts: int = 20  # so many of which are tried within a sampling interval
     moved: float = 0.1  # standard uncertainties from which on a parameter is listed as moved
@@ -109,6 +116,14 @@ class Criteria:
     predicts: float = 0.4  # share of what a law gains where it was fitted that it must gain where it was not
     astray: float = 3.0  # standard deviations by which a curve may fall below what physics allows,
     below: float = 0.1  # if that is more than this share of its largest value
+    knots: int = 9  # of a curve, over what all but this share of the visited instants
+    seldom: float = 0.002  # on either side have met,
+    ranging: float = 0.02  # if that is at least so much of the range that is met in practice
+    block: float = 1.5  # s that are left out in turn; what was met within less than one predicts no other
+    known: float = 0.1  # share of its greatest departure up to whose standard deviation an end of a curve is known
+    onward: float = 0.5  # share of what is known by which it goes on along its form beyond either end
+    form_errors: float = 2.0  # a form is named that leaves no more than so many standard errors,
+    form_share: float = 0.08  # or this share of the curve's greatest departure
 
     # what an improvement says of its steps
     agreement: float = 0.05  # share by which the two engines' errors may differ before it is said
@@ -133,6 +148,8 @@ def _put(values: dict[str, Any]) -> None:
         object.__setattr__(CRITERIA, name, value)
 
 
+#: shares of its range at which a load is begun
+BEGINS = (0.15, 0.5, 0.85)
 #: m from where a cylinder stands at first at which a place of its stroke is tried: within what a seal deforms, and far
 #: beyond
 PLACES = (-0.05, -1e-3, -3e-4, 0.0, 3e-4, 1e-3, 0.05)
