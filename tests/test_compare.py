@@ -29,8 +29,8 @@ from validation import balances, phases
 from validation.balances import Balances, Steps, spread_of
 from validation.comparison import Comparison, compare
 from validation.findings import scores_of, violation
-from validation.fit.data import usable
-from validation.fitness import check_recording, noise_at_rest
+from validation.fit.data import FitData, usable
+from validation.fitness import check_recording, examine, noise_at_rest
 from validation.improvement import Judge
 from validation.phases import phases_of
 from validation.semi_recursive import SemiRecursiveEngine
@@ -418,6 +418,13 @@ def test_a_dead_channel_of_a_closed_valve_is_left_out_and_told() -> None:
     recording = recording_of(p4=constant(4e6))
     assert any("p4 shows one value" in note for note in check_recording(recording, CRANE))
     assert usable(recording).sensors == ("z1", "p1")
+
+
+def test_a_channel_of_one_value_whose_noise_the_crane_states_is_used_and_not_said_to_be_left_out() -> None:
+    recording, stated = recording_of(p4=constant(4e6)), replace(CRANE, sensors={"p4": 0.3e5})
+    assert not any("p4 shows one value" in note for note in check_recording(recording, stated))
+    assert not any("p4 shows one value" in f.text for f in examine(recording, stated))
+    assert "p4" in FitData.of(recording, stated).channels
 
 
 def test_unknown_engine_is_refused() -> None:

@@ -50,8 +50,8 @@ def examine(recording: Recording, crane: Crane) -> list[Finding]:
             replace(f, severity="note", text=f"`patu diagnose` will refuse it: {f.text}")
             for f in unfit(recording, crane, "diagnose")
         ]
-        mend = "Check that it was connected."
-        found += [Finding("saturation", (n,), "note", _left_out(n), mend) for n in constant_sensors(recording)]
+        dead, mend = constant_sensors(recording, crane.sensors), "Check that it was connected."
+        found += [Finding("saturation", (n,), "note", _left_out(n), mend) for n in dead]
     return worst_first(found)
 
 
@@ -93,7 +93,7 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
     recording = vetted(recording, crane)
     accepted(recording, unfit(recording, crane, purpose))
     time, commands = recording.commands(crane)
-    constant = constant_sensors(recording)
+    constant = constant_sensors(recording, crane.sensors)
     notes = _notes(recording, crane, time, commands, constant, _moves(recording, crane, commands))
     return notes + _wavering(recording, crane, time, commands, constant)
 

@@ -254,14 +254,14 @@ def usable(recording: Recording, stated: Container[str] = ()) -> Recording:
     """Return the recording without sensors that show one value throughout: they have no noise to be measured against,
     unless theirs is `stated`.
     """
-    dead = [n for n in constant_sensors(recording) if n not in stated]
+    dead = constant_sensors(recording, stated)
     alive = [n for n in recording.channels if n not in dead]
     return recording if len(alive) == len(recording.channels) else recording.select(alive)
 
 
-def constant_sensors(recording: Recording) -> list[str]:
-    """Return the sensors that show one value throughout."""
-    return [name for name in recording.sensors if is_constant(recording[name])]
+def constant_sensors(recording: Recording, stated: Container[str] = ()) -> list[str]:
+    """Return the sensors that show one value throughout, without those whose noise is `stated`."""
+    return [name for name in recording.sensors if name not in stated and is_constant(recording[name])]
 
 
 def is_constant(channel: Channel) -> bool:
