@@ -123,7 +123,8 @@ class Criteria:
     known: float = 0.1  # share of its greatest departure up to whose standard deviation an end of a curve is known
     onward: float = 0.5  # share of what is known by which it goes on along its form beyond either end
     form_errors: float = 2.0  # a form is named that leaves no more than so many standard errors,
-    form_share: float = 0.08  # or this share of the curve's greatest departure
+    form_share: float = 0.08  # or this share of the curve's greatest departure,
+    formed: int = 6  # and is fitted at most so many times, each from where the last one came to
 
     # what an improvement says of its steps
     agreement: float = 0.05  # share by which the two engines' errors may differ before it is said

@@ -121,18 +121,31 @@ def _along_forms(problem: Problem, best: Fitted) -> Fitted:
 
     A form has two or three numbers where a curve has twenty, and goes on where the recording did not go.
     """
-    for key, found in laws_of(best).items():
-        form = _form(problem, best, key)
-        if form.law is None:
-            continue
-        law = found.law.along(form.at)
-        y, root = form.at(law.x), form.moves(law.x)
+    for key in laws_of(best):
+        formed = _along_form(problem, best, key)
+        if formed is not None and formed.evidence > best.evidence - CRITERIA.tie and sound(formed):
+            best = formed
+    return best
+
+
+def _along_form(problem: Problem, best: Fitted, key: str) -> Fitted | None:
+    """Return the model with one curve moving along the form that it resembles, None where it resembles none.
+
+    Where a form bends follows from a curve with knots on either side only roughly, and a curve moves along the slopes
+    that a form has there. So what the fit comes to is taken for a form again, until that is the same.
+    """
+    law, tried, texts = laws_of(best)[key].law, [best], set[str]()
+    while len(texts) < CRITERIA.formed:
+        form, curves = _form(problem, tried[-1], key), laws_of(tried[-1])
+        if form.law is None or form.text in texts:
+            break
+        texts.add(form.text)
+        along = law.along(form.at)
+        y, root = form.at(along.x), form.moves(along.x)
         if law.over.from_zero:  # nothing acts there
             y[0], root[0] = 0.0, 0.0
-        tried = with_curves(problem, best, {**laws_of(best), key: found.along(law, y, root)})
-        if tried.evidence > best.evidence - CRITERIA.tie and sound(tried):
-            best = tried
-    return best
+        tried.append(with_curves(problem, tried[-1], {**curves, key: curves[key].along(along, y, root)}))
+    return max(tried[1:], key=lambda w: w.evidence, default=None)
 
 
 def _by_name(problem: Problem, best: Fitted) -> Fitted:
