@@ -438,3 +438,6 @@ def test_a_curve_is_given_the_sign_and_slope_that_physics_asks_of_it():
     y = spool.x.copy()
     y[[3, 4]] = y[[4, 3]]
     assert (np.diff(spool.physical(y, np.ones(len(y)))) >= 0.0).all()
+    flow = _law("learned_flow@p1", "pressure", 30e5, 130e5)  # a bump, known to be nothing beside it: not nothing at all
+    y = np.array([0.0, 0.0, 0.0, 1.0, 3.0, 5.0, 3.0, 1.0, 0.0])
+    assert flow.physical(y, np.maximum(0.1 * y, 1e-100)).max() > 1.0

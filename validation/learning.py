@@ -177,7 +177,13 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
     formed = _by_name(problem, _along_forms(problem, refined(problem, best))) if best.model.curves else best
     if not formed.model.curves:
         if formed.keys:
-            notes.append(f"effects of the library do as well: {', '.join(formed.keys)}. Go on with `patu diagnose`")
+            names, (errors,) = ", ".join(formed.keys), problem.errors([formed.fit])
+            notes.append(
+                f"effects of the library do as well: {names}. Go on with `patu diagnose`"
+                if (left := together(problem.recordings, errors)) < CRITERIA.misled
+                else f"no law does more than {names}, with which one run is left at {left:.3g} times the noise: "
+                "neither the library nor a law over a state explains it"
+            )
         elif best.good and unchanged.error_before > noise_level(problem.data):
             notes.append("nominal parameters within their uncertainty explain it. Go on with `patu diagnose`")
         return replace(unchanged, notes=tuple(notes))

@@ -128,9 +128,13 @@ class Law:
     def physical(self, y: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Return the curve nearest to y (K,), in units of std, that has the sign and the slope that physics asks of
         it.
+
+        A form that moves with the curve may be all but certain where it is next to nothing, and its tails alone would
+        decide: what is known better than `Criteria.known` asks counts as known so well.
         """
         if self.monotone:
-            y = isotonic_regression(y, weights=1.0 / np.maximum(std, 1e-9 * max(float(std.max()), 1e-300)) ** 2).x
+            least = max(CRITERIA.known * float(np.abs(y - self.neutral).max()), 1e-300)
+            y = isotonic_regression(y, weights=1.0 / np.maximum(std, least) ** 2).x
         return np.maximum(y, self.neutral) if self.one_sided else y
 
     def values(self, y: np.ndarray) -> dict[str, float]:
