@@ -33,7 +33,7 @@ from validation.semi_recursive import SemiRecursiveEngine
 FIRST, COUNT = int(os.environ.get("PATU_FUZZ_FIRST", "0")), int(os.environ.get("PATU_FUZZ_COUNT", "0"))
 SAMPLES, STEP = 24, 0.01
 #: a case that takes longer is a hang
-LONGEST = 60.0
+LONGEST = 20.0
 FAST = ("--engine", "semi-recursive")
 Clean = dict[tuple[str, ...], dict[str, object]]
 #: fields of a CSV that no logger should write, or that only some readers understand

@@ -29,16 +29,17 @@ class Criteria:
     undetermined: float = 1e3  # standard deviation in typical sizes from which on the data say nothing
     at_end: float = 1e-3  # typical sizes from an end of its range, or from neutral, within which a parameter is there
     lost: float = 1.3  # a run is so many times worse than its short windows only if its start went astray
+    clock: float = 0.1  # share of what an effect does to commands that a shift of their clock may leave,
+    shifts: int = 20  # so many of which are tried within a sampling interval
+    moved: float = 0.1  # standard uncertainties from which on a parameter is listed as moved
+
     # what is believed before the data, and how far fits follow them
     plausible: float = 3.0  # standard deviation of an effect's parameter, in sizes that are met in practice,
-    broad: float = 2.0  # and of one that only shapes a law
+    broad: float = 2.0  # and of u of a variable that has no prior of its own
     informed: float = 0.2  # share of its prior variance that a combination of parameters must lose to be moved
     off: float = 2.0  # median error of short windows from which on a load is begun over its whole range
     caught: float = 1.3  # error of a window from which on its first state may be caught in a false minimum
     elsewhere: float = 0.6  # s, length of windows that are cut elsewhere, where some stay unexplained
-    clock: float = 0.1  # share of what an effect does to commands that a shift of their clock may leave,
-    shifts: int = 20  # so many of which are tried within a sampling interval
-    moved: float = 0.1  # standard uncertainties from which on a parameter is listed as moved
 
     # what a move must bring
     proof: float = 12.0  # log evidence over the best model with fewer effects: 1 in 150 000 by chance

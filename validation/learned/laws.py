@@ -83,7 +83,7 @@ class Law:
         """Return the law over the range that was met often enough and at whose ends a curve y (K,) is known; itself
         where that is all of it, or little.
         """
-        known = self.x[std <= CRITERIA.known * np.abs(y - self.neutral).max()]
+        known = self.x[std <= self._unsure(y)]
         if len(known) < CRITERIA.knots // 2:
             return self
         low, high = max(known[0], self.often[0]), min(known[-1], self.often[1])
@@ -125,6 +125,10 @@ class Law:
             return np.eye(len(self.x))
         return np.column_stack([curve_at(self.x, unit, self.told) for unit in np.eye(len(self.x))])
 
+    def _unsure(self, y: np.ndarray) -> float:
+        """Return the standard deviation up to which a value of a curve y (K,) counts as known."""
+        return CRITERIA.known * float(np.abs(y - self.neutral).max())
+
     def physical(self, y: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Return the curve nearest to y (K,), in units of std, that has the sign and the slope that physics asks of
         it.
@@ -133,8 +137,7 @@ class Law:
         decide: what is known better than `Criteria.known` asks counts as known so well.
         """
         if self.monotone:
-            least = max(CRITERIA.known * float(np.abs(y - self.neutral).max()), 1e-300)
-            y = isotonic_regression(y, weights=1.0 / np.maximum(std, least) ** 2).x
+            y = isotonic_regression(y, weights=1.0 / np.maximum(std, max(self._unsure(y), 1e-300)) ** 2).x
         return np.maximum(y, self.neutral) if self.one_sided else y
 
     def values(self, y: np.ndarray) -> dict[str, float]:

@@ -335,7 +335,7 @@ def believable(v: NominalDirection) -> NominalDirection:
 def _begun(problem: Problem, way: _Way) -> Fit:
     """Return the first iterations of everything fitted to one open-loop run, by way of long windows."""
     variables, u = _everything(problem, way.keys, way.before, way.crane)
-    windows = staged(problem.crane, way.before.data, variables, u, way.before, joined(2 * CRITERIA.sifted))
+    windows = staged(problem.crane, way.before.data, variables, u, way.before, joined(6))
     return staged(problem.crane, way.before.data, variables, windows.u, windows, run(CRITERIA.sifted))
 
 

@@ -1,4 +1,6 @@
-"""The lumped fluids: valve edges, supply, the oil of the chambers, and the cylinders' forces and flows, (15)-(20)."""
+"""The lumped fluids: valve edges, supply, the oil of the chambers, and the cylinders' forces and flows; (14), (15),
+(17)-(19), (34), (37), (38), (41).
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The mechanism: positions, velocities and the dynamics of the tree, (1)-(14); how they are written down says
-`equations`.
+"""The mechanism: positions, velocities and the dynamics of the tree, (2)-(12), and the cylinders' lines, (35), (36);
+how they are written down says `equations`.
 """
 
 from __future__ import annotations
