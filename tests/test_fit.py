@@ -473,6 +473,25 @@ def test_a_stop_is_screened_by_runs_and_found_back_though_windows_had_gone_throu
         assert found.crane.effect("end_stop@tilt").parameters[name] == pytest.approx(value, rel=0.03)
 
 
+def test_a_valve_with_a_setting_is_begun_at_all_of_them_where_the_screen_asks_for_more_than_it_can_be():
+    """A valve has no size that could be scaled: five times one that throttles a little is none, and others of which
+    the linear look promises nothing may be near.
+    """
+    crane = Crane.load("patu655")
+    true = crane.with_effect("counterbalance_valve@lift", {"setting": 140e5, "ratio": 2.2})
+    time = np.arange(0.0, 5.0, 5e-3)
+    lift = np.interp(time, [0, 0.5, 0.7, 1.6, 1.8, 2.4, 2.6, 3.8, 4.0], [0, 0, 0.3, 0.3, 0, 0, -0.3, -0.3, 0])
+    recording = driven(true, time, np.column_stack([lift, np.zeros(len(time))]), (0.3, -1.5))
+    scores = screened(all_parameters(crane, FitData.of(recording, crane)), LOOSE.stiffness)
+    assert scores[0].start.key == "counterbalance_valve@lift" and scores[0].amplitude > 2.0
+    offered = [s.start for s in likely(scores, CRITERIA.singles, CRITERIA.promise)]
+    begins = [s.values for s in offered if s.key == "counterbalance_valve@lift"]
+    assert {v["setting"] for v in begins} == {60e5, 110e5, 160e5, 170e5, 240e5, 350e5}
+    little = [replace(s, amplitude=0.5) for s in scores]
+    offered = [s.start.key for s in likely(little, CRITERIA.singles, CRITERIA.promise)]
+    assert offered.count("counterbalance_valve@lift") == 1, "from a valve that holds too much a fit finds back"
+
+
 def test_parts_of_a_step_grow_again_after_a_stop_was_hit(stopped):
     """In the first quarter of a second on the stop steps are halved twelve times, but only where it begins to act."""
     crane, recording = stopped

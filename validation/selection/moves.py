@@ -119,15 +119,20 @@ def of_typical_size(key: str, values: Mapping[str, float]) -> dict[str, float]:
     return {p.name: values[p.name] if p.shape else p.typical for p in registry.split_key(key)[0].parameters}
 
 
+def sizes(key: str) -> list[Parameter]:
+    """Return the parameters with which what an effect does grows in proportion; a valve with a setting has none."""
+    return [p for p in registry.split_key(key)[0].parameters if not (p.shape or p.threshold)]
+
+
 def scaled(start: Start, amplitude: float) -> dict[str, float]:
     """Return the start's values with its acting parameters scaled by an amplitude (1 = as they are), within their
     range; thresholds as they are.
     """
     effect, _ = registry.split_key(start.key)
-    values = {}
+    values, scaling = dict[str, float](), sizes(start.key)
     for p in effect.parameters:
         value = start.values.get(p.name, p.neutral)
-        if not (p.shape or p.threshold):
+        if p in scaling:
             value = (
                 value / max(amplitude, 1e-6) if math.isinf(p.neutral) else p.neutral + amplitude * (value - p.neutral)
             )

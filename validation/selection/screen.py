@@ -20,7 +20,7 @@ from ..fit.data import FitData
 from ..fit.linear import linearised
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
-from .moves import Start, around, of_typical_size, starts
+from .moves import Start, around, of_typical_size, sizes, starts
 
 #: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the
 #: softer machine, since a little of it has nearly the whole effect
@@ -108,7 +108,8 @@ def best_starts(scores: Sequence[Score]) -> list[Score]:
 
 def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
     """Return the best scores: at most two starts of one effect at one place, and none that promises less than `least`,
-    or next to nothing; of a stop all, since a run that has gone through it tells that there is one, not which.
+    or next to nothing; all where a slope tells that there is one and not which: of a stop, which a run has gone
+    through, and of what cannot be scaled to the size that the screen asks for.
     """
     chosen: list[Score] = []
     for score in scores:
@@ -118,8 +119,8 @@ def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
         most_of_one = 2 if score.gain > CRITERIA.twice * scores[0].gain else 1
         if sum(c.start.key == score.start.key for c in chosen) < most_of_one:
             chosen.append(score)
-    stops = {c.start.key for c in chosen if _stops(c.start)}
-    return [*chosen, *(s for s in scores if s.start.key in stops and s not in chosen)]
+    unsized = {c.start.key for c in chosen if _stops(c.start) or (c.amplitude > 1.0 and not sizes(c.start.key))}
+    return [*chosen, *(s for s in scores if s.start.key in unsized and s not in chosen)]
 
 
 def projected(fit: Fit, knots: np.ndarray, probes: Probes, stiffness: float) -> Projected | None:
