@@ -100,7 +100,7 @@ def tell(printer: Printer, d: Diagnosis) -> None:
     moved = list(d.parameters.items())[:6]
     if moved:
         printer.table(
-            "Nominal parameters that moved most",
+            "Nominal parameters that bring it nearest" if d.nearest else "Nominal parameters that moved most",
             ("parameter", "value", "std", "nominal", "unit"),
             [(n, p["value"], p["std"], p["nominal"], p["unit"]) for n, p in moved],
         )
@@ -111,7 +111,7 @@ def tell(printer: Printer, d: Diagnosis) -> None:
         ]
         printer.table("By recording", ("recording", "error before", "after", "its own"), rows)
     for entry in d.where[:5]:
-        printer.line(f"  left over: {entry['text']}")
+        printer.line(f"  left over{' beside these' if moved else ''}: {entry['text']}")
     for note in d.notes:
         printer.line(f"note: {note}")
     if d.next_manoeuvre:

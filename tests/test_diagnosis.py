@@ -10,7 +10,7 @@ import pytest
 
 from crane_exudyn import Crane, CraneError, Recording, simulate
 from crane_exudyn.channels import Channel
-from validation import hidden
+from validation import compare, hidden
 from validation.criteria import CRITERIA
 from validation.diagnosis import Diagnosis, diagnose, held_to_runs, sentence
 from validation.fit.data import FitData
@@ -101,8 +101,14 @@ def test_a_recording_of_another_machine_is_unknown_and_no_name_is_forced_on_it()
     crane = Crane.load("patu655")
     case = hidden.make_case(3, kind="none", crane=larger(crane), noise=0, sensors=0, rate=100)
     found = diagnose(crane, case.learn.window(0.0, 3.0), jobs=1)
-    assert found.verdict == "unknown" and not found.effects
+    assert found.verdict == "unknown" and not found.effects and found.crane == crane
     assert found.where
+    # what is left is told beside the parameters that bring the model nearest, the load among them
+    (nearest,), (alone,) = found.nearest, [c for c in found.candidates if not c.effects]
+    assert alone.error_after < 0.7 * found.error_before == 0.7 * found.error_after
+    assert found.parameters and all(nearest[n] == p["value"] != crane[n] for n, p in found.parameters.items())
+    assert f"{alone.error_after:.3g} with parameters moved" in sentence(found)
+    assert compare(nearest, case.learn.window(0.0, 3.0)).where[0].text == found.where[0]["text"]
 
 
 def test_moments_around_the_best_one_are_looked_at_more_closely():

@@ -453,9 +453,10 @@ def test_what_to_do_next_carries_what_the_run_was_given(tmp_path):
     examined = Examined(recordings, options=options)
     expected = f"'two runs/a.csv' 'two runs/b.csv' --check c.csv --per-recording payload.mass {machine} --anyway"
     d = example_diagnosis()
-    for kind in ("effect", "unknown"):
-        (todo, *_) = after_diagnosis(replace(d, verdict=kind), examined)
-        assert todo.startswith(f"`patu improve {expected} -o new.toml` ")
+    (todo, *_) = after_diagnosis(d, examined)
+    assert todo.startswith(f"`patu improve {expected} -o new.toml` ")
+    (todo, *_) = after_diagnosis(replace(d, verdict="unknown"), examined)
+    assert todo.startswith(f"`patu learn {expected}` ") and f"`patu improve {expected} -o new.toml` " in todo
     other = replace(examined, options=looked_at("new.toml"))
     assert other.command("improve").endswith("--crane new.toml -o newer.toml")
     missed = replace(d, verdict="unknown", misses_check=True)

@@ -23,9 +23,10 @@ from crane_exudyn.recording import Recording, given_recording
 
 from .criteria import CRITERIA
 from .fit.solve import Fit
+from .fit.variables import NominalDirection
 from .report import amount, evidence_difference, three_digits
 from .selection.lean import leaner
-from .selection.model import Fitted, best_of_each, misled, together
+from .selection.model import Fitted, best_of_each, every_parameter, misled, together
 from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .selection.white import WHITE, WhitePath
@@ -81,7 +82,9 @@ class Diagnosis:
         tied_with: what this recording cannot tell from them.
         candidates: everything that was weighed, best first.
         crane: the crane file with what was found (the one given where nothing was).
-        where: for "unknown", where and when something is left, worst first.
+        parameters: the nominal parameters that moved; for "unknown" those that bring the model nearest.
+        nearest: for "unknown", the crane with these, as it was in each recording; `where` tells where and when
+            something is left beside them, worst first.
         recordings: with several recordings, the errors by recording, and what differs from one to another, as in the
             JSON.
         between: open-loop error of runs between the stretches that the choice leaves unexplained, where one run over
@@ -99,6 +102,7 @@ class Diagnosis:
     effects: tuple[str, ...] = ()
     tied_with: tuple[str, ...] = ()
     next_manoeuvre: str = ""
+    nearest: tuple[Crane, ...] = ()
     where: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     error_before: float = math.nan
@@ -128,14 +132,18 @@ class Diagnosis:
         from .selection.plots import diagnosis_figure
 
         shown = self.candidates[:_DRAWN]
-        alone = next((c.evidence for c in self.candidates if not c.effects), math.inf)
-        gains = {c.name: max(c.evidence - alone, 0.0) for c in shown}
-        told = 1 if self.crane is self.given else 2
-        errors = {
-            "learned from": (self.error_before, self.error_after)[:told],
-            "only predicted": (self.check_error_before, self.check_error_after)[:told],
-        }
-        return diagnosis_figure(gains, " + ".join(self.effects) or "parameters", errors)
+        alone = next((c for c in self.candidates if not c.effects), None)
+        least = alone.evidence if alone is not None else math.inf
+        gains = {c.name: max(c.evidence - least, 0.0) for c in shown}
+        learned, checked = [(self.error_before, self.error_after), (self.check_error_before, self.check_error_after)]
+        told, found, chosen = 1 if self.crane is self.given else 2, "with what was found", " + ".join(self.effects)
+        if self.verdict == "unknown" and self.parameters and alone is not None:
+            learned, checked = (learned[0], alone.error_after), (checked[0], alone.check_error_after)
+            told, found, chosen = 2, "with parameters moved", ""
+        elif not chosen:
+            chosen = "parameters"
+        errors = {"learned from": learned[:told], "only predicted": checked[:told]}
+        return diagnosis_figure(gains, chosen, errors, found)
 
     def save(self, path: str | Path) -> None:
         """Write the candidates, best first, to .csv, .csv.gz, .parquet or .mat; errors in units of the noise."""
@@ -168,7 +176,9 @@ def sentence(d: Diagnosis) -> str:
     if d.misses_check:
         return d.notes[0].removesuffix("?")
     if d.verdict == "unknown":
-        return f"something is missing that no known effect explains (error {d.error_before:.3g} noise units)"
+        moved = next((c.error_after for c in d.candidates if not c.effects), math.nan)
+        nearest = f", {moved:.3g} with parameters moved" if d.parameters else ""
+        return f"something is missing that no known effect explains (error {d.error_before:.3g} noise units{nearest})"
     missing = f"{' and '.join(d.effects)} {'is' if len(d.effects) == 1 else 'are'} missing"
     if d.verdict == "tied":
         return f"{missing}, or {', or '.join(d.tied_with)}: this recording cannot tell ({fall})"
@@ -279,10 +289,11 @@ def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] 
     check = problem.alike(check)
     named = verdict.kind in ("effect", "tied")
     lean = leaner(problem.crane, problem.data, verdict.chosen) if named else verdict.chosen
+    lean = replace(lean, fit=every_parameter(lean.fit)) if verdict.kind not in ("adequate", "unknown") else lean
     result = Diagnosis(
         problem.data.name, verdict.kind, problem.crane if verdict.kind in ("adequate", "unknown") else lean.fit.crane,
         problem.crane,
-        {} if verdict.kind in ("adequate", "unknown") else moved_parameters(problem, lean),
+        {} if verdict.kind in ("adequate", "unknown") else moved_parameters(problem.crane, lean.fit),
         _candidates(path, verdict, lean),
         verdict.chosen.keys if named else (), tuple(" + ".join(w.keys) or "parameters" for w in verdict.ties),
         next_manoeuvre=problem.telling(lean.fit.crane, verdict.ties[0].fit.crane) if verdict.ties else "",
@@ -290,7 +301,7 @@ def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] 
     )  # fmt: skip
     result = held_to_runs(_between_stretches(_with_errors(result, path, check), problem, lean))
     if result.verdict == "unknown" and not result.misses_check:
-        result = replace(result, where=_where(problem) or left_over(path.best or path.parameters))
+        result = _with_what_is_left(result, path, check)
     return result
 
 
@@ -358,16 +369,35 @@ def _spans_beside(recording: Recording, left: Sequence[tuple[float, float, float
     return [(a, b) for a, b in zip(ends[::2], ends[1::2], strict=True) if b - a > CRITERIA.window]
 
 
-def _where(problem: Problem) -> tuple[Mapping[str, Any], ...]:
-    """Return which balance is violated when, as `compare` finds it, worst first; with several recordings also in
-    which.
+def _with_what_is_left(d: Diagnosis, path: WhitePath, check: Recording | None) -> Diagnosis:
+    """Return a diagnosis of what no known effect explains with what is left, told beside the fewest parameters that
+    bring the model nearest: a load that is not the file's would hide all else.
+    """
+    problem, n = path.problem, len(path.problem.recordings)
+    moved = path.fewest if path.parameters.good else leaner(problem.crane, problem.data, path.parameters)
+    moved = replace(moved, fit=every_parameter(moved.fit))
+    (errors,) = problem.errors([moved.fit], check)
+    after, nearest = together(problem.recordings, errors[:n]), [problem.crane] * n
+    if after < d.error_before:
+        nearest = [moved.fit.of(i).crane for i in range(n)]
+        told: dict[str, Any] = {"crane": moved.fit.crane, "fit": moved.fit, "error_after": after}
+        told["check_error_after"] = errors[-1] if check is not None else math.nan
+        candidates = tuple(c if c.effects else replace(c, **told) for c in d.candidates)
+        d = replace(d, parameters=moved_parameters(problem.crane, moved.fit), candidates=candidates)
+    where = _where(problem, nearest) or left_over(path.best or path.parameters)
+    return replace(d, nearest=tuple(nearest), where=where)
+
+
+def _where(problem: Problem, cranes: Sequence[Crane]) -> tuple[Mapping[str, Any], ...]:
+    """Return which balance of the crane of each recording is violated when, as `compare` finds it, worst first; with
+    several recordings also in which.
     """
     from .comparison import compare
 
     found = [
         finding.to_dict() | ({"recording": r.name} if len(problem.recordings) > 1 else {})
-        for r in problem.recordings
-        for finding in compare(problem.crane, r).where
+        for r, crane in zip(problem.recordings, cranes, strict=True)
+        for finding in compare(crane, r).where
     ]
     return tuple(sorted(found, key=lambda f: -f["score"]))
 
@@ -396,36 +426,26 @@ def _candidate(w: Fitted, evidence: float, probability: float) -> Candidate:
     return Candidate(w.keys, parameters, evidence, probability, w.fit.crane, level=w.level, fit=w.fit)
 
 
-def moved_parameters(problem: Problem, chosen: Fitted) -> dict[str, dict[str, Any]]:
-    """Return the nominal parameters that moved by a telling share of their uncertainty: value, std, nominal, unit."""
-    found: dict[str, dict[str, Any]] = {}
-    known = problem.crane.uncertainty
-    prior = {n: (k.std if math.isfinite(k.std) else 0.25 * (k.upper - k.lower)) for n, k in known.items()}
-    spread = _posterior(chosen, prior)
-    for name, nominal in problem.crane.values.items():
-        value = chosen.fit.crane.values[name]
-        if name in prior and abs(value - nominal) > CRITERIA.moved * prior[name]:
-            found[name] = {"value": value, "std": spread[name], "nominal": nominal, "unit": unit_of(name)}
-    return dict(sorted(found.items(), key=lambda item: -abs(item[1]["value"] - item[1]["nominal"]) / prior[item[0]]))
+def moved_parameters(crane: Crane, known: Fit) -> dict[str, dict[str, Any]]:
+    """Return the nominal parameters of a crane that moved by a telling share of their uncertainty: value, std, nominal,
+    unit.
 
-
-def _posterior(chosen: Fitted, prior: Mapping[str, float]) -> dict[str, float]:
-    """Return the standard deviation of each nominal parameter: the informed directions' from the fit, the others' from
-    the prior.
+    Args:
+        crane: as given.
+        known: what was chosen, with every uncertain parameter free (`every_parameter`).
     """
-    variance = {n: s**2 for n, s in prior.items()}
-    directions = [(i, v) for i, v in enumerate(chosen.fit.variables) if hasattr(v, "weights")]
-    cov = chosen.fit.cov
-    for name in prior:
-        weights = np.array([v.weights.get(name, 0.0) for _, v in directions])
-        index = [i for i, _ in directions]
-        before = float(
-            sum(w**2 * (1.0 if math.isfinite(v.prior) else 0.0) for w, (_, v) in zip(weights, directions, strict=True))
-        )
-        after = float(weights @ cov[np.ix_(index, index)] @ weights)
-        alone = any(not math.isfinite(v.prior) and w for w, (_, v) in zip(weights, directions, strict=True))
-        variance[name] = after if alone else max(variance[name] - before, 0.0) + after
-    return {n: math.sqrt(max(v, 0.0)) for n, v in variance.items()}
+    found, far = dict[str, dict[str, Any]](), dict[str, float]()
+    free = {v.name: v for v in known.variables if isinstance(v, NominalDirection) and v.recording is None}
+    for name, believed in crane.uncertainty.items():
+        if name not in free:
+            continue
+        prior = believed.std if math.isfinite(believed.std) else 0.25 * (believed.upper - believed.lower)
+        value, nominal = known.crane.values[name], crane.values[name]
+        if abs(value - nominal) > CRITERIA.moved * prior:
+            std = min(known.std(name) * abs(free[name].weights[name]), prior)
+            found[name] = {"value": value, "std": std, "nominal": nominal, "unit": unit_of(name)}
+            far[name] = abs(value - nominal) / prior
+    return dict(sorted(found.items(), key=lambda item: -far[item[0]]))
 
 
 def left_over(w: Fitted) -> tuple[Mapping[str, Any], ...]:

@@ -268,12 +268,41 @@ def diagnosis_sections(d: Diagnosis, examined: Examined | None = None) -> list[S
     if examined is not None and d.crane is not d.given:
         given = [d.given] * len(examined.recordings)
         sections.append(("Before and after", before_and_after(examined.recordings, given, cranes_of(d), d.recordings)))
+    sections += what_is_left(d, examined)
     if d.recordings:
         sections.append(("By recording", [_by_recording(d.recordings)]))
     if d.effects:
         sections.append(("Where", where_parts(d.given, _places(d.effects))))
         sections.append(("What is missing", law_parts(d.effects, chosen.parameters if chosen else {})))
     return [*sections, ("How sure", sureness(d)), *_details(d)]
+
+
+def what_is_left(d: Diagnosis, examined: Examined | None) -> list[Section]:
+    """Return the sections on what no known effect explains: over time, and in which balance of the machine; none where
+    something does.
+    """
+    sections: list[Section] = []
+    if d.nearest and examined is not None:
+        label = "with parameters moved" if d.parameters else "as given"
+        caption = f"What was measured, and what the crane file does {label}, seeing only the commands."
+        traces: list[Part] = [
+            Picture(traces_figure(from_one_start(r, {label: crane}), crane.layout), f"{r.name}: {caption}")
+            for r, crane in zip(examined.recordings, d.nearest, strict=True)
+        ]
+        sections.append(("Measured and modelled", traces))
+    if not d.where:
+        return sections
+    violated = list(dict.fromkeys(w["equation"] for w in d.where if "equation" in w))
+    everywhere = len(violated) == len(d.given.layout.equations)
+    told: list[Part] = []
+    if everywhere:
+        told.append("Every balance of the model is violated: no single place stands out.")
+    elif violated:
+        told += where_parts(d.given, [violated[0].rpartition(".")[2]])
+    rows = [(f"{w['score']:.1f}", w["text"]) for w in d.where[:_WORST]]
+    more = f" The {_WORST} worst of {len(d.where)}." * (len(d.where) > _WORST)
+    note = f"Scores are standard deviations.{more}"
+    return [*sections, ("Where something is left", [*told, Table(("score", "where"), rows, note=note)])]
 
 
 def cranes_of(d: Diagnosis) -> list[Crane]:
@@ -288,7 +317,10 @@ def with_own(crane: Crane, entry: Mapping[str, Any]) -> Crane:
 
 def after_diagnosis(d: Diagnosis, examined: Examined | None) -> list[Part]:
     """Return what to do next, in sentences."""
-    improve = examined.command("improve") if examined is not None else f"patu improve {d.recording} -o new.toml"
+    improve, learn = (
+        examined.command(name) if examined is not None else f"patu {name} {d.recording}{more}"
+        for name, more in (("improve", " -o new.toml"), ("learn", ""))
+    )
     unchecked = "" if not math.isnan(d.check_error_before) else (
         "A second recording, given with `--check`, is only predicted: an effect that predicts it too is to be believed."
     )  # fmt: skip
@@ -300,7 +332,8 @@ def after_diagnosis(d: Diagnosis, examined: Examined | None) -> list[Part]:
         "effect": f"`{improve}` adds what was found to the crane file, and looks whether anything is left.",
         "tied": "The explanations differ in another manoeuvre: "
                 f"{d.next_manoeuvre or 'one with other loads and speeds'}",
-        "unknown": f"`{improve}` takes effects in one after the other where none alone explains the recording.",
+        "unknown": f"`{learn}` looks for a law that is not in the library; `{improve}` takes effects in one after the "
+                   "other where none alone explains the recording.",
     }[d.verdict]  # fmt: skip
     if d.verdict == "parameters" and not d.parameters and any(e.get("parameters") for e in d.recordings):
         todo = "Nothing has to be added to the crane file: what differs from one recording to another explains them."
@@ -354,9 +387,8 @@ def _details(d: Diagnosis) -> list[Section]:
         rows = [(n, *_beside(p), engineering(p["unit"])[0]) for n, p in d.parameters.items()]
         wide = ("parameter", "value", "nominal", "unit")
         sections.append(("Details: nominal parameters that moved", [Table(wide, rows, note="± 95 %.")]))
-    remarks = [*d.notes, *(w["text"] for w in d.where)]
-    if remarks:
-        sections.append(("Details: remarks", [f"{r[0].upper()}{r[1:].rstrip('.')}." for r in remarks]))
+    if d.notes:
+        sections.append(("Details: remarks", [f"{r[0].upper()}{r[1:].rstrip('.')}." for r in d.notes]))
     return sections
 
 
@@ -471,7 +503,7 @@ def report_improvement(
         f"{_ERRORS}"
     )
     table = Table(("step", "error / noise", "on check", "filter's NIS", "what was found"), rows, note=expected)
-    sections: list[Section] = [("What to do next", _after_improvement(result))]
+    sections: list[Section] = [("What to do next", _after_improvement(result, examined))]
     traces: list[Part] = []
     if examined is not None and len(result.steps) > 1:
         before, after = cranes_of_improvement(result, examined.recordings, own)
@@ -482,6 +514,7 @@ def report_improvement(
     sections.append(("Before and after", [falling, *traces, table]))
     if own:
         sections.append(("By recording", [_by_recording(own)]))
+    sections += what_is_left(first, examined) if len(result.steps) == 1 else []
     if added:
         sections.append(("Where", where_parts(first.given, _places(added))))
         named = [key for key in added if registry.split_key(key)[0].curve is None]
@@ -546,7 +579,7 @@ def _complete(crane: Crane, keys: Iterable[str], known: Parameters) -> dict[str,
     return found
 
 
-def _after_improvement(result: Improvement) -> list[Part]:
+def _after_improvement(result: Improvement, examined: Examined | None) -> list[Part]:
     file = "Use the new crane file with `--crane` from now on; `patu remove` undoes what was added."
     if result.verdict == "adequate":
         return [file] if len(result.steps) > 1 else ["Nothing has to be added for this recording."]
@@ -555,7 +588,10 @@ def _after_improvement(result: Improvement) -> list[Part]:
         last.next_manoeuvre
         or "Record another manoeuvre, with other loads and speeds, and improve the new crane file on it."
     )
-    return [*([file] if len(result.steps) > 1 else []), left]
+    learn = list[Part]()
+    if examined is not None and result.learned is None and not last.misses_check:
+        learn.append(f"`{examined.command('learn')}` looks for a law that is not in the library.")
+    return [*([file] if len(result.steps) > 1 else []), *learn, left]
 
 
 def outcome(result: Improvement) -> str:

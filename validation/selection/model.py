@@ -329,21 +329,29 @@ def retold(w: F) -> F:
     Which they are depends on where the machine goes: chosen at a crane without an effect, they would hold what one with
     it tells, and leave what a second effect explains.
     """
-    found, crane, data = w.fit, w.fit.origin, w.fit.data
+    crane, data = w.fit.origin, w.fit.data
     given = {v.name for v in stated_effects(crane)}
-    nominal = uncertain_parameters(crane, data.own, len(data.parts))
-    others = [(v, u) for v, u in zip(found.variables, found.u, strict=True) if not isinstance(v, NominalDirection)]
-    moved = [moved_to(v, crane, found.crane, found) for v in nominal]
-    looked = fit(
-        crane, data, found.windows, found.knots, [*nominal, *(v for v, _ in others)],
-        np.array([*moved, *(u for _, u in others)]), stiffness=STIFF.stiffness, iterations=0,
-    )  # fmt: skip
-    effects = [v for v, _ in others if isinstance(v, EffectVariable)]
+    looked = every_parameter(w.fit)
+    effects = [v for v in looked.variables if isinstance(v, EffectVariable)]
     variables, known = [*informed_directions(looked), *effects], values_of(looked)
     u = [known.get(v.name, begin(v, looked, known)) for v in variables]
     shared = tuple(v for v in variables if not isinstance(v, EffectVariable) or v.name in given)
     again = staged(crane, data, variables, np.array(u), looked, (STIFF,))
     return max(w, replace(w, model=replace(w.model, variables=shared), fit=again), key=lambda one: one.evidence)
+
+
+def every_parameter(found: Fit) -> Fit:
+    """Return a fit as it stands, with every uncertain nominal parameter free by itself: its covariance is what the data
+    and the crane file tell of each, whatever the others are.
+    """
+    crane, data = found.origin, found.data
+    nominal = uncertain_parameters(crane, data.own, len(data.parts))
+    others = [(v, u) for v, u in zip(found.variables, found.u, strict=True) if not isinstance(v, NominalDirection)]
+    moved = [moved_to(v, crane, found.crane, found) for v in nominal]
+    return fit(
+        crane, data, found.windows, found.knots, [*nominal, *(v for v, _ in others)],
+        np.array([*moved, *(u for _, u in others)]), stiffness=STIFF.stiffness, iterations=0,
+    )  # fmt: skip
 
 
 def moved_to(v: NominalDirection, given: Crane, crane: Crane, found: Fit) -> float:

@@ -14,11 +14,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PLAIN, _CHOSEN = "#b8c4ce", OTHERS[2].color
+_PLAIN, _CHOSEN, _RIVAL = "#b8c4ce", OTHERS[2].color, "#d9dee3"
 _HATCH = "///"
 
 
-def diagnosis_figure(gains: Mapping[str, float], chosen: str, errors: Mapping[str, Sequence[float]]) -> Figure:
+def diagnosis_figure(
+    gains: Mapping[str, float], chosen: str, errors: Mapping[str, Sequence[float]], found: str = "with what was found"
+) -> Figure:
     """Return a figure: what explanations gain in evidence over the parameters alone, and the errors.
 
     Args:
@@ -26,6 +28,7 @@ def diagnosis_figure(gains: Mapping[str, float], chosen: str, errors: Mapping[st
         chosen: which of them it was.
         errors: of the crane as given, and with what was found where something was, in units of the noise; by what the
             recordings were for.
+        found: what the second of these errors are of.
     """
     weighed = len(gains) > 1
     made = figure(1 + weighed, height=2.0 if weighed else 2.4, sharex=False)
@@ -33,15 +36,14 @@ def diagnosis_figure(gains: Mapping[str, float], chosen: str, errors: Mapping[st
         if weighed:
             made.set_size_inches(made.get_figwidth(), 3.2 + 0.32 * len(gains))
             _gains(made.axes[0], gains, chosen)
-        _errors(made.axes[-1], errors)
+        _errors(made.axes[-1], errors, found)
     legend_above(made)
     return made
 
 
 def _gains(axes: Axes, gains: Mapping[str, float], chosen: str) -> None:
     for i, (name, gain) in enumerate(gains.items()):
-        look: dict[str, Any] = {"color": _CHOSEN, "hatch": ""} if name == chosen else {"color": _PLAIN, "hatch": _HATCH}
-        axes.barh(i, gain, 0.7, edgecolor="white", **look)
+        axes.barh(i, gain, 0.7, edgecolor="white", color=_CHOSEN if name == chosen else _RIVAL)
         axes.annotate(f"{gain:.0f}", (gain, i), (4, 0), textcoords="offset points", va="center", fontsize=8)
     axes.set_yticks(range(len(gains)), [in_words(name).replace(" + ", "\n+ ") for name in gains])
     axes.invert_yaxis()
@@ -52,9 +54,9 @@ def _gains(axes: Axes, gains: Mapping[str, float], chosen: str) -> None:
     axes.grid(axis="y", visible=False)
 
 
-def _errors(axes: Axes, errors: Mapping[str, Sequence[float]]) -> None:
+def _errors(axes: Axes, errors: Mapping[str, Sequence[float]], found: str) -> None:
     known = {name: e for name, e in errors.items() if not math.isnan(e[0])}
-    shown = (("as given", (_PLAIN, _HATCH)), ("with what was found", (_CHOSEN, "")))
+    shown = (("as given", (_PLAIN, _HATCH)), (found, (_CHOSEN, "")))
     for k, ((label, look), values) in enumerate(zip(shown, zip(*known.values(), strict=True), strict=False)):
         at = [i + 0.4 * k - 0.2 for i in range(len(known))]
         bars = axes.barh(at, values, 0.36, color=look[0], hatch=look[1], edgecolor="white", label=label)
