@@ -176,8 +176,10 @@ def _told(problem: BaseException, words: Sequence[str]) -> int:
     """Say in one message why a command ended, and return its exit status."""
     from crane_exudyn.errors import CraneError
 
+    from .output import stop_writing
+
     if isinstance(problem, BrokenPipeError | Leave) and not getattr(problem, "status", 0):
-        _stop_writing()  # `patu effects | head`: the reader has seen enough
+        stop_writing()  # `patu effects | head`: the reader has seen enough
         return 0
     if isinstance(problem, Leave):
         return _complain(problem.message, problem.status)
@@ -197,14 +199,11 @@ def _told(problem: BaseException, words: Sequence[str]) -> int:
 def _place(problem: OSError, words: Sequence[str]) -> str:
     """Return where a failure happened: a file, or standard output, since writing to anything else names its file."""
     if problem.filename is None and problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF):
-        _stop_writing()
+        from .output import stop_writing
+
+        stop_writing()
         return "standard output"
     return str(problem.filename or _command(words))
-
-
-def _stop_writing() -> None:
-    """Send standard output to nowhere, or Python would complain when it flushes at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fault(problem: BaseException, words: Sequence[str]) -> str:

@@ -6,6 +6,7 @@ import codecs
 import dataclasses
 import json
 import math
+import os
 import sys
 import threading
 import time
@@ -98,7 +99,8 @@ class Printer:
         """Print one line of text."""
         if not self.quiet:
             stream = sys.stderr if self._aside else sys.stdout
-            print(text, file=stream, flush=True)  # whoever reads a pipe sees it when it is said
+            with self._while_somebody_reads():
+                print(text, file=stream, flush=True)  # whoever reads a pipe sees it when it is said
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Print a table: columns of numbers right, columns of text left."""
@@ -113,7 +115,22 @@ class Printer:
             table.add_column(column, justify="right" if numbers else "left")
         for row in rows:
             table.add_row(*(_cell(value) for value in row))
-        _console().print(table)
+        with self._while_somebody_reads():
+            _console().print(table)
+
+    @contextmanager
+    def _while_somebody_reads(self) -> Iterator[None]:
+        """Print nothing more once the reader has seen enough (`patu learn … | head`): files are still to be written."""
+        try:
+            yield
+        except BrokenPipeError:
+            self.quiet = True
+            stop_writing()
+
+
+def stop_writing() -> None:
+    """Send standard output to nowhere, or Python would complain when it flushes at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _console() -> Any:

@@ -315,6 +315,16 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+def test_what_was_asked_for_is_written_though_the_reader_has_seen_enough(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    words = ["effects", "dead_band", "--json", str(tmp_path / "e.json")]
+    done = subprocess.run([sys.executable, "-m", "patu", *words], stdout=write, stderr=subprocess.PIPE, timeout=60)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert json.loads((tmp_path / "e.json").read_text())[0]["name"] == "dead_band"
+
+
 # -- JSON and printing -----------------------------------------------------------------------------------------------
 
 
