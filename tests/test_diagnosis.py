@@ -14,6 +14,7 @@ from validation import compare, hidden
 from validation.criteria import CRITERIA
 from validation.diagnosis import Diagnosis, diagnose, held_to_runs, sentence
 from validation.fit.data import FitData
+from validation.fit.staged import STIFF, WHOLE
 from validation.fitness import check_check
 from validation.selection.moves import Start, around, starts
 from validation.selection.search import Round
@@ -255,6 +256,31 @@ def test_a_round_that_brings_nothing_ends_the_search():
         rounds = (Round((w,), (w,)),)
         grown = WhitePath(SimpleNamespace(), nothing, rounds, given=nothing, fewest=nothing)
         assert WHITE.gained(grown) is goes_on
+
+
+def test_what_leaves_little_is_fitted_anew_as_one_run_before_a_further_effect_is_believed():
+    """Seed 197198: a fit had ended in a valley, and what a second effect brought was the way out of it."""
+    known = {"near": True, "move_cost": 0.0, "fit": SimpleNamespace(converged=True)}
+    nothing, again = model(evidence=-7798.0, level=1.013, **known), model(evidence=-7545.0, **known)
+    asked = list[object]()
+
+    def run(moves, stages):
+        asked.extend((m.model, m.before, stages) for m in moves)
+        return [again] if moves else []
+
+    for brought, anew in ((11.0, False), (232.0, True)):
+        w = model(LEAK, nothing.evidence + brought, **known)
+        for one in (nothing, w):
+            one.model = SimpleNamespace(variables=())
+        problem = SimpleNamespace(
+            run=run, fits=lambda tasks: [], errors=lambda fits: [], recordings=(), shared=None
+        )
+        grown = WhitePath(problem, nothing, given=nothing, fewest=nothing)
+        grown.__dict__["whole"] = 1.1
+        asked.clear()
+        found = WHITE.judged(grown, [nothing], [w])
+        assert found.bare is (again if anew else None) and found.done[0] is w
+        assert asked == ([(nothing.model, nothing.fit, (WHOLE, STIFF))] if anew else [])
 
 
 def test_what_a_shift_of_the_clock_does_is_no_effect():

@@ -224,7 +224,7 @@ def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) ->
     led = tried if near else path.problem.further(_leading(beam, tried), (TIGHT, STIFF))
     done = _further(path, [], [*led, *_unseen(path, beam[0], led)])
     done = _exchanged(path, _relocated(path, done, beam, tried) if not path.rounds else done)
-    done = best_of_each([*done, *_dropped(path, done, near)])
+    done = best_of_each([*done, *_dropped(path, done, near), *(_again(path, beam[0], done) if near else [])])
     acting = tuple(w for w in done if w.keys)
     return Round(tuple(tried), acting, _deciding(path, acting), next((w for w in done if not w.keys), None))
 
@@ -327,6 +327,15 @@ def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[Fitted
             if key in w.inactive or not (near or not rest or rest in known):
                 moves.setdefault(rest, _without(w, key))
     return path.problem.run(list(moves.values()), (TIGHT, STIFF))
+
+
+def _again(path: WhitePath, parent: Fitted, done: Sequence[Fitted]) -> list[Fitted]:
+    """Return the model that leaves little, from which a round went on, fitted anew through one long run where a further
+    effect brings something: that must not be what its own fit had missed.
+    """
+    if not any(w.evidence >= parent.evidence + CRITERIA.proof for w in done):
+        return []
+    return path.problem.run([Move(parent.model, parent.fit)], (WHOLE, STIFF))
 
 
 def _deciding(path: WhitePath, done: Sequence[Fitted]) -> dict[frozenset[str], float]:
