@@ -112,6 +112,14 @@ def around(start: Start) -> list[Start]:
     return [Start(start.key, {**start.values, timed.name: t}, start.two_sided) for t in moments if t >= timed.lower]
 
 
+def apart(start: Start, other: Start) -> bool:
+    """Whether two starts of an effect are more than the same one looked at closely: at moments of their own."""
+    timed = _moment_of(registry.split_key(start.key)[0])
+    if timed is None or not {timed.name} <= set(start.values) & set(other.values):
+        return True
+    return abs(start.values[timed.name] - other.values[timed.name]) > CRITERIA.moments
+
+
 def of_typical_size(key: str, values: Mapping[str, float]) -> dict[str, float]:
     """Return values of an effect of the size that is met in practice; what gives it its shape (a moment, a place of the
     stroke) as it is.

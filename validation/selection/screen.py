@@ -20,7 +20,7 @@ from ..fit.data import FitData
 from ..fit.linear import linearised
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
-from .moves import Start, around, of_typical_size, sizes, starts
+from .moves import Start, apart, around, of_typical_size, sizes, starts
 
 #: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the
 #: softer machine, since a little of it has nearly the whole effect
@@ -68,13 +68,21 @@ def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
 
 def screened(fit: Fit, stiffness: float) -> list[Score]:
     """Return the screen of all starts at a fit, best first; what happens at a moment is looked at more closely around
-    the best one.
+    the best one, and around the best of those that are well away from it.
 
     A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins.
     """
     found = screen(fit, starts(fit.crane, fit.data), stiffness)
-    closer = [start for score in best_starts(found) for start in around(score.start)]
+    best = best_starts(found)
+    seconds = best_starts([s for s in found if any(_rivals(s, b) for b in best)])
+    closer = [start for score in [*best, *seconds] for start in around(score.start)]
     return sorted([*found, *screen(fit, closer, stiffness)], key=lambda s: -s.gain) if closer else found
+
+
+def _rivals(score: Score, best: Score) -> bool:
+    """Whether a start of the same effect promises nearly as much as the best one, well away from it."""
+    alike = score.start.key == best.start.key and score.gain > CRITERIA.twice * best.gain
+    return alike and apart(score.start, best.start)
 
 
 def _softens(start: Start) -> bool:
@@ -117,7 +125,8 @@ def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
         if score.gain < least or len(chosen) == most or hopeless:
             break
         most_of_one = 2 if score.gain > CRITERIA.twice * scores[0].gain else 1
-        if sum(c.start.key == score.start.key for c in chosen) < most_of_one:
+        same = [c.start for c in chosen if c.start.key == score.start.key]
+        if len(same) < most_of_one and all(apart(start, score.start) for start in same):
             chosen.append(score)
     unsized = {c.start.key for c in chosen if _stops(c.start) or (c.amplitude > 1.0 and not sizes(c.start.key))}
     return [*chosen, *(s for s in scores if s.start.key in unsized and s not in chosen)]
