@@ -54,7 +54,7 @@ def command(
     for path in recordings:
         recording = load_recording(path, chosen, mapping, map_file)
         findings = examine(recording, chosen)
-        tell(printer, path, findings, recording.notes)
+        tell(printer, path, findings, recording)
         notes += [{"recording": str(path), "text": note} for note in recording.notes]
         told += [document(path, f) for f in findings]
         columns.append((recording, mended_columns(recording, findings)))
@@ -97,12 +97,12 @@ def document(path: Path, finding: Finding) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def tell(printer: Printer, path: Path, findings: list[Finding], notes: Sequence[str]) -> None:
+def tell(printer: Printer, path: Path, findings: list[Finding], recording: Recording) -> None:
     """Print the findings of a recording, worst first, and what was left out of its file."""
     for finding in findings:
         printer.line(f"{path}: {finding.severity}: {finding.text}.")
         printer.line(f"  {finding.mend}")
-    for note in (n for n in notes if not any(n in f.mend for f in findings)):
+    for note in (n for n in recording.notes if not any(n in f.mend for f in findings)):
         printer.line(f"{path}: note: {note}{'' if note.endswith('?') else '.'}")
     if not findings:
-        printer.line(f"{path}: nothing to complain of.")
+        printer.line(f"{path}: nothing to complain of in what was read: {', '.join(recording.channels)}.")

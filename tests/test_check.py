@@ -309,7 +309,10 @@ def test_check_notes_what_was_left_out_of_the_file(patu: Callable[..., SimpleNam
         "stands at 5 s",
     ]
     said = patu("check", str(tmp_path / "log.csv")).out
-    assert "log.csv: note: column 'temp' was ignored.\n" in said and "log.csv: nothing to complain of." in said
+    assert (
+        "log.csv: note: column 'temp' was ignored.\n" in said
+        and "nothing to complain of in what was read: u1, u2, z1" in said
+    )
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -83,17 +83,23 @@ def without_learned(crane: Crane) -> Crane:
     return crane
 
 
+#: so many parameters that moved are told
+_TOLD = 8
+
+
 def moved_in_words(before: Crane, after: Crane) -> str:
-    """Return in words which nominal parameters differ between two cranes, by more than a little of their uncertainty;
-    "" where none does.
+    """Return in words which nominal parameters differ between two cranes, by more than a little of their uncertainty,
+    those first that moved furthest, of many not all; "" where none does.
     """
-    told = []
+    moves = dict[str, float]()
     for name, value in after.values.items():
-        known, was = before.uncertainty.get(name), before.values[name]
-        little = CRITERIA.moved * known.std if known and math.isfinite(known.std) else 0.0
-        if abs(value - was) > little:
-            told.append(f"{name} {amount(was, unit_of(name))} -> {amount(value, unit_of(name))}")
-    return ", ".join(told)
+        known, moved = before.uncertainty.get(name), abs(value - before.values[name])
+        size = known.std if known and math.isfinite(known.std) else 0.0
+        if moved > CRITERIA.moved * size:
+            moves[name] = moved / size if size else math.inf
+    names = sorted(moves, key=lambda n: -moves[n])
+    told = [f"{n} {amount(before[n], unit_of(n))} -> {amount(after[n], unit_of(n))}" for n in names[:_TOLD]]
+    return ", ".join(told) + f", and {len(names) - _TOLD} more by less" * (len(names) > _TOLD)
 
 
 def refuse_curve(key: str) -> NoReturn:

@@ -4,7 +4,8 @@ from .base import Effect, Parameter
 
 
 class PayloadSwing(Effect):
-    """The payload hangs from E on a massless pendulum of the given length; damping is a torque against its rate.
+    """The payload, as a point mass, hangs from E on a massless pendulum of the given length; damping is a torque
+    against its rate. A grapple with a long log has an inertia of its own, which this leaves out.
 
     Signature: a slow oscillation of the load pressures after every motion, at the pendulum's own frequency, that
     hardly moves the booms.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from ..criteria import CRITERIA
 from ..learning import Learned, sentence
 from ..report import Mood, Part, Picture, Section, Table, three_digits, write_report
 from .learned_law import LearnedLaw
@@ -40,7 +41,7 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
     )
     sections.append(("Errors", [errors]))
     parameters = {"crane": found.given.name, "recording": found.recording} | dict(given or {})
-    mood: Mood = "good" if found.laws else "neutral"
+    mood: Mood = "good" if found.laws and found.error_after < CRITERIA.left_level else "neutral"
     return write_report(
         directory,
         f"Learned from {found.recording}",
