@@ -131,18 +131,16 @@ class Diagnosis:
         """Return a figure: how the candidates weigh, and the error before and after."""
         from .selection.plots import diagnosis_figure
 
-        shown = self.candidates[:_DRAWN]
         alone = next((c for c in self.candidates if not c.effects), None)
         least = alone.evidence if alone is not None else math.inf
-        gains = {c.name: max(c.evidence - least, 0.0) for c in shown}
-        learned, checked = [(self.error_before, self.error_after), (self.check_error_before, self.check_error_after)]
-        told, found, chosen = 1 if self.crane is self.given else 2, "with what was found", " + ".join(self.effects)
+        gains = {c.name: max(c.evidence - least, 0.0) for c in self.candidates[:_DRAWN]}
+        before, after = (self.error_before, self.check_error_before), [(self.error_after, self.check_error_after)]
+        found, chosen = "with what was found", " + ".join(self.effects) or "parameters"
         if self.verdict == "unknown" and self.parameters and alone is not None:
-            learned, checked = (learned[0], alone.error_after), (checked[0], alone.check_error_after)
-            told, found, chosen = 2, "with parameters moved", ""
-        elif not chosen:
-            chosen = "parameters"
-        errors = {"learned from": learned[:told], "only predicted": checked[:told]}
+            found, chosen, after = "with parameters moved", "", [(alone.error_after, alone.check_error_after)]
+        elif self.crane is self.given:
+            after = []
+        errors = dict(zip(("learned from", "only predicted"), zip(before, *after, strict=True), strict=True))
         return diagnosis_figure(gains, chosen, errors, found)
 
     def save(self, path: str | Path) -> None:

@@ -102,7 +102,6 @@ def comparison_sections(c: Comparison, crane: Crane) -> list[Section]:
     """Return the sections of a comparison."""
     lines = {"measured": c.measured, "simulated": c.simulated}
     found = c.figures()
-    worst = [(f"{f.score:.1f}", f.text) for f in c.where[:_WORST]]
     headings, by_work = balance_table(c)
     caption = f"The channels with the largest errors. {c.started}"
     simulated: list[Part] = [f"With {c.fitted}."] if c.fitted else []
@@ -111,8 +110,8 @@ def comparison_sections(c: Comparison, crane: Crane) -> list[Section]:
     ]
     if c.violated and not c.everywhere:
         sections.append(("Where", where_parts(crane, [c.violated[0].rpartition(".")[2]])))
-    if worst:
-        table = Table(("score", "where"), worst, note="Scores are standard deviations.")
+    if c.where:
+        table = _worst_of([(f.score, f.text) for f in c.where])
         sections.append(("Where the model fails", [Picture(found["where"], _CAPTIONS["where"]), table]))
     sections += [
         (
@@ -131,6 +130,13 @@ def comparison_sections(c: Comparison, crane: Crane) -> list[Section]:
         ("Details: the filter", [filter_words(c), *(f"Note: {note}." for note in c.notes)]),
     ]
     return sections
+
+
+def _worst_of(findings: Sequence[tuple[float, str]]) -> Table:
+    """Return the table of findings (score, text), worst first, of many not all."""
+    more = f" The {_WORST} worst of {len(findings)}." if len(findings) > _WORST else ""
+    rows = [(f"{score:.1f}", text) for score, text in findings[:_WORST]]
+    return Table(("score", "where"), rows, note=f"Scores are standard deviations.{more}")
 
 
 ERROR_COLUMNS = ("channel", "unit", "RMSE", "% of range", "bias", "noise", "error / noise", "R²", "whiteness p")
@@ -293,16 +299,13 @@ def what_is_left(d: Diagnosis, examined: Examined | None) -> list[Section]:
     if not d.where:
         return sections
     violated = list(dict.fromkeys(w["equation"] for w in d.where if "equation" in w))
-    everywhere = len(violated) == len(d.given.layout.equations)
     told: list[Part] = []
-    if everywhere:
+    if len(violated) == len(d.given.layout.equations):
         told.append("Every balance of the model is violated: no single place stands out.")
     elif violated:
         told += where_parts(d.given, [violated[0].rpartition(".")[2]])
-    rows = [(f"{w['score']:.1f}", w["text"]) for w in d.where[:_WORST]]
-    more = f" The {_WORST} worst of {len(d.where)}." * (len(d.where) > _WORST)
-    note = f"Scores are standard deviations.{more}"
-    return [*sections, ("Where something is left", [*told, Table(("score", "where"), rows, note=note)])]
+    table = _worst_of([(w["score"], w["text"]) for w in d.where])
+    return [*sections, ("Where something is left", [*told, table])]
 
 
 def cranes_of(d: Diagnosis) -> list[Crane]:
