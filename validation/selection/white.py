@@ -365,8 +365,13 @@ def _after(path: WhitePath, found: Round[Fitted]) -> WhitePath:
 
 
 def _gained(path: WhitePath) -> bool:
-    """Whether the last round brought a model that has the proof against the one before it, or one without effects."""
+    """Whether the last round brought a model that has the proof against the one before it, or one without effects. The
+    first need not where nothing explains the recordings: of two missing effects neither may do better than all
+    parameters moved.
+    """
     before, after = replace(path, rounds=path.rounds[:-1]).ahead, path.ahead
+    if before is None and not (path.given.good or path.parameters.good):
+        return after is not None
     least = path.bare if before is None else before.evidence
     return after is not None and after.evidence >= least + CRITERIA.proof
 
