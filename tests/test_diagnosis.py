@@ -288,15 +288,16 @@ def test_what_leaves_little_is_fitted_anew_as_one_run_before_a_further_effect_is
     nothing, again = model(evidence=-7798.0, level=1.013, **known), model(evidence=-7545.0, **known)
     asked = list[object]()
 
-    def run(moves, stages):
-        asked.extend((m.model, m.before, stages) for m in moves)
-        return [again] if moves else []
+    def fits(tasks):
+        asked.extend(tasks)
+        return [again] if tasks else []
 
     for brought, anew in ((11.0, False), (232.0, True)):
         w = model(LEAK, nothing.evidence + brought, **known)
         for one in (nothing, w):
             one.model = SimpleNamespace(variables=())
-        problem = SimpleNamespace(run=run, fits=lambda tasks: [], errors=lambda fits: [], recordings=(), shared=None)
+        problem = SimpleNamespace(errors=lambda fits: [], recordings=(), shared=None, fits=fits)
+        problem.tasks = lambda moves, stages: [(m.model, m.before, stages) for m in moves]
         grown = WhitePath(problem, nothing, given=nothing, fewest=nothing)
         grown.__dict__["whole"] = 1.1
         asked.clear()

@@ -1,13 +1,15 @@
 """The fewest nominal parameters that have to move.
 
 A fit that moves everything that is uncertain explains a recording as well as one that moves what was wrong, but
-predicts worse: small moves that the data hardly determine add up elsewhere. So the chosen explanation is fitted again
-with the nominal parameters held, and those are let go one by one that bring more evidence than their freedom costs.
+predicts worse: small moves that the data hardly determine add up elsewhere. So of the chosen explanation those
+parameters alone stay free that bring more evidence than their freedom costs: chosen one by one, all others held where
+the crane file has them, by the normal equations where the explanation stands, and a few more where the fit of these
+ends.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -19,8 +21,8 @@ from ..fit.data import Data
 from ..fit.linear import linearised
 from ..fit.solve import Fit, reduce, with_prior
 from ..fit.staged import STIFF, timings
-from ..fit.variables import Variable, stated_effects, uncertain_parameters
-from .model import Fitted, fitted
+from ..fit.variables import NominalDirection, Variable, stated_effects
+from .model import Fitted, each_parameter, fitted
 
 
 def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
@@ -28,32 +30,38 @@ def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
     supported.
     """
     held: list[Variable] = [*timings(data), *stated_effects(crane)]
-    tried = [full, _with(crane, data, full, full.fit, held)]
-    for again, most in enumerate((CRITERIA.freed, CRITERIA.freed_again)):
-        let_go = needed(crane, tried[-1].fit, most)
-        if not let_go:
+    tried = [full]
+    for most in (CRITERIA.freed, CRITERIA.freed_again):
+        let_go, begun = _needed(tried[-1].fit, {v.name for v in held}, most)
+        if not let_go and len(tried) > 1:
             break
         held = [*held, *let_go]
-        tried.append(_with(crane, data, full, tried[-1].fit if again else full.fit, held))
+        tried.append(fitted(crane, data, replace(full.model, variables=tuple(held)), begun, (STIFF,)))
     return max(tried, key=lambda w: w.evidence)
 
 
-def _with(crane: Crane, data: Data, full: Fitted, before: Fit, variables: Sequence[Variable]) -> Fitted:
-    return fitted(crane, data, replace(full.model, variables=tuple(variables)), before, (STIFF,))
-
-
-def needed(crane: Crane, fit: Fit, most: int) -> list[Variable]:
-    """Return the nominal parameters whose freedom the linearised fit supports, the most telling first."""
-    names = {v.name for v in fit.variables}
-    every = uncertain_parameters(crane, fit.data.own, len(fit.data.parts))
-    offered: list[Variable] = [v for v in every if v.name not in names]
-    variables = [*fit.variables, *offered]
-    u = np.concatenate([fit.u, np.zeros(len(offered))])
-    linear, _ = linearised(crane, fit.data, fit.windows, fit.knots, variables, u, STIFF.stiffness)
+def _needed(fit: Fit, free: Set[str], most: int) -> tuple[list[Variable], Fit]:
+    """Return the nominal parameters whose freedom the linearised fit supports beside those that are free, the most
+    telling first; and where it ends with these alone, all others as the crane file has them.
+    """
+    variables, u = each_parameter(fit)
+    linear, knots = linearised(fit.origin, fit.data, fit.windows, fit.knots, variables, u, STIFF.stiffness)
     if linear.failed:
-        return []
-    H, g = with_prior(reduce(linear, fit.knots, fit.knots), variables, u)
-    return [offered[j] for j in _forward(H, g, len(fit.u), most, offered)]
+        return [], fit
+    reduced = reduce(linear, knots, knots)
+    H, g = with_prior(reduced, variables, u)
+    offered = [i for i, v in enumerate(variables) if isinstance(v, NominalDirection) and v.name not in free]
+    own = [i for i in range(len(u)) if i not in offered]
+    away = np.where(np.isin(np.arange(len(u)), offered), -u, 0.0)
+    order, slope = [*own, *offered], g + H @ away
+    chosen = _forward(H[np.ix_(order, order)], slope[order], len(own), most, [variables[i] for i in offered])
+    moved = [*own, *(offered[j] for j in chosen)]
+    step = away.copy()
+    step[moved] -= np.linalg.lstsq(H[np.ix_(moved, moved)], slope[moved], rcond=None)[0]
+    lower, upper = (np.array([getattr(v, end) for v in variables]) for end in ("lower", "upper"))
+    step = np.clip(u + step, lower, upper) - u
+    begun = knots + (reduced.knots_step + reduced.knots_by_u @ step) * linear.jump
+    return [variables[offered[j]] for j in chosen], replace(fit.begun(fit.origin, variables, u + step), knots=begun)
 
 
 def _forward(H: np.ndarray, g: np.ndarray, m: int, most: int, offered: Sequence[Variable]) -> list[int]:

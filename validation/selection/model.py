@@ -344,14 +344,21 @@ def every_parameter(found: Fit) -> Fit:
     """Return a fit as it stands, with every uncertain nominal parameter free by itself: its covariance is what the data
     and the crane file tell of each, whatever the others are.
     """
+    variables, u = each_parameter(found)
+    return fit(
+        found.origin, found.data, found.windows, found.knots, variables, u, stiffness=STIFF.stiffness, iterations=0
+    )
+
+
+def each_parameter(found: Fit) -> tuple[list[Variable], np.ndarray]:
+    """Return the variables of a fit with every uncertain nominal parameter by itself, and their values where it
+    stands.
+    """
     crane, data = found.origin, found.data
     nominal = uncertain_parameters(crane, data.own, len(data.parts))
     others = [(v, u) for v, u in zip(found.variables, found.u, strict=True) if not isinstance(v, NominalDirection)]
     moved = [moved_to(v, crane, found.crane, found) for v in nominal]
-    return fit(
-        crane, data, found.windows, found.knots, [*nominal, *(v for v, _ in others)],
-        np.array([*moved, *(u for _, u in others)]), stiffness=STIFF.stiffness, iterations=0,
-    )  # fmt: skip
+    return [*nominal, *(v for v, _ in others)], np.array([*moved, *(u for _, u in others)])
 
 
 def moved_to(v: NominalDirection, given: Crane, crane: Crane, found: Fit) -> float:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crane_exudyn.effects.registry import split_key
+from crane_exudyn.geometry import chamber_lengths
 
 from ..criteria import CRITERIA
 from ..fit.columns import Columns, Probes, pack
@@ -103,6 +104,18 @@ def unseen(fit: Fit) -> list[Start]:
     every = filter(_softens, starts(fit.crane, fit.data))
     found = [Start(s.key, of_typical_size(s.key, s.values)) for s in every]
     return [s for i, s in enumerate(found) if s not in found[:i]]
+
+
+def stopping(fit: Fit) -> list[Start]:
+    """Return starts of what stops a cylinder, where windows of a fit begin beyond its stroke: first states stand for a
+    stop there, a void that pulls, say, and no look from these tells of it.
+    """
+    crane, lay = fit.crane, fit.crane.layout
+    lengths = chamber_lengths(crane, fit.knots[:, lay.positions])
+    short = lengths.min(axis=0) < 0.0
+    long = lengths.max(axis=0) > [high - low for low, high in map(crane.stroke, lay.cylinders)]
+    beyond = {c for c, past in zip(lay.cylinders, short | long, strict=True) if past}
+    return [s for s in starts(crane, fit.data) if _stops(s) and split_key(s.key)[1] in beyond]
 
 
 def best_starts(scores: Sequence[Score]) -> list[Score]:

@@ -164,9 +164,13 @@ class Problem:
         """The crane as it is, in loosely joined windows."""
         return self.with_effects({})
 
+    def tasks(self, moves: Sequence[Move], stages: Stages) -> list[tuple[Any, ...]]:
+        """Return what fits the moves, for `fits`."""
+        return [(fitted, self.crane, self.data, m.model, m.before, stages) for m in moves]
+
     def run(self, moves: Sequence[Move], stages: Stages) -> list[Fitted]:
         """Return the moves fitted, on as many processes as may be used, best first."""
-        return self.fits([(fitted, self.crane, self.data, m.model, m.before, stages) for m in moves])
+        return self.fits(self.tasks(moves, stages))
 
     def fits(self, tasks: Sequence[tuple[Any, ...]]) -> list[Fitted]:
         """Return what tasks (function, arguments…) fit, on as many processes as may be used, best first; without models

@@ -23,7 +23,7 @@ from .levels import noise_level
 from .model import Fitted, Model, best_of_each, effects_of, excess, fitted, plausible, together
 from .moves import starts
 from .race import in_heats, raced, still_leading
-from .screen import best_starts, likely, screened, unseen
+from .screen import best_starts, likely, screened, stopping, unseen
 from .search import Move, Path, Problem, Progress, Regime, Round, moves_of
 from .whole_runs import end_of_learned, first_part
 
@@ -187,18 +187,20 @@ def _tried(path: WhitePath, beam: Sequence[Fitted], moves: Sequence[Move]) -> li
 
 
 def _unseen(path: WhitePath, parent: Fitted, led: Sequence[Fitted]) -> list[Fitted]:
-    """Return the effects that no screen sees fitted from the machine as given, those that bring evidence, beside a
-    model that leaves little because its parameters moved: they may stand for one. None where one of those that were
-    seen explains all that is left, without such help.
+    """Return the effects that no screen sees fitted from the machine as given, those that bring evidence: what softens,
+    beside a model that leaves little because its parameters moved, as they may stand for it; and what stops a cylinder,
+    where first states may. None where one of those that were seen explains all that is left, without such help.
     """
     left = CRITERIA.left_of_rest * excess(parent.level)
     if any(w.good and w.move_cost < CRITERIA.helped and excess(w.level) < left for w in led):
         return []
     moved = parent.move_cost >= CRITERIA.helped if parent.keys else not path.given.good
-    if not moved or parent.level >= (noise_level(parent.fit.data) if parent.keys else CRITERIA.left_level):
+    little = parent.level < (noise_level(parent.fit.data) if parent.keys else CRITERIA.left_level)
+    hidden = [*(unseen(parent.fit) if moved and little else []), *stopping(parent.loose)]
+    if not hidden:
         return []
     problem = path.problem
-    models = [Model(problem.shared, {**parent.effects, s.key: s.values}) for s in unseen(parent.fit)]
+    models = [Model(problem.shared, {**parent.effects, s.key: s.values}) for s in hidden]
     found = problem.fits([(problem.anew, model, (LOOSE, TIGHT)) for model in models])
     before = fitted(problem.crane, problem.data, parent.model, parent.fit, (TIGHT,))
     leading = [w for w in found if w.evidence >= before.evidence + CRITERIA.proof]
@@ -224,7 +226,8 @@ def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) ->
     led = tried if near else path.problem.further(_leading(beam, tried), (TIGHT, STIFF))
     done = _further(path, [], [*led, *_unseen(path, beam[0], led)])
     done = _exchanged(path, _relocated(path, done, beam, tried) if not path.rounds else done)
-    done = best_of_each([*done, *_dropped(path, done, near), *(_again(path, beam[0], done) if near else [])])
+    again = path.problem.tasks(_again(beam[0], done) if near else [], (WHOLE, STIFF))
+    done = best_of_each([*done, *path.problem.fits([*_dropped(path, done, near), *again])])
     acting = tuple(w for w in done if w.keys)
     return Round(tuple(tried), acting, _deciding(path, acting), next((w for w in done if not w.keys), None))
 
@@ -312,8 +315,8 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
     return best_of_each([*done, *more, *problem.fits(tasks)])
 
 
-def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[Fitted]:
-    """Return models fitted without one of their effects: one that does nothing, or beside which the others have not
+def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[tuple[Any, ...]]:
+    """Return what fits models without one of their effects: one that does nothing, or beside which the others have not
     been seen alone.
 
     What came in beside another may be the one that is missing, and the first a surrogate; or have only led the fit to
@@ -326,16 +329,15 @@ def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[Fitted
             rest = frozenset(w.keys) - {key}
             if key in w.inactive or not (near or not rest or rest in known):
                 moves.setdefault(rest, _without(w, key))
-    return path.problem.run(list(moves.values()), (TIGHT, STIFF))
+    return path.problem.tasks(list(moves.values()), (TIGHT, STIFF))
 
 
-def _again(path: WhitePath, parent: Fitted, done: Sequence[Fitted]) -> list[Fitted]:
-    """Return the model that leaves little, from which a round went on, fitted anew through one long run where a further
-    effect brings something: that must not be what its own fit had missed.
+def _again(parent: Fitted, done: Sequence[Fitted]) -> list[Move]:
+    """Return the model that leaves little, from which a round went on, to be fitted anew as one long run, where a
+    further effect brings something: that must not be what its own fit had missed.
     """
-    if not any(w.evidence >= parent.evidence + CRITERIA.proof for w in done):
-        return []
-    return path.problem.run([Move(parent.model, parent.fit)], (WHOLE, STIFF))
+    proven = any(w.evidence >= parent.evidence + CRITERIA.proof for w in done)
+    return [Move(parent.model, parent.fit)] if proven else []
 
 
 def _deciding(path: WhitePath, done: Sequence[Fitted]) -> dict[frozenset[str], float]:
