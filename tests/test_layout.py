@@ -141,7 +141,7 @@ NAMES = {
 #: what is the PATU's own: the paper, recordings drawn for it
 OWN = {
     "patu/paper.py", "validation/paper.py", "validation/paper_figures.py", "validation/wrong_models.py",
-    "validation/hidden.py", "validation/hidden_plant.py",
+    "validation/hidden.py", "validation/hidden_plant.py", "validation/payloads.py",
 }  # fmt: skip
 #: what may fall back on the layout of patu655: where a user names no crane, and the PATU's own studies
 DEFAULTS = {

@@ -36,6 +36,10 @@ MACHINES = {
     "nominal": NOMINAL,
     "payload": NOMINAL.with_parameters({"payload.mass": 140.0}),
     "leak": NOMINAL.with_effect("internal_leakage@lift", {"k": 5e-12}),
+    "as uncertain as the file says": NOMINAL.with_parameters(
+        {"payload.mass": 220.0}
+        | {n: NOMINAL[n] - NOMINAL.uncertainty[n].std for n in ("fluid.oil_bulk_modulus", "bodies.outer_boom.mass")}
+    ),
 }
 STD = {"z1": np.radians(0.05), "z4": np.radians(0.05), "p1": 0.3e5, "p4": 0.3e5}
 ALL = STD | {"p2": 0.3e5, "p3": 0.3e5}
@@ -150,6 +154,26 @@ def test_a_payload_is_estimated_along_only_where_the_innovations_ask_for_another
     leaking, laden = (estimated(n).model_error for n in ("leak", "payload"))
     assert leaking.used and "payload.mass" not in leaking.found
     assert laden.used and "payload.mass" in laden.found
+
+
+def test_the_interval_of_a_payload_holds_where_oil_and_masses_are_off_as_the_file_says_they_may_be():
+    """The filter weighs a payload by how fast the boom rings, and believed in the softness of its oil."""
+    found = estimated("as uncertain as the file says").model_error.found["payload.mass"]
+    assert abs(found["value"] - 220.0) < 1.96 * found["std"] < 30.0
+    assert found["nominal"] == NOMINAL["payload.mass"]
+
+
+def test_a_payload_that_is_asked_for_is_known_no_better_than_the_masses_beside_it():
+    """With a model that is right: 5 % of the outer boom's mass are as much as 3 kg of payload."""
+    asked = plain().varied(augment=("payload.mass",))
+    off, auto = (model_error.estimate(asked, recorded("nominal")[0], mode=m) for m in ("off", "auto"))
+    sure = replace(asked.crane, uncertainty={n: u for n, u in NOMINAL.uncertainty.items() if n == "payload.mass"})
+    alone = model_error.estimate(plain(sure).varied(augment=("payload.mass",)), recorded("nominal")[0])
+    assert not auto.model_error.used
+    np.testing.assert_array_equal(auto.mean, off.mean)
+    np.testing.assert_array_equal(alone.std, off.std)
+    assert auto.std[-1, -1] > 1.5 + off.std[-1, -1]
+    np.testing.assert_array_equal(auto.std[:, :-1], off.std[:, :-1])
 
 
 def test_what_a_crane_file_keeps_is_held_against_the_model_and_not_against_a_gauge():

@@ -34,6 +34,7 @@ class Augment:
         memory: time constant, s, with which it returns to its nominal value while noise keeps it at `std` around that
             (first-order Gauss-Markov); infinite for what stays.
         shared: quantities with the same word here have one size where sizes are adapted; "" for one of its own.
+        begins: mean at the start, SI; None for the nominal value.
 
     Raises:
         CraneError: a standard deviation or a memory that is not positive, or a drift below zero.
@@ -44,6 +45,7 @@ class Augment:
     drift: float = 0.0
     memory: float = np.inf
     shared: str = ""
+    begins: float | None = None
 
     def __post_init__(self) -> None:
         what = f"augmented state {self.name!r}: its"
@@ -56,7 +58,9 @@ class Augment:
 
 @dataclass(frozen=True)
 class Extra:
-    """An `Augment` with its numbers filled in: `value` and `std` at the start, SI, and what kind of quantity it is."""
+    """An `Augment` with its numbers filled in: nominal `value`, mean `begins` and `std` at the start, SI, and what kind
+    of quantity it is.
+    """
 
     name: str
     kind: str  # "parameter" (the engine's business) or "bias" (the sensors')
@@ -66,6 +70,7 @@ class Extra:
     lower: float
     memory: float = np.inf
     shared: str = ""
+    begins: float = 0.0
 
     def kept(self, dt: float) -> float:
         """Return the share of its deviation from `value` that is left after `dt` s."""
@@ -139,7 +144,8 @@ def _resolve_one(crane: Crane, wanted: Augment) -> Extra:
             f"augmented state {wanted.name!r}: a standard deviation of {std:g} at the start cannot be used. "
             f'Give a positive one: Augment("{wanted.name}", std=…).'
         )
-    return Extra(wanted.name, kind, value, std, wanted.drift, lower, wanted.memory, wanted.shared)
+    begins = value if wanted.begins is None else wanted.begins
+    return Extra(wanted.name, kind, value, std, wanted.drift, lower, wanted.memory, wanted.shared, begins)
 
 
 def _nominal(crane: Crane, name: str) -> tuple[str, float, float, float]:

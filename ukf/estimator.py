@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from crane_exudyn.engines import of_this_crane
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.geometry import cylinder_lengths
 from crane_exudyn.sensors import sensor
+from crane_exudyn.static_start import static_start
 from crane_exudyn.statics import vapour_pressure
 
 from .agreed_start import agreed_start
@@ -132,7 +134,7 @@ class Estimator:
         self.gate = np.inf if gate is None else positive(gate, "gate", deviations, endless=True)
         #: minus the log-likelihood of a reading that is not believed: it is as likely as one at the gate
         self._unlikely = 0.5 * self.gate**2 if self.gate < np.inf else 0.0
-        self._pressure_std = positive(pressure_std, "pressure_std", "a positive one in Pa, such as 1e6")
+        self.pressure_std = positive(pressure_std, "pressure_std", "a positive one in Pa, such as 1e6")
         self._adapt = positive(adapt, "adapt", "a positive time in seconds, or numpy.inf for never", endless=True)
         self._floor = vapour_pressure(crane)
         self._units = tuple(lay.sensors[n].unit for n in self.std_of)
@@ -416,7 +418,7 @@ class Estimator:
         start = self._start if self._start is not None else self._shown(first, spread or {}, begins=True)
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         extras = slice(self._engine_states + len(self._channels.lags), None)
-        mean[extras] = [e.value for e in self.extras]
+        mean[extras] = [e.begins for e in self.extras]
         covariance[extras, extras] = np.diag([e.std**2 for e in self.extras])
         self._set_states(start, mean, covariance)
         self._start_covariance = covariance
@@ -436,7 +438,12 @@ class Estimator:
         as of `start_belief`.
         """
         std = {n: float(np.hypot(self.std_of.get(n, 0.0), spread.get(n, 0.0))) for n in {*self.std_of, *spread}}
-        return start_belief(self.crane, self.engine, first, std, self._pressure_std, begins)
+        crane, engine = self.crane, self.engine
+        moved = {e.name: e.begins for e in self.extras if e.begins != e.value and e.name in crane.machine.index}
+        if moved:  # another load is held by other pressures
+            crane = crane.with_parameters(moved)
+            engine = SimpleNamespace(state_names=engine.state_names, static_start=partial(static_start, crane))
+        return start_belief(crane, engine, first, std, self.pressure_std, begins)
 
     def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
         """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n,
@@ -753,6 +760,14 @@ class Estimator:
             self._resume(float(plan.time[k]), *plan.first_readings(at=float(plan.time[k])), recorder)
             return Outcome.none(plan.values.shape[1])
         return self._advance(plan.grid[i:j], plan.inputs[i:j], plan.values[k], recorder)
+
+    def carried(self, points: np.ndarray, plan: Plan, k: int, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return points (m, n) of all that is estimated, carried from instant k - 1 of a plan to instant k;
+        `parameters` are {name: (m,)}, SI, of what is not estimated, in each point's machine.
+        """
+        i, j = plan.inner[k - 1], plan.inner[k] + 1
+        inside, excess = self._bounds.split(points)
+        return self._process.carried(inside, excess, plan.inputs[i:j], plan.grid[i:j], parameters)
 
     def _look_back(self, beginning: Beginning, plan: Plan, k: int, used: np.ndarray, recorder: Recorder) -> None:
         """Note instant k of a plan, at which the sensors `used` (k,) were believed, and go on from what the whole

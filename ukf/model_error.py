@@ -32,19 +32,23 @@ from crane_exudyn.geometry import pose
 from crane_exudyn.static_start import static_start
 
 from .augment import Augment, resolve, unit_of
+from .considered import consider
 from .estimate import Account, Estimate
 from .estimator import Estimator, sensor_std
 from .noise import ProcessNoise
 from .replay import Replay
 from .side_by_side import SideBySide
 from .signals import Signals
-from .tuning import busiest, descend, limits_of, logs_of, noise_of
+from .tuning import busiest, cut, descend, limits_of, logs_of, noise_of
 
 #: (size that is expected, memory in s) of a moment, in parts of what the joint's cylinder can do; of a flow, in parts
 #: of the valve's under full pump pressure; of a flow coefficient, the pump pressure and a volume of hoses, in parts of
 #: each; of an offset of a pressure sensor and of any other, in parts of the sensor's noise
 _MOMENT, _FLOW, _VALVE, _PUMP, _HOSES = (0.05, 10.0), (0.005, 3.0), (0.1, 3.0), (0.05, 3.0), (0.5, 1.0)
 _GAUGE, _OTHER = (1.0 / 3.0, 10.0), (1.0 / 3.0, 0.2)
+#: the same of how the bulk modulus of the oil walks away from a constant error, which the crane file states: by how
+#: fast a boom rings the filter weighs its load
+_OIL, _SOFT = "fluid.oil_bulk_modulus", (0.05, 3.0)
 #: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are
 #: widened afterwards
 _PRIOR, _PRIOR_NOISE, _WIDENED = 0.5, 3.0, 0.25
@@ -84,7 +88,8 @@ _PRESSURE = 0.3
 class Unknown:
     """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest
     size, a part that stays, of which the size says nothing, the shortest memory that is searched (s; infinite: none
-    is), and whether it is left out where the innovations are as likely without it.
+    is), whether it is left out where the innovations are as likely without it, and where it begins (None: as the crane
+    file says).
 
     With a part that stays it is a random walk from there, as fast as noise of that size and memory is at first.
     """
@@ -96,13 +101,14 @@ class Unknown:
     stays: float = 0.0
     least: float = np.inf
     spared: bool = False
+    begins: float | None = None
 
     def augments(self, size: float) -> tuple[Augment, ...]:
         """Return the quantities as states of the filter, of a given size."""
         if self.stays:
             pace, std = size * np.sqrt(2.0 / self.memory), float(np.hypot(size, self.stays))
             return tuple(Augment(n, std, drift=pace) for n in self.names)
-        return tuple(Augment(n, size, memory=self.memory, shared=self.names[0]) for n in self.names)
+        return tuple(Augment(n, size, 0.0, self.memory, self.names[0], self.begins) for n in self.names)
 
 
 @dataclass(frozen=True)
@@ -164,6 +170,8 @@ def unknowns(
     found.append(Unknown(("supply.pump_pressure",), *_share(pump, _PUMP), pump))
     gauges = [n for n in sensors if lay.sensors[n].unit == "Pa"]
     found = [_as_filed(u, crane) for u in found]
+    if np.isfinite(soft := _filed(crane, _OIL)) and soft > 0.0:
+        found.append(Unknown((_OIL,), *_share(crane[_OIL], _SOFT), crane[_OIL] / 2.0, soft))
     found += [Unknown((f"bias.{n}",), *_share(sensors[n], _GAUGE), drift * sensors[n]) for n in gauges]
     others = [n for n in sensors if n not in gauges]
     found += [Unknown((f"bias.{n}",), *_share(sensors[n], _OTHER), _DRIFT * sensors[n]) for n in others]
@@ -176,6 +184,11 @@ def unknowns(
 def _share(whole: float, kind: tuple[float, float]) -> tuple[float, float]:
     """Return the size and the memory of an unknown of a kind."""
     return kind[0] * whole, kind[1]
+
+
+def _filed(crane: Crane, name: str) -> float:
+    """Return the standard uncertainty that a crane file states of a parameter; NaN for none."""
+    return crane.uncertainty[name].std if name in crane.uncertainty else np.nan
 
 
 def _openly_unknown(crane: Crane) -> list[str]:
@@ -302,7 +315,7 @@ def lasting(
         progress: called with the fraction done.
     """
     crane = replace(crane, model_error={})
-    lasts = set(crane.layout.disturbances) | set(crane.machine.index) - set(_openly_unknown(crane))
+    lasts = set(crane.layout.disturbances) | set(crane.machine.index) - {*_openly_unknown(crane), _OIL}
     found: dict[str, list[tuple[float, float]]] = {}
     for k, (recording, sensors) in enumerate(recordings):
         done = None if progress is None else partial(_share_of, progress, k, len(recordings))
@@ -342,6 +355,7 @@ def _searched(
         estimator = now.behind(Estimator(crane, engine, std, augment=augment, max_step=_STEP))
         replay = Replay(estimator, piece, estimator.extras[len(augment) :])
         logs = search.climb(replay, logs, step)
+        search.begin_again(crane, dict(zip(estimator.state_names[-len(replay.ended) :], replay.ended, strict=True)))
     return search, search.sparing(replay, logs), replay
 
 
@@ -379,6 +393,17 @@ class _Search:
         sizes = logs[: self.count].copy()
         sizes[self._fading] += 0.5 * logs[self.count : self.count + len(self._fading)]
         return sizes
+
+    def begin_again(self, crane: Crane, ended: Mapping[str, float]) -> None:
+        """Begin what is openly unknown where a run ended, {name: value}: about a payload that is far off the slopes are
+        others, and so are the pressures that hold it.
+        """
+        found = list(self.start.unknowns)
+        for k, unknown in enumerate(found):
+            if unknown.spared:
+                known, value = crane.uncertainty[unknown.names[0]], ended[unknown.names[0]]
+                found[k] = replace(unknown, begins=float(np.clip(value, known.lower, known.upper)))
+        self.start = replace(self.start, unknowns=tuple(found))
 
     def climb(self, replay: Replay, logs: np.ndarray, step: float) -> np.ndarray:
         """Return the most likely logarithms, searched with steps from `step` down to a quarter of it."""
@@ -485,9 +510,40 @@ def estimate(
             return _run(plain, recording, smooth, noise_slack, done)
 
     result, account = _chosen(mode, first, wider)
+    if mode != "off":
+        with stage("Uncertainties of the crane file") as done:
+            chosen = found[0] if account.used else ModelError((), (), plain.noise, plain.pressure_std)
+            result = _widened(result, plain, chosen, recording, done)
     if account.used:
         return _without_unknowns(plain.crane, result, found[0], account)
     return replace(result, model_error=account)
+
+
+def _widened(
+    result: Estimate, plain: Estimator, error: ModelError, recording: Any, progress: Callable[[float], None]
+) -> Estimate:
+    """Return an estimate with wider intervals of what is openly unknown: what the filter knows of a payload it takes
+    from masses, joints and oil that are not as the crane file says, and from unknowns that do not fade.
+
+    A run of the same filter, with fewer samples on the fast engine, tells by how much.
+    """
+    crane = plain.crane
+    rows = [k for k, n in enumerate(result.state_names) if n in _openly_unknown(crane)]
+    if not rows or result.failed:
+        return result
+    signals = recording if isinstance(recording, Signals) else Signals.of(recording, crane)
+    piece = cut(signals, float(signals.command_time[0]), _LONG).thinned(_RATE, crane.layout)
+    coarse = Estimator(crane, "semi-recursive", plain.std_of, augment=plain.augment, max_step=_STEP)
+    time, spread = consider(error.behind(coarse), piece, [result.state_names[k] for k in rows], progress)
+    std = result.std.copy()
+    for k, more in zip(rows, spread.T, strict=True):
+        std[:, k] = np.hypot(std[:, k], np.interp(result.time, time, more))
+    smoothed = result.smoothed
+    if smoothed is not None:
+        wide = smoothed.std.copy()
+        wide[:, rows] = np.hypot(wide[:, rows], spread[-1])
+        smoothed = replace(smoothed, std=wide)
+    return replace(result, std=std, smoothed=smoothed)
 
 
 def estimate_side_by_side(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -61,11 +61,11 @@ class Process:
         """
         inside, excess = self._bounds.split(points)
         if excess is None or not excess[:, list(self._columns.values())].any():
-            return self._carried(inside, excess, inputs, times)
+            return self.carried(inside, excess, inputs, times)
         middle = points.mean(axis=0)
         share = self._possible(points, middle)
         near = np.vstack([middle + share[:, None] * (points - middle), middle])
-        out, cut = self._carried(*self._bounds.split(near), inputs, times), share != 1.0
+        out, cut = self.carried(*self._bounds.split(near), inputs, times), share != 1.0
         out[:-1][cut] = out[-1] + (out[:-1][cut] - out[-1]) / share[cut, None]
         return out[:-1]
 
@@ -75,18 +75,26 @@ class Process:
         """
         columns = list(self._columns.values())
         away, room = points[:, columns] - middle[columns], np.maximum(middle - self._bounds.lower, 0.0)[columns]
-        ways = room / np.maximum(np.abs(away), 1e-300)
+        ways = room / np.maximum(np.abs(away), 1e-200)
         ahead = np.where(away < 0.0, ways, 1.0).min(axis=1).clip(0.0, 1.0)
         behind = np.where(away > 0.0, ways, 1.0).min(axis=1).clip(0.0, 1.0)
         share = np.where(ahead >= behind, ahead, -behind)
         return np.where(np.abs(share) < _LEAST_SHARE, 1.0, share)
 
-    def _carried(
-        self, inside: np.ndarray, excess: np.ndarray | None, inputs: np.ndarray, times: np.ndarray
+    def carried(
+        self,
+        inside: np.ndarray,
+        excess: np.ndarray | None,
+        inputs: np.ndarray,
+        times: np.ndarray,
+        others: Mapping[str, np.ndarray] | None = None,
     ) -> np.ndarray:
-        """Return points (m, n) carried along from inside the limits, what was beyond them carried through as it is."""
+        """Return points (m, n) carried along from inside the limits, what was beyond them carried through as it is;
+        `others` are parameters (m,) that are no states.
+        """
         states = np.ascontiguousarray(inside[:, : self.nx])
-        keyword = {"parameters": {n: inside[:, c] for n, c in self._columns.items()}} if self._columns else {}
+        varied = {**(others or {}), **{n: inside[:, c] for n, c in self._columns.items()}}
+        keyword = {"parameters": varied} if varied else {}
         shape = states.shape
         for k in range(len(times) - 1):
             states = self.engine.propagate(

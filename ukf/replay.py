@@ -71,6 +71,11 @@ class Replay:
         self._offset[1:] = np.einsum("kij,kj->ki", self._transition[1:], self._moved[1:-1])
         nominal = np.array([e.value for e in varied])
         self._before, self._after = mean[:-1, self._first :] - nominal, prior[1:, self._first :] - nominal
+        #: the reference may begin elsewhere than what is expected
+        self._begin = np.zeros(estimator.size)
+        self._begin[self._first :] = [e.value - e.begins for e in varied]
+        #: mean of the varied states at the end of the run
+        self.ended = mean[-1, self._first :].copy()
         self._others = estimator.extras[: len(estimator.extras) - len(varied)]
 
     def log_likelihood(self, noise: ProcessNoise, varied: Sequence[Augment]) -> float:
@@ -91,7 +96,8 @@ class Replay:
         total = 0.0
         for begin, end in self._stretches:
             start, stretch = self._start_covariance(begin, extras), tuple(a[begin:end] for a in steps)
-            total += _run(stretch, self._variance, start, noises, self._first)
+            first = self._begin if begin == 0 else np.zeros_like(self._begin)
+            total += _run(stretch, self._variance, first, start, noises, self._first)
         return total
 
     def _noise(self, noise: ProcessNoise, dt: float) -> np.ndarray:
@@ -137,10 +143,10 @@ def _slopes(estimator: Estimator, recorder: Any) -> np.ndarray:
 
 
 @njit()
-def _run(steps, variance, start, noises, first):  # type: ignore[no-untyped-def]
+def _run(steps, variance, begin, start, noises, first):  # type: ignore[no-untyped-def]
     steps = _Steps(*steps)
     n = steps.offset.shape[1]
-    deviation, covariance, total = np.zeros(n), start.copy(), 0.0
+    deviation, covariance, total = begin.copy(), start.copy(), 0.0
     carried, gain = np.zeros((first, n)), np.zeros(n)
     for t in range(steps.offset.shape[0]):
         _predict(deviation, covariance, carried, steps, t, noises[steps.which[t]], first)

@@ -267,7 +267,7 @@ def commands_on_grid(times: np.ndarray, values: np.ndarray, cycle: float | None)
 _GRID = np.arange(round(DURATION / _STEP) + 1) * _STEP
 
 
-def _run(crane: Crane, engine: Any, manoeuvre: Manoeuvre) -> np.ndarray:
+def run_machine(crane: Crane, engine: Any, manoeuvre: Manoeuvre) -> np.ndarray:
     """Return the states (N, nx) of a machine through a manoeuvre every ms, from its own static start."""
     from .hidden_plant import inputs
 
@@ -295,7 +295,7 @@ def _draft(crane: Crane, manoeuvre: Manoeuvre) -> dict[str, np.ndarray]:
     """Return what the machine's sensors show without noise, by the faster engine."""
     from validation.semi_recursive import SemiRecursiveEngine
 
-    return readings(crane, _run(crane, SemiRecursiveEngine(crane), manoeuvre))
+    return readings(crane, run_machine(crane, SemiRecursiveEngine(crane), manoeuvre))
 
 
 def readings(crane: Crane, states: np.ndarray) -> dict[str, np.ndarray]:
@@ -467,7 +467,7 @@ def _exact(machine: Crane, s: _Setting, manoeuvre: Manoeuvre, laws: Sequence[Law
     if not acting and not dialects:
         if s.swapped:
             return _draft(machine, manoeuvre)
-        return readings(machine, _run(machine, ExudynEngine(machine), manoeuvre))
+        return readings(machine, run_machine(machine, ExudynEngine(machine), manoeuvre))
     w = inputs(plain, _GRID, *manoeuvre.driven(), dialects)
     states = simulate(
         plain, static_start(plain, manoeuvre.z1, manoeuvre.z4, less_loaded=manoeuvre.less_loaded), _GRID, w, acting
