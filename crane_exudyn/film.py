@@ -34,7 +34,7 @@ def _need_ffmpeg(path: str | Path) -> None:
     if find_spec("imageio_ffmpeg") is None:
         raise CraneError(
             f"{path}: writing MP4 needs the package imageio-ffmpeg. Install it with "
-            "pip install 'crane-exudyn[film]', or write a GIF."
+            "pip install imageio-ffmpeg, or write a GIF."
         )
 
 

@@ -274,8 +274,7 @@ def _read_mdf(path: Path, wanted: Collection[str]) -> RawTable:
         mdf = importlib.import_module("asammdf").MDF
     except ImportError:
         raise CraneError(
-            f"{path}: reading MDF files needs asammdf, which is not installed. Install it: pip install "
-            "'crane-exudyn[mdf]'."
+            f"{path}: reading MDF files needs asammdf, which is not installed. Install it: pip install asammdf."
         ) from None
     signals, others = _mdf_content(mdf, path, wanted)
     clocks: dict[bytes, RawColumn] = {}
@@ -360,7 +359,7 @@ def data_frame(time: np.ndarray, columns: Mapping[str, np.ndarray], units: Mappi
     try:
         import pandas
     except ImportError as problem:
-        raise CraneError("A data frame needs pandas. Install it: pip install 'crane-exudyn[pandas]'.") from problem
+        raise CraneError("A data frame needs pandas. Install it: pip install pandas.") from problem
     frame = pandas.DataFrame(dict(columns), index=pandas.Index(time, name="time"))
     frame.attrs["units"] = {"time": "s"} | {name: units.get(name, "") for name in columns}
     return frame

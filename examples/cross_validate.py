@@ -30,6 +30,8 @@ def fold(effect: str | None, learn: Path, files: list[Path]) -> tuple[str, str, 
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2 or not Path(sys.argv[1]).is_dir():
+        sys.exit(__doc__)
     files = sorted(f for f in Path(sys.argv[1]).glob("*.csv") if f.name != "cross_validation.csv")
     work = itertools.product([None, *sys.argv[2:]], files)
     rows = Parallel(n_jobs=2)(delayed(fold)(effect, learn, files) for effect, learn in work)

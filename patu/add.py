@@ -53,8 +53,8 @@ def command(
 ) -> None:
     """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones.
 
-    After a fit that does not make the open-loop error smaller, or does so without the effect, nothing is written,
-    unless --even-if-worse asks for it; exit status 1.
+    After a fit that does not make the open-loop error smaller, or is hardly likelier than one of the parameters alone,
+    nothing is written, unless --even-if-worse asks for it; exit status 1.
     """
     idle = ("--even-if-worse", "--map", "--map-file", "--anyway")
     refuse_idle(context, (fit is None, idle, "nothing is fitted without --fit REC"))
@@ -77,8 +77,8 @@ def command(
         unwritten = "" if even_if_worse else " Nothing was written; --even-if-worse writes it all the same."
         printer.line(
             f"The fit of {effect} to {fit} did not help: error {document['error_before']:.4g} before, "
-            f"{document['error_after']:.4g} after, {document['error_without']:.4g} then without the effect, in units "
-            f"of the sensors' noise.{unwritten}"
+            f"{document['error_after']:.4g} after, {document['error_without']:.4g} with parameters moved alone, in "
+            f"units of the sensors' noise.{unwritten}"
         )
     else:
         printer.line(_fit_told(chosen, result, effect, document))
@@ -117,17 +117,17 @@ def remove(
 def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]) -> str:
     """Return in words what a fit found: the effect's parameters, the errors, and what else moved."""
     from crane_exudyn.crane_toml import unit_at
-    from crane_exudyn.display import engineering, rounded
     from crane_exudyn.effects import registry
     from validation.history import moved_in_words
+    from validation.reports import told
 
     (effect, place), found = registry.split_key(key, before.layout), []
     for p in effect.parameters:
         if p.name in document["parameters"]:
-            unit, one = engineering(unit_at(p.unit, place, before.layout))
             fitted = document["parameters"][p.name]
-            spread = math.nan if fitted["std"] is None else fitted["std"] / one
-            found.append(f"{p.name} = {rounded(fitted['value'] / one, spread)}" + (f" {unit}" if unit else ""))
+            spread = math.inf if fitted["std"] is None else fitted["std"]
+            unit = unit_at(p.unit, place, before.layout)
+            found.append(f"{p.name} = {told({**fitted, 'std': spread, 'unit': unit})}")
     moved = moved_in_words(before, after)
     return (
         f"{key}: {', '.join(found)}; open-loop error {document['error_before']:.3g} -> {document['error_after']:.3g} "

@@ -77,6 +77,16 @@ def test_balances_that_have_not_settled_are_said(clean, monkeypatch):
     assert "still moving" in comparison.notes[-1]
 
 
+def test_balances_that_have_not_settled_accuse_nobody_where_every_channel_is_predicted(clean, leaking):
+    for comparison, accuses in ((clean, False), (leaking[1], True)):
+        edges = float(comparison.balances.time[0]), float(comparison.balances.time[-1])
+        moving = replace(comparison.balances, unsettled=(edges,))
+        scores = scores_of(comparison.estimate, moving, comparison.phases)
+        assert scores.badly_predicted.any() == accuses
+        assert np.isfinite(scores.stds).any() == accuses
+        assert any(f.kind == "equation" for f in scores.findings()) == accuses
+
+
 def test_a_chamber_at_the_pressure_floor_takes_any_flow(clean):
     states = clean.balances.states.copy()
     states[100:120, 5] = clean.balances.floor  # the lift's rod side boils for a tenth of a second

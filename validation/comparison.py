@@ -295,8 +295,8 @@ def compare(
     done(1.0)
     for begin, end in balances.unsettled:
         notes.append(
-            f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: their "
-            "± is too small"
+            f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: "
+            + ("their ± is too small" if scores.badly_predicted.any() else "nothing is said of them")
         )
     found = Comparison(
         recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured,

@@ -79,14 +79,19 @@ class Scores:
         """Mean residual of each balance in its standard deviations (F, b), signed."""
         return self.means / self.stds
 
+    @property
+    def badly_predicted(self) -> np.ndarray:
+        """Whether the filter predicts a channel worse than noise explains, (F, k) bool."""
+        limit = np.maximum(PREDICTED_BADLY, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(self.samples, 1)))
+        return np.asarray(self.channels > limit)
+
     def findings(self) -> list[Finding]:
         """Return all places where the model fails, worst first."""
         return sorted([*self._predictions(), *self._violations()], key=lambda f: f.score, reverse=True)
 
     def _predictions(self) -> list[Finding]:
-        limit = np.maximum(PREDICTED_BADLY, 1.0 + 4.0 / np.sqrt(2.0 * np.maximum(self.samples, 1)))
         found = []
-        for i, j in np.argwhere(self.channels > limit):
+        for i, j in np.argwhere(self.badly_predicted):
             phase, name, score = self.phases[i], self.channel_names[j], float(self.channels[i, j])
             text = (
                 f"{phase.words}, {name} is {told(name, self.errors[i, j], self.layout)} (RMS) off what the filter "
@@ -145,7 +150,11 @@ def scores_of(estimate: Estimate, balances: Balances, phases: Sequence[Phase]) -
     means, stds = np.array([m for m, _ in pairs]), np.array([s for _, s in pairs])
     for i, p in enumerate(phases):  # at the pressure floor a balance says nothing about the flow into the chamber
         stds[i, len(lay.torques) :][balances.at_floor[p.first : p.last].any(axis=0)] = math.inf
-    return Scores(phases, estimate.channel_names, channels, errors, samples, means, stds, turning, lay)
+    scores = Scores(phases, estimate.channel_names, channels, errors, samples, means, stds, turning, lay)
+    if not scores.badly_predicted.any():  # what the smoother did not find the end of accuses nobody by itself
+        for begin, end in balances.unsettled:
+            stds[[p.start < end and begin < p.end for p in phases]] = math.inf
+    return scores
 
 
 # -- words -----------------------------------------------------------------------------------------------------------

@@ -128,7 +128,7 @@ def scheduled(address: str | None) -> Iterator[None]:
         from dask.distributed import Client
     except ImportError:
         raise CraneError(
-            "A Dask scheduler is asked for, but Dask is not installed. Install it: pip install 'crane-exudyn[cluster]'."
+            "A Dask scheduler is asked for, but Dask is not installed. Install it: pip install 'dask[distributed]'."
         ) from None
     from joblib import parallel_config
 

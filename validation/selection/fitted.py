@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
@@ -23,13 +22,11 @@ from .search import Problem
 
 
 def helped(document: Mapping[str, Any]) -> bool:
-    """Return whether a fit, as `fitted_effect` tells of it, made the open-loop error smaller with a likelihood that
-    exists, and whether the effect had a part in that which is more than chance.
+    """Return whether a fit, as `fitted_effect` tells of it, made the open-loop error smaller, and is clearly likelier
+    than one of the parameters alone.
     """
-    if not (np.isfinite(document["evidence"]) and document["error_after"] < document["error_before"]):
-        return False
-    without, after = document["error_without"], document["error_after"]
-    return bool(document["samples"] * ((without / after) ** 2 - 1.0) > CRITERIA.told_apart**2)
+    likelier = bool(document["evidence"] >= document["evidence_without"] + CRITERIA.proof)
+    return likelier and math.isfinite(document["evidence"]) and document["error_after"] < document["error_before"]
 
 
 def fitted_effect(
@@ -56,14 +53,15 @@ def fitted_effect(
         raise CraneError(f"{recording.name} says nothing about {key!r}: no channel shows it.")
     best = max(loose, key=lambda w: w.evidence)
     done = fitted(crane, problem.data, best.model, best.fit, (TIGHT, STIFF))
+    plain = fitted(crane, problem.data, Model(problem.shared), problem.base, (TIGHT, STIFF))
     before, _ = open_loop_error(crane, recording)
     after, _ = open_loop_error(done.fit.crane, recording)
-    without, _ = open_loop_error(done.fit.crane.without_effect(key), recording)
+    without, _ = open_loop_error(plain.fit.crane, recording)
     found, spread = done.values(key), done.deviations(key)
     document = {
         "parameters": {n: {"value": v, "std": spread.get(n)} for n, v in found.items()},
         "evidence": done.evidence, "error_before": before, "error_after": after, "error_without": without,
-        "samples": sum(len(recording[n]) for n in recording.sensors), "at_bound": at_bound(done.fit, key),
+        "evidence_without": plain.evidence, "at_bound": at_bound(done.fit, key),
     }  # fmt: skip
     evidence = {"recording": recording.name, "evidence": done.evidence, "error_before": before, "error_after": after}
     return added(crane, done.fit.crane, **evidence), document
