@@ -14,8 +14,6 @@ from crane_exudyn.render import Scene, Trajectory
 from patu.simulate import first_state
 from validation import plots
 
-if len(sys.argv) < 2:
-    sys.exit(__doc__)
 recording, folder = Recording.load(sys.argv[1]), Path(sys.argv[2] if len(sys.argv) > 2 else ".")
 folder.mkdir(parents=True, exist_ok=True)
 crane = Crane.load("patu655")
