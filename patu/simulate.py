@@ -113,7 +113,7 @@ def first_state(crane: Crane, engine: Any, recording: Recording) -> np.ndarray:
     from ukf.start import start_belief
 
     first = vetted(recording.require(sensors=1), crane).first_values()
-    mean: np.ndarray = start_belief(crane, engine, first, recording.noise()).mean
+    mean: np.ndarray = start_belief(crane, engine.static_start, first, recording.noise()).mean
     mean[crane.layout.velocities] = 0.0
     return mean
 

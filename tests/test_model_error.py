@@ -261,7 +261,7 @@ def test_a_machine_that_begins_as_its_file_says_has_the_pressures_that_it_says()
     def started(z1: float, begins: bool) -> tuple[float, float]:
         """Return p2 and its standard deviation where p1 shows 10 bar more than the file's machine would need."""
         p1 = engine.static_start(z1, pose[1], less_loaded=filed)[LAYOUT.index("p1")] + 10e5
-        belief = start_belief(NOMINAL, engine, {"z1": z1, "z4": pose[1], "p1": p1}, STD, 30e5, begins)
+        belief = start_belief(NOMINAL, engine.static_start, {"z1": z1, "z4": pose[1], "p1": p1}, STD, 30e5, begins)
         return float(belief.mean[p2]), float(np.sqrt(belief.covariance[p2, p2]))
 
     ratio = np.divide(*NOMINAL.areas("lift"))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -438,12 +437,12 @@ class Estimator:
         as of `start_belief`.
         """
         std = {n: float(np.hypot(self.std_of.get(n, 0.0), spread.get(n, 0.0))) for n in {*self.std_of, *spread}}
-        crane, engine = self.crane, self.engine
+        crane, at_rest = self.crane, self.engine.static_start
         moved = {e.name: e.begins for e in self.extras if e.begins != e.value and e.name in crane.machine.index}
         if moved:  # another load is held by other pressures
             crane = crane.with_parameters(moved)
-            engine = SimpleNamespace(state_names=engine.state_names, static_start=partial(static_start, crane))
-        return start_belief(crane, engine, first, std, self.pressure_std, begins)
+            at_rest = partial(static_start, crane)
+        return start_belief(crane, at_rest, first, std, self.pressure_std, begins)
 
     def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
         """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n,

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -50,7 +49,7 @@ def taken(layout: Layout, first: Mapping[str, float]) -> tuple[str, ...]:
 
 def start_belief(
     crane: Crane,
-    engine: Any,
+    at_rest: Callable[..., np.ndarray],
     first: Mapping[str, float],
     std: Mapping[str, float],
     pressure: float = UNSHOWN["Pa"],
@@ -62,17 +61,16 @@ def start_belief(
     moments, Pa; `begins` says that a recording begins here, where the machine may be as its file says it begins.
 
     Coordinates come from their own sensors or the cylinder lengths, else from the crane file. Pressures follow from the
-    balance of moments at rest (`engine.static_start`): the cylinder's force is known, so one measured pressure gives
-    the other. Where the machine stands as its file says it begins, the file also says the lower pressure of each
-    cylinder, and what is known better counts more.
+    balance of moments at rest (`at_rest`, an engine's `static_start`): the cylinder's force is known, so one measured
+    pressure gives the other. Where the machine stands as its file says it begins, the file also says the lower pressure
+    of each cylinder, and what is known better counts more.
     """
     known = {n: v for n, v in first.items() if np.isfinite(v)}
     z, z_std = _pose(crane, known, std)
-    nx = len(engine.state_names)
-    mean, deviation = np.zeros(nx), np.full(nx, 0.05)
     lay = crane.layout
     filed = np.broadcast_to(crane.initial.less_loaded_pressure, len(lay.cylinders))
-    mean[:] = engine.static_start(*z, less_loaded=filed)
+    mean = np.array(at_rest(*z, less_loaded=filed))
+    deviation = np.full(mean.size, 0.05)
     for name in lay.coordinates:
         carried = sum(known.get(f"d{n}", 0.0) for n in lay.carriers(name))
         mean[lay.index(f"d{name}")] = known.get(f"d{name}", known.get(f"d{name}_abs", carried) - carried)

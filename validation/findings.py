@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -151,10 +151,11 @@ def scores_of(estimate: Estimate, balances: Balances, phases: Sequence[Phase]) -
     for i, p in enumerate(phases):  # at the pressure floor a balance says nothing about the flow into the chamber
         stds[i, len(lay.torques) :][balances.at_floor[p.first : p.last].any(axis=0)] = math.inf
     scores = Scores(phases, estimate.channel_names, channels, errors, samples, means, stds, turning, lay)
-    if not scores.badly_predicted.any():  # what the smoother did not find the end of accuses nobody by itself
-        for begin, end in balances.unsettled:
-            stds[[p.start < end and begin < p.end for p in phases]] = math.inf
-    return scores
+    if scores.badly_predicted.any():
+        return scores
+    # what the smoother did not find the end of accuses nobody by itself
+    moving = [any(p.start < end and begin < p.end for begin, end in balances.unsettled) for p in phases]
+    return replace(scores, stds=np.where(np.array(moving)[:, None], math.inf, stds))
 
 
 # -- words -----------------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from crane_exudyn.crane import Crane
 from ..criteria import CRITERIA
 from ..fit.data import Data
 from ..fit.linear import linearised
-from ..fit.solve import Fit, reduce, with_prior
+from ..fit.solve import Fit, bounded_step, reduce, with_prior
 from ..fit.staged import STIFF, timings
 from ..fit.variables import NominalDirection, Variable, stated_effects
 from .model import Fitted, each_parameter, fitted
@@ -44,24 +44,24 @@ def _needed(fit: Fit, free: Set[str], most: int) -> tuple[list[Variable], Fit]:
     """Return the nominal parameters whose freedom the linearised fit supports beside those that are free, the most
     telling first; and where it ends with these alone, all others as the crane file has them.
     """
-    variables, u = each_parameter(fit)
+    every = [*zip(*each_parameter(fit), strict=True)]
+    every.sort(key=lambda pair: isinstance(pair[0], NominalDirection) and pair[0].name not in free)
+    variables, u = [v for v, _ in every], np.array([x for _, x in every])
+    m = sum(not isinstance(v, NominalDirection) or v.name in free for v in variables)
     linear, knots = linearised(fit.origin, fit.data, fit.windows, fit.knots, variables, u, STIFF.stiffness)
     if linear.failed:
         return [], fit
     reduced = reduce(linear, knots, knots)
     H, g = with_prior(reduced, variables, u)
-    offered = [i for i, v in enumerate(variables) if isinstance(v, NominalDirection) and v.name not in free]
-    own = [i for i in range(len(u)) if i not in offered]
-    away = np.where(np.isin(np.arange(len(u)), offered), -u, 0.0)
-    order, slope = [*own, *offered], g + H @ away
-    chosen = _forward(H[np.ix_(order, order)], slope[order], len(own), most, [variables[i] for i in offered])
-    moved = [*own, *(offered[j] for j in chosen)]
-    step = away.copy()
-    step[moved] -= np.linalg.lstsq(H[np.ix_(moved, moved)], slope[moved], rcond=None)[0]
-    lower, upper = (np.array([getattr(v, end) for v in variables]) for end in ("lower", "upper"))
-    step = np.clip(u + step, lower, upper) - u
-    begun = knots + (reduced.knots_step + reduced.knots_by_u @ step) * linear.jump
-    return [variables[offered[j]] for j in chosen], replace(fit.begun(fit.origin, variables, u + step), knots=begun)
+    held = np.r_[u[:m], np.zeros(len(u) - m)]
+    slope = g + H @ (held - u)
+    chosen = [m + j for j in _forward(H, slope, m, most, variables[m:])]
+    moved = [*range(m), *chosen]
+    lower, upper = (np.array([getattr(variables[i], end) for i in moved]) for end in ("lower", "upper"))
+    ended = held.copy()
+    ended[moved] += bounded_step(H[np.ix_(moved, moved)], slope[moved], held[moved], lower, upper, 0.0)
+    begun = knots + (reduced.knots_step + reduced.knots_by_u @ (ended - u)) * linear.jump
+    return [variables[i] for i in chosen], replace(fit.begun(fit.origin, variables, ended), knots=begun)
 
 
 def _forward(H: np.ndarray, g: np.ndarray, m: int, most: int, offered: Sequence[Variable]) -> list[int]:

@@ -226,8 +226,9 @@ def _judged(path: WhitePath, beam: Sequence[Fitted], tried: Sequence[Fitted]) ->
     led = tried if near else path.problem.further(_leading(beam, tried), (TIGHT, STIFF))
     done = _further(path, [], [*led, *_unseen(path, beam[0], led)])
     done = _exchanged(path, _relocated(path, done, beam, tried) if not path.rounds else done)
-    again = path.problem.tasks(_again(beam[0], done) if near else [], (WHOLE, STIFF))
-    done = best_of_each([*done, *path.problem.fits([*_dropped(path, done, near), *again])])
+    tasks = path.problem.tasks(_dropped(path, done, near), (TIGHT, STIFF))
+    tasks += path.problem.tasks(_again(beam[0], done) if near else [], (WHOLE, STIFF))
+    done = best_of_each([*done, *path.problem.fits(tasks)])
     acting = tuple(w for w in done if w.keys)
     return Round(tuple(tried), acting, _deciding(path, acting), next((w for w in done if not w.keys), None))
 
@@ -315,9 +316,9 @@ def _further(path: WhitePath, done: Sequence[Fitted], more: Sequence[Fitted]) ->
     return best_of_each([*done, *more, *problem.fits(tasks)])
 
 
-def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[tuple[Any, ...]]:
-    """Return what fits models without one of their effects: one that does nothing, or beside which the others have not
-    been seen alone.
+def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[Move]:
+    """Return models to be fitted without one of their effects: one that does nothing, or beside which the others have
+    not been seen alone.
 
     What came in beside another may be the one that is missing, and the first a surrogate; or have only led the fit to
     the better minimum.
@@ -329,7 +330,7 @@ def _dropped(path: WhitePath, done: Sequence[Fitted], near: bool) -> list[tuple[
             rest = frozenset(w.keys) - {key}
             if key in w.inactive or not (near or not rest or rest in known):
                 moves.setdefault(rest, _without(w, key))
-    return path.problem.tasks(list(moves.values()), (TIGHT, STIFF))
+    return list(moves.values())
 
 
 def _again(parent: Fitted, done: Sequence[Fitted]) -> list[Move]:
