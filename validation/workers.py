@@ -128,8 +128,8 @@ def scheduled(address: str | None) -> Iterator[None]:
         from dask.distributed import Client
     except ImportError:
         raise CraneError(
-            "A Dask scheduler is asked for, but Dask is not installed. Install it: pip install 'dask[distributed]', which "
-            "is all that the extra `cluster` adds."
+            "A Dask scheduler is asked for, but Dask is not installed. Install it: pip install 'dask[distributed]', "
+            "which is all that the extra `cluster` adds."
         ) from None
     from joblib import parallel_config
 
