@@ -16,10 +16,12 @@ from .solve import Fit, reduce, with_prior
 
 
 def occam(fit: Fit) -> float:
-    """Return the log of the share of the prior volume of all variables that the data leave (negative)."""
-    if not len(fit.u) or fit.linear.failed:
-        return 0.0
-    reduced = reduce(fit.linear, fit.knots, fit.knots)
+    """Return the log of the share of the prior volume of all variables that the data leave (negative); minus infinity
+    for a model that failed.
+    """
+    reduced = reduce(fit.linear, fit.knots, fit.knots) if len(fit.u) else None
+    if reduced is None:
+        return -math.inf if fit.linear.failed else 0.0
     H, _ = with_prior(reduced, fit.variables, fit.u)
     scale = np.array([CRITERIA.broad if math.isinf(v.prior) else v.prior for v in fit.variables])
     broad = np.array([1.0 / CRITERIA.broad**2 if math.isinf(v.prior) else 0.0 for v in fit.variables])
@@ -30,6 +32,5 @@ def occam(fit: Fit) -> float:
 
 def log_evidence(fit: Fit) -> float:
     """Return the log marginal likelihood of a fit up to a constant of the recording (Laplace's approximation)."""
-    if fit.linear.failed:
-        return -math.inf
-    return -0.5 * (fit.linear.cost + fit.linear.volume) - fit.prior_cost + occam(fit)
+    left = occam(fit)
+    return -0.5 * (fit.linear.cost + fit.linear.volume) - fit.prior_cost + left if math.isfinite(left) else left

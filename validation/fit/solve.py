@@ -32,6 +32,9 @@ _SERVES = 0.3
 #: how near to what it promised a step must fall for the cost to be the parabola that its derivatives tell: then the
 #: next step leads to the end, and derivatives are not needed there
 _AS_PROMISED = 0.1
+#: what is added to the diagonal of each first state's normal equations, as a share of it: a hundred times what rounding
+#: leaves open there, so that a window that multiplies its first state a billion times leaves them positive definite
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -112,15 +115,24 @@ class Fit:
         return float(math.sqrt(max(self.cov[i, i], 0.0)))
 
 
-def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
-    """Eliminate the knots of the normal equations by block elimination along time."""
-    with single_threaded():
-        return _eliminated(linear, guess, knots)
+def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced | None:
+    """Return the normal equations of the variables, the knots eliminated one after the other along time.
+
+    None where the model failed, or runs away (a negative payload, say): then it counts as failed from now on.
+    """
+    if not linear.failed:
+        try:
+            with single_threaded():
+                return _eliminated(linear, guess, knots)
+        except LinAlgError:
+            linear.failed = True
+    return None
 
 
 def _eliminated(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced:
     K, nx, m = linear.Hxu.shape
     H = linear.Hxx + np.diag(linear.weak)
+    H += _ROUNDING * np.einsum("kii->ki", H)[:, :, None] * np.eye(nx)
     g = linear.gx + linear.weak * (knots - guess) / linear.jump
     right = np.concatenate([linear.Hxu, g[:, :, None]], axis=2)
     factors: list[Any] = []
@@ -130,7 +142,6 @@ def _eliminated(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced
             link = cho_solve(factors[k - 1], off[k - 1])
             H[k] -= off[k - 1].T @ link
             right[k] -= link.T @ right[k - 1]
-        H[k] += 1e-9 * np.eye(nx)
         factors.append(cho_factor(H[k]))
     solution = np.empty_like(right)
     for k in reversed(range(K)):
@@ -291,7 +302,7 @@ class _Task:
 
     def step(self, point: _Point) -> _Step | None:
         """Return the step from a point; None where there is none: the model runs away (a negative payload, say)."""
-        reduced = _reduced(point)
+        reduced = reduce(point.linear, point.guess, point.knots)
         if reduced is None:
             return None
         H, g = with_prior(reduced, self.variables, point.u)
@@ -335,19 +346,6 @@ class _Task:
         return point, 0
 
 
-def _reduced(point: _Point) -> Reduced | None:
-    """Return the variables' normal equations; a model that runs away (a negative payload, say) has none: beyond all
-    digits.
-    """
-    if point.linear.failed:
-        return None
-    try:
-        return reduce(point.linear, point.guess, point.knots)
-    except LinAlgError:
-        point.linear.failed = True
-        return None
-
-
 def _widened(guess: np.ndarray, knots: np.ndarray) -> np.ndarray:
     """Return guessed knots with as many states as `knots`: a fit may give the payload a pendulum on its way, or take it
     away.
@@ -367,7 +365,7 @@ def prior_cost(variables: Sequence[Variable], u: np.ndarray) -> float:
 
 def _finish(task: _Task, point: _Point, converged: bool) -> Fit:
     linear, m = point.linear, len(point.u)
-    reduced = _reduced(point) if m else None
+    reduced = reduce(point.linear, point.guess, point.knots) if m else None
     cov = np.full((m, m), math.nan) if reduced is None else covariance(with_prior(reduced, task.variables, point.u)[0])
     errors = {c: math.sqrt(linear.squares[c] / max(1, linear.counts[c])) for c in linear.squares}
     return Fit(

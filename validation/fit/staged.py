@@ -127,12 +127,15 @@ def run_fitted(crane: Crane, data: FitData, variables: Sequence[Variable] = ()) 
 def informed_directions(result: Fit) -> list[Variable]:
     """Return the combinations of nominal parameters that a fit of all of them found the data to speak about.
 
-    The others stay at their nominal values: the data could not move them, so they need not be carried along.
+    The others stay at their nominal values: the data could not move them, so they need not be carried along. All of
+    them where the model runs away.
     """
     nominal = [v for v in result.variables if isinstance(v, NominalDirection)]
     gaussian = [i for i, v in enumerate(nominal) if math.isfinite(v.prior) and v.recording is None]
     free = [v for i, v in enumerate(nominal) if i not in gaussian]
     reduced = reduce(result.linear, result.knots, result.knots)
+    if reduced is None:
+        return list(result.variables)
     others = [i for i in range(len(nominal)) if i not in gaussian]
     H = reduced.H[np.ix_(gaussian, gaussian)]
     if others:

@@ -49,9 +49,9 @@ def _needed(fit: Fit, free: Set[str], most: int) -> tuple[list[Variable], Fit]:
     variables, u = [v for v, _ in every], np.array([x for _, x in every])
     m = sum(not isinstance(v, NominalDirection) or v.name in free for v in variables)
     linear, knots = linearised(fit.origin, fit.data, fit.windows, fit.knots, variables, u, STIFF.stiffness)
-    if linear.failed:
-        return [], fit
     reduced = reduce(linear, knots, knots)
+    if reduced is None:
+        return [], fit
     H, g = with_prior(reduced, variables, u)
     held = np.r_[u[:m], np.zeros(len(u) - m)]
     slope = g + H @ (held - u)

@@ -150,9 +150,9 @@ def projected(fit: Fit, knots: np.ndarray, probes: Probes, stiffness: float) -> 
     failed.
     """
     linear, knots = linearised(fit.origin, fit.data, fit.windows, knots, fit.variables, fit.u, stiffness, probes)
-    if linear.failed:
-        return None
     reduced, m = reduce(linear, knots, knots), len(fit.u)
+    if reduced is None:
+        return None
     H, g = reduced.H, reduced.g
     if not m:
         return Projected(H, g, np.diag(H))
