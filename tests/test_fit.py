@@ -18,7 +18,7 @@ from validation.fit import linear, sweeps
 from validation.fit.columns import columns_of, model_at, pack
 from validation.fit.data import ACCURACY, ACCURATE, FitData, Samples, data_of
 from validation.fit.knots import begun_anew, reknot
-from validation.fit.linear import linearised, near, normal_equations, robust
+from validation.fit.linear import Linear, linearised, near, normal_equations, robust
 from validation.fit.model import model_of
 from validation.fit.solve import bounded_step, covariance, fit, reduce
 from validation.fit.staged import (
@@ -82,16 +82,34 @@ def test_the_robust_cost_is_the_sum_of_squares_until_noise_is_exceeded_and_logar
     )
 
 
-def test_a_bounded_step_is_the_unbounded_one_inside_and_stays_within_bounds():
-    rng = np.random.default_rng(3)
-    A = rng.standard_normal((5, 5))
-    H, g, u = A @ A.T + np.eye(5), rng.standard_normal(5), np.zeros(5)
-    free = bounded_step(H, g, u, np.full(5, -np.inf), np.full(5, np.inf), 0.0)
+@pytest.mark.parametrize("seed", range(20))
+def test_a_bounded_step_is_the_unbounded_one_inside_and_the_least_within_bounds(seed):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((9, 9)) * 10.0 ** rng.uniform(-1, 1, 9)[:, None]
+    H, g, u = A @ A.T + np.eye(9), 10.0 * rng.standard_normal(9), np.zeros(9)
+    free = bounded_step(H, g, u, np.full(9, -np.inf), np.full(9, np.inf), 0.0)
     assert free == pytest.approx(-np.linalg.solve(H, g), rel=1e-7)
-    held = bounded_step(H, g, u, np.full(5, -0.05), np.full(5, 0.05), 0.0)
+    held = bounded_step(H, g, u, np.full(9, -0.05), np.full(9, 0.05), 0.0)
     assert np.all(np.abs(held) <= 0.05 + 1e-12)
-    inside = np.abs(held) < 0.05 - 1e-9  # the gradient vanishes wherever no bound holds
-    assert (H @ held + g)[inside] == pytest.approx(0.0, abs=1e-6)
+    slope, small = H @ held + g, 1e-6 * np.abs(g).max()
+    assert np.all(slope[held < 0.05 - 1e-9] > -small)  # the cost falls nowhere: it rises into each bound,
+    assert np.all(slope[held > -0.05 + 1e-9] < small)  # and is level where none holds
+
+
+def test_normal_equations_keep_their_digits_beside_a_window_that_multiplies_its_first_state():
+    rng, K, nx, stiffness = np.random.default_rng(0), 6, 4, 100.0
+    J = rng.standard_normal((K - 1, nx, nx))
+    J[2] += 1e10 * np.outer(rng.standard_normal(nx), rng.standard_normal(nx))
+    H = np.tile(1e-3 * np.eye(nx), (K, 1, 1))
+    H[:-1] += stiffness**2 * J.transpose(0, 2, 1) @ J
+    H[1:] += stiffness**2 * np.eye(nx)
+    linear = Linear(
+        H, -(stiffness**2) * J.transpose(0, 2, 1), np.ones((K, nx, 1)), np.full((1, 1), 10.0), np.ones((K, nx)),
+        np.ones(1), {}, {}, np.zeros(K), np.zeros(K), np.zeros(K - 1), np.ones(nx), np.full(nx, 1e-3),
+    )  # fmt: skip
+    reduced = reduce(linear, np.zeros((K, nx)), np.zeros((K, nx)))
+    assert reduced is not None
+    assert not linear.failed
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.optimize import lsq_linear
 
 from crane_exudyn.crane import Crane
 
@@ -161,25 +162,18 @@ def with_prior(reduced: Reduced, variables: Sequence[Variable], u: np.ndarray) -
 def bounded_step(
     H: np.ndarray, g: np.ndarray, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
 ) -> np.ndarray:
-    """Return the step of least quadratic cost with u + step within bounds (active-set on the damped system)."""
-    m = len(u)
+    """Return the step (m,) of least cost step' A step / 2 + g' step with u + step within bounds, A being H with more on
+    its diagonal; the shortest of several.
+    """
     A = H + np.diag(damping * np.maximum(np.diag(H), 1e-12) + 1e-10)
-    step, fixed = np.zeros(m), np.zeros(m, dtype=bool)
-    for _ in range(3 * m + 1):
-        free = ~fixed
-        step[free] = (
-            np.linalg.lstsq(A[np.ix_(free, free)], -(g + A @ (step * fixed))[free], rcond=None)[0]
-            if free.any()
-            else 0.0
-        )
-        low, high = u + step < lower - 1e-15, u + step > upper + 1e-15
-        out = (low | high) & free
-        if not out.any():
-            return step
-        worst = int(np.argmax(np.where(out, np.maximum(lower - u - step, u + step - upper), -np.inf)))
-        step[worst] = (lower if low[worst] else upper)[worst] - u[worst]
-        fixed[worst] = True
-    return step
+    free = np.linalg.lstsq(A, -g, rcond=None)[0]
+    if (u + free >= lower).all() and (u + free <= upper).all():
+        return free
+    values, vectors = np.linalg.eigh(A)
+    told = values > len(u) * np.finfo(float).eps * values[-1]
+    root = np.sqrt(values[told])
+    rows, right = root[:, None] * vectors[:, told].T, -(vectors[:, told].T @ g) / root
+    return np.asarray(lsq_linear(rows, right, (lower - u, upper - u), method="bvls", tol=1e-12).x)
 
 
 def fit(
