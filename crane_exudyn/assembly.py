@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -108,8 +109,7 @@ def _name_columns(
     known = ("time", *channel_names.of(layout))
     by_column = {id(_find(path, table, column.header, column.said)): name for name, column in mapping.items()}
     named: dict[str, tuple[RawColumn, str | None]] = {}
-    notes: list[str] = []
-    ignored: list[str] = []
+    left: dict[str, tuple[str, str | None]] = {}
     for column in table.columns:
         name, unit = split_header(column.header)
         unit = column.unit if unit is None else unit
@@ -117,19 +117,63 @@ def _name_columns(
             name = by_column[id(column)]
             unit = _mapped_unit(path, column.header, unit, mapping[name])
         elif name in mapping or name not in known or (name in layout.added and unit is None):
-            like = next((c for c in known[1:] if c.lower() == name.lower()), None)
-            if name in mapping or like:
-                notes.append(_remark(column.header, name, like, mapping))
-            else:
-                ignored.append(column.header)
+            left[column.header] = (name, unit)
             continue
         if name in named:
-            raise CraneError(
-                f"{path}: channel {name} stands twice, as columns {named[name][0].header!r} and {column.header!r}. "
-                f"Delete or rename one, or choose with --map {name}=…"
-            )
+            raise _twice(path, name, named[name][0].header, column.header)
         named[name] = (column, unit)
-    return named, notes + remarks("column", ignored, "was ignored"), ignored
+    aside = [header for header, (name, _) in left.items() if name in mapping]
+    notes = [f"column {h!r} was put aside for {mapping[left[h][0]].header!r}" for h in aside]
+    others = {header: own for header, own in left.items() if header not in aside}
+    like = {header: _like(name, unit, named, layout) for header, (name, unit) in others.items()}
+    told = [h for h in others if like[h] and (len(others) <= _SHOWN or _plain(others[h][0]) in map(_plain, like[h]))]
+    notes += [_remark(header, *others[header], like[header], layout) for header in told]
+    notes += remarks("column", [header for header in others if header not in told], "was ignored")
+    ignored = [header for header, (name, _) in others.items() if _plain(name) not in map(_plain, like[header])]
+    return named, notes, ignored
+
+
+def _twice(path: Path, name: str, first: str, second: str) -> CraneError:
+    """Return the error on two columns of one channel, which `--map` can only choose from where their headers differ."""
+    choose = f", or choose, as with --map {_quoted(f'{name}={first}')}" if first != second else ""
+    return CraneError(
+        f"{path}: channel {name} stands twice, as columns {first!r} and {second!r}. Delete or rename one{choose}."
+    )
+
+
+def _plain(name: str) -> str:
+    """Return a name without what people write differently: capitals, and signs between its parts."""
+    return re.sub(r"[\W_]", "", name).lower()
+
+
+def _digits(name: str) -> str:
+    return re.sub(r"\D", "", name)
+
+
+def _like(name: str, unit: str | None, named: Collection[str], layout: Layout) -> list[str]:
+    """Return the channels that a column of another name may be: the one of this name but for capitals and signs; or
+    those that are still wanted, have its dimension and, where it has any, its digits.
+    """
+    units = channel_names.of(layout)
+    same = [c for c in units if _plain(c) == _plain(name)]
+    if same or unit is None:
+        return [c for c in same if c not in named]
+    wanted = [c for c in units if units[c] and c not in (*named, *layout.added) and c.removesuffix("_abs") not in named]
+    return [c for c in wanted if _digits(name) in ("", _digits(c)) and _fits(unit, units[c])]
+
+
+def _fits(unit: str, si_unit: str) -> bool:
+    """Whether a unit has the dimension of an SI unit."""
+    try:
+        factor_to_si(unit, si_unit)
+    except CraneError:
+        return False
+    return True
+
+
+def _quoted(typed: str) -> str:
+    """Return what is typed as a shell takes it for one word."""
+    return f"'{typed}'" if re.search(r"\s", typed) else typed
 
 
 def _headers(table: RawTable) -> str:
@@ -168,10 +212,13 @@ def _where_repeated(stamps: np.ndarray) -> str:
     return f"where the clock stands at {at[0]:.6g} s" if len(at) == 1 else f"the first at {at[0]:.6g} s"
 
 
-def _remark(header: str, name: str, like: str | None, mapping: Mapping[str, Column]) -> str:
-    if name in mapping:
-        return f"column {header!r} was put aside for {mapping[name].header!r}"
-    return f"column {header!r} was ignored, did you mean {like}?"
+def _remark(header: str, name: str, unit: str | None, like: Sequence[str], layout: Layout) -> str:
+    """Return what is told of a column that was ignored and may be one of some channels."""
+    si = channel_names.of(layout)[like[0]]
+    written = unit or (_written(si) if si else "")
+    typed = _quoted(f"{like[0]}={name}" + (f"[{written}]" if written else ""))
+    mean = f"did you mean {like[0]}? Then" if len(like) == 1 else f"it may be {' or '.join(like)}: if it is {like[0]},"
+    return f"column {header!r} was ignored, {mean} give --map {typed}"
 
 
 def _find(path: Path, table: RawTable, wanted: str, said: str) -> RawColumn:

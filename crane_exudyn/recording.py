@@ -243,20 +243,42 @@ class Recording:
         hand have none.
         """
         gaps = self[name].gaps()
+        return gaps if self.sensors else gaps[self._recorded_beside(name, gaps) > _RECORDED]
+
+    def _recorded_beside(self, name: str, spans: np.ndarray) -> np.ndarray:
+        """Return how many samples (g,) other channels have inside spans (g, 2) in s."""
         others = np.sort(np.concatenate([[], *(c.time for n, c in self.channels.items() if n != name)]))
-        inside = np.searchsorted(others, gaps[:, 1]) - np.searchsorted(others, gaps[:, 0], side="right")
-        return gaps if self.sensors else gaps[inside > _RECORDED]
+        return np.searchsorted(others, spans[:, 1]) - np.searchsorted(others, spans[:, 0], side="right")
+
+    def unread(self) -> dict[str, np.ndarray]:
+        """Return {channel: spans (g, 2) in s} in which a sensor or a supply pressure has no sample for far longer than
+        usual, while other channels have some; empty if there are none.
+        """
+        found = {}
+        for name in filter(self.has, (*self.layout.sensors, *self.layout.supply)):
+            channel = self[name]
+            ends = [(self.start, channel.time[0]), (channel.time[-1], self.end)]
+            spans = np.vstack([ends[:1], channel.gaps(), ends[1:]])
+            spans = spans[np.diff(spans)[:, 0] > channel.longest_pause]
+            spans = spans[self._recorded_beside(name, spans) > _RECORDED]
+            if len(spans):
+                found[name] = spans
+        return found
 
     def with_gaps_told(self) -> Recording:
-        """Return the recording with a note on each command that is not known all the time."""
-        told = []
-        for name, spans in self.unknown_commands().items():
-            where = ", ".join(f"{a:.6g} … {b:.6g} s" for a, b in spans[:3]) + (", …" if len(spans) > 3 else "")
-            told.append(
-                f"command {name} is missing in {len(spans)} span{'s' * (len(spans) > 1)} ({where}): the nearest value "
-                "before "
-                "is held there, as an unknown input that fits leave out"
-            )
+        """Return the recording with a note on each command that is not known all the time, and on sensors with gaps."""
+        told = [
+            f"command {name} is missing in {_spans_told(spans)}: the nearest value before is held there, as an unknown "
+            "input that fits leave out"
+            for name, spans in self.unknown_commands().items()
+        ]
+        alike: dict[str, list[str]] = {}
+        for name, spans in self.unread().items():
+            alike.setdefault(_spans_told(spans), []).append(name)
+        told += [
+            f"{', '.join(names)} {'have' if len(names) > 1 else 'has'} no sample in {where}, while others have"
+            for where, names in alike.items()
+        ]
         return replace(self, notes=(*self.notes, *told))
 
     @property
@@ -468,6 +490,12 @@ def _deviation(given: Any, what: str, unit: str) -> float:
     if not 0.0 <= found < np.inf:
         raise CraneError(f"{what} = {found:g} is no standard deviation. Give a finite one of at least 0 in {unit}.")
     return found
+
+
+def _spans_told(spans: np.ndarray) -> str:
+    """Return how many spans (g, 2) in s there are, and where the first ones, in words."""
+    where = ", ".join(f"{a:.6g} … {b:.6g} s" for a, b in spans[:3]) + (", …" if len(spans) > 3 else "")
+    return f"{len(spans)} span{'s' * (len(spans) > 1)} ({where})"
 
 
 # -- clocks ----------------------------------------------------------------------------------------------------------

@@ -226,9 +226,31 @@ def test_bad_mappings(tmp_path: Path, mapping: dict[str, str], parts: list[str])
         assert part in message
 
 
-def test_unknown_columns_are_ignored_with_a_note(tmp_path: Path) -> None:
-    recording = read(tmp_path, "time[s],P1[bar],z1[deg],operator\n0,1,2,7\n1,1,2,7\n")
-    assert recording.notes == ("column 'P1[bar]' was ignored, did you mean p1?", "column 'operator' was ignored")
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        ("P1[bar]", ", did you mean p1? Then give --map p1=P1[bar]"),
+        ("z_4", ", did you mean z4? Then give --map z4=z_4[deg]"),
+        ("Pressure 2[kPa]", ", did you mean p2? Then give --map 'p2=Pressure 2[kPa]'"),
+        ("Tilt[deg]", ", it may be z4 or z4_abs: if it is z4, give --map z4=Tilt[deg]"),
+        ("Z1[deg]", ""),  # z1 is there
+        ("operator", ""),
+    ],
+)
+def test_unknown_columns_are_ignored_with_a_note_and_what_reads_them(tmp_path: Path, header: str, told: str) -> None:
+    text = f"time[s],{header},z1[deg]\n0,1,2\n1,1,2\n"
+    recording = read(tmp_path, text)
+    assert recording.notes == (f"column {header!r} was ignored{told}",)
+    if told:
+        channel, column = told.rpartition("--map ")[2].strip("'").split("=")
+        assert channel in read(tmp_path, text, **{channel: column})
+
+
+def test_two_columns_of_one_channel_are_refused_with_the_choice_that_there_is(tmp_path: Path) -> None:
+    text = "time[s],z1[deg],z1[{}]\n0,1,2\n1,1,2\n"
+    assert refusal(tmp_path, text.format("deg")).endswith("Delete or rename one.")
+    assert refusal(tmp_path, text.format("rad")).endswith("Delete or rename one, or choose, as with --map z1=z1[deg].")
+    assert "put aside" in read(tmp_path, text.format("rad"), z1="z1[deg]").notes[0]
 
 
 def test_a_message_names_only_the_first_unused_columns(tmp_path: Path) -> None:

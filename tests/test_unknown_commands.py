@@ -133,3 +133,27 @@ def test_commands_written_by_hand_are_no_pauses() -> None:
     time = np.array([0.0, 2.0, 2.001, 30.0, 30.001, 60.0])
     recording = Recording.from_arrays("by hand", time, {"u1": 0.0 * time, "u2": 0.0 * time})
     assert recording.end == 60.0 and recording.notes == ()
+
+
+# -- sensors ---------------------------------------------------------------------------------------------------------
+
+
+def test_gaps_of_sensors_are_told_with_channel_from_and_to() -> None:
+    time = np.arange(400) * 0.01
+    columns = {name: 0.0 * time for name in ("u1", "u2", "z1", "z4", "p1")}
+    for name in ("z1", "p1"):
+        columns[name] = np.where((time > 1.0) & (time < 2.0), np.nan, 0.1)
+    columns["z4"] = np.where(time < 3.0, 0.1, np.nan)
+    recording = Recording.from_arrays("gaps", time, columns)
+    assert recording.notes == (
+        "z1, p1 have no sample in 1 span (1 … 2 s), while others have",
+        "z4 has no sample in 1 span (2.99 … 3.99 s), while others have",
+    )
+    np.testing.assert_allclose(recording.unread()["p1"], [[1.0, 2.0]])
+
+
+def test_a_slow_sensor_beside_fast_ones_has_no_gap() -> None:
+    time = np.arange(400) * 0.01
+    slow = np.where(np.arange(400) % 20 == 0, 0.1, np.nan)
+    recording = Recording.from_arrays("two rates", time, {"u1": 0.0 * time, "u2": 0.0 * time, "z1": slow})
+    assert recording.unread() == {} and recording.notes == ()
