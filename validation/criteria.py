@@ -73,9 +73,7 @@ class Criteria:
     chance: float = 0.25  # share of what the best brings by then that lets a fit go on
     hopeless: float = 0.02  # share of the best promise below which a start is not fitted
     sure: int = 3  # starts that are fitted however little they promise
-    twice: float = (
-        0.5  # share of the best promise from which on an effect is fitted from two starts: it may have two minima
-    )
+    twice: float = 0.5  # share of the best promise from which on an effect is fitted from two starts: for two minima
     smallest: float = 0.02  # amplitude of the screen, in sizes that are met in practice, below which nothing is there
     largest: float = 20.0  # amplitude beyond which the linear look says nothing
     moments: float = 0.5  # s between the moments at which an effect with a time of its own is tried
