@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from . import render_labels as labels
 from . import render_shapes as shapes
 from .crane import Crane
 from .geometry import pose, told
@@ -29,10 +30,12 @@ _WIDTH, _WHOLE, _PANEL, _TITLE, _GAP = (
     0.34,
     0.2,
 )  # inches: page, the whole machine, a body, a title, between
-_OVERVIEW = (5.4, 3.0)  # inches: the machine alone
+_OVERVIEW, _LOWEST, _HIGHEST = 5.4, 1.8, 4.2  # inches: width of the machine alone; how low and high it may be
+_ABOVE = 0.45  # inches that the machine alone leaves free above and below
 _SIZE = 8.5  # points of most texts
 _MARGIN = 0.13  # share of a panel left free on each side for labels
 _PALER = 0.62
+_SIDE = 62.0  # points: length of the sides of an angle
 
 
 def sketch(crane: Crane) -> Figure:
@@ -43,13 +46,17 @@ def sketch(crane: Crane) -> Figure:
     with style():
         figure = empty_figure(_WIDTH, height)
         top = height - _TITLE
-        _draw_machine(_Panel.on(figure, (_GAP, top - _WHOLE, _WIDTH - 2 * _GAP, _WHOLE), _told_start(crane)), crane)
+        _draw_machine(
+            _Panel.on(figure, (_GAP, top - _WHOLE, _WIDTH - 2 * _GAP, _WHOLE), _start_words(crane)),
+            crane,
+            _machine_seen(crane),
+        )
         wide = (_WIDTH - 3 * _GAP) / 2
         for k, name in enumerate(names):
             row, column = divmod(k, 2)
             y = top - _WHOLE - (row + 1) * (_TITLE + _PANEL)
             box = (_GAP + column * (wide + _GAP), y, wide, _PANEL)
-            _draw_frame(_Panel.on(figure, box, _told_body(crane, name)), crane, name)
+            _draw_frame(_Panel.on(figure, box, _body_words(crane, name)), crane, name)
     return figure
 
 
@@ -60,20 +67,23 @@ def overview(crane: Crane, marks: Sequence[str] = ()) -> Figure:
         crane: the machine.
         marks: cylinders, chambers, joints or sensors, by the machine's names; what has no place on it is left out.
     """
-    wide, high = _OVERVIEW
+    wide = _OVERVIEW - 0.1
+    seen = _machine_seen(crane)
+    across, up = np.ptp(_corners(seen), axis=0)
+    high = min(max((1.0 - 2.0 * _MARGIN) * wide * up / across + 2.0 * _ABOVE, _LOWEST), _HIGHEST)
     with style():
-        figure = empty_figure(wide, high + _TITLE)
-        panel = _Panel.on(figure, (0.05, 0.05, wide - 0.1, high), f"{crane.name} at its start")
-        _draw_machine(panel, crane, marks)
+        figure = empty_figure(_OVERVIEW, high + _TITLE)
+        panel = _Panel.on(figure, (0.05, 0.05, wide, high), f"{crane.name} at its start")
+        _draw_machine(panel, crane, seen, marks)
     return figure
 
 
-def _told_start(crane: Crane) -> str:
+def _start_words(crane: Crane) -> str:
     started = told(crane.layout, np.array(crane.initial.pose)).replace("-", "−")
     return f"{crane.name} at its start: {started}"
 
 
-def _told_body(crane: Crane, name: str) -> str:
+def _body_words(crane: Crane, name: str) -> str:
     if name == GROUND:
         return "ground"
     return f"{name}: {crane[f'bodies.{name}.mass']:.4g} kg, {crane[f'bodies.{name}.inertia']:.4g} kg m² about c"
@@ -87,14 +97,14 @@ class _Panel:
     """Axes of a fixed size in inches, and what has been put into them.
 
     Attributes:
-        taken: boxes (x0, y0, x1, y1) in points that labels stand in;  dots: places in points that labels keep clear of.
+        dots: places in points that labels keep clear of;  filled: triangles (n, 3, 2) in m of each shape.
         labels: what is still to be placed: text, place (2,) in m, and how it looks.
     """
 
     axes: Axes
     inches: tuple[float, float]
-    taken: list[tuple[float, ...]] = field(default_factory=list)
     dots: list[np.ndarray] = field(default_factory=list)
+    filled: list[np.ndarray] = field(default_factory=list)
     labels: list[tuple[str, np.ndarray, dict[str, Any]]] = field(default_factory=list)
 
     @classmethod
@@ -120,6 +130,14 @@ class _Panel:
         self.axes.set(xlim=(x0, x1), ylim=(y0, y1))
         return float(scale)
 
+    def reveal(self, places: np.ndarray) -> None:
+        """Move what the axes show by as much as places (n, 2) in m would be cut off."""
+        low, high = np.array([self.axes.get_xlim(), self.axes.get_ylim()]).T
+        edge = 4.0 * (high - low) / (72.0 * np.array(self.inches))
+        move = np.maximum(places.max(axis=0) + edge - high, 0.0) - np.maximum(low - places.min(axis=0) + edge, 0.0)
+        for limits, some in ((self.axes.set_xlim, 0), (self.axes.set_ylim, 1)):
+            limits(low[some] + move[some], high[some] + move[some])
+
     def draw_axes(self, scale: float) -> None:
         """Draw the axes of the frame that the panel shows; scale: m a point of the page."""
         for turn, name in ((0.0, "x"), (0.5 * math.pi, "y")):
@@ -130,11 +148,9 @@ class _Panel:
 
     def keep_clear(self, line: Iterable[np.ndarray]) -> None:
         """Keep labels off a line through places in m."""
-        (x0, x1), (y0, y1) = self.axes.get_xlim(), self.axes.get_ylim()
-        per = 72.0 * np.array(self.inches) / [x1 - x0, y1 - y0]
-        corners = (np.array(list(line)) - [x0, y0]) * per
+        corners = self._points(np.array(list(line)))
         for a, b in zip(corners, corners[1:] if len(corners) > 1 else corners, strict=False):
-            self.dots += list(a + np.linspace(0.0, 1.0, 2 + int(math.dist(a, b) / 5.0))[:, None] * (b - a))
+            self.dots += list(labels.dotted(a, b))
 
     def label(self, text: str, at: np.ndarray, **look: Any) -> None:
         """Note a text for a place in m; `place_labels` finds where there is room for it."""
@@ -142,40 +158,45 @@ class _Panel:
 
     def place_labels(self) -> None:
         """Write all labels where each overlaps least with what stands there, as near to its place as possible."""
-        for text, at, look in self.labels:
-            self._place(text, at, look)
-
-    def _place(self, text: str, at: np.ndarray, look: dict[str, Any]) -> None:
-        (x0, x1), (y0, y1) = self.axes.get_xlim(), self.axes.get_ylim()
+        boxes = [labels.Label(self._points(at), _half(text, look)) for text, at, look in self.labels]
         page = 72.0 * np.array(self.inches)
-        own = (at - [x0, y0]) * page / [x1 - x0, y1 - y0]
-        lines = text.split("\n")
-        half = 0.5 * np.array([0.58 * _SIZE * max(map(len, lines)) + 4.0, 1.25 * _SIZE * len(lines) + 2.0])
-        best = min(self._candidates(own, half, page), key=lambda c: c[0])[1]
-        self.taken.append((*(best - half), *(best + half)))
-        middle = np.array([x0, y0]) + best * [x1 - x0, y1 - y0] / page
-        edge = np.clip(own, best - half, best + half)
-        if math.dist(edge, own) > 9.0:
-            end = np.array([x0, y0]) + edge * [x1 - x0, y1 - y0] / page
-            self.axes.plot(*zip(at, end, strict=True), color=_SOFT, lw=0.6, zorder=7)
-        self.axes.text(
-            middle[0], middle[1], text, ha="center", va="center", fontsize=_SIZE, zorder=9, **({"color": _INK} | look)
-        )
+        standing = labels.Shapes(page, [self._points(t) for t in self.filled])
+        middles = labels.place(boxes, page, np.array(self.dots).reshape(-1, 2), standing)
+        for (text, at, look), box, middle in zip(self.labels, boxes, middles, strict=True):
+            end = labels.leader(box, middle)
+            if end is not None:
+                self.axes.plot(*zip(at, self._metres(end), strict=True), color=_SOFT, lw=0.6, zorder=7)
+            x, y = self._metres(middle)
+            looks: dict[str, Any] = {"color": _INK, "path_effects": [_halo()]} | look
+            self.axes.text(x, y, text, ha="center", va="center", fontsize=_SIZE, zorder=9, **looks)
 
-    def _candidates(self, own: np.ndarray, half: np.ndarray, page: np.ndarray) -> Iterable[tuple[float, np.ndarray]]:
-        """Yield places for the middle of a label with what speaks against each."""
-        dots = np.array(self.dots).reshape(-1, 2)
-        starts, ends = np.split(np.array(self.taken).reshape(-1, 4), 2, axis=1)
-        for away in (6.0, 14.0, 26.0, 40.0, 58.0, 80.0):
-            for turn in np.radians(np.arange(0.0, 360.0, 22.5)):
-                toward = np.array([math.cos(turn), math.sin(turn)])
-                middle = own + toward * (away + half)
-                low, top = middle - half, middle + half
-                outside = float(np.maximum(2.0 - low, 0.0).sum() + np.maximum(top - page + 2.0, 0.0).sum())
-                near = np.minimum(top, ends) - np.maximum(low, starts)
-                over = float((np.maximum(near[:, 0], 0.0) * np.maximum(near[:, 1], 0.0)).sum())
-                hit = int(((dots > low - 1.5) & (dots < top + 1.5)).all(axis=1).sum())
-                yield 50.0 * outside + 5.0 * over + 20.0 * hit + away, middle
+    def _points(self, places: np.ndarray) -> np.ndarray:
+        """Return places (..., 2) in m as points of the page."""
+        low, high = np.array([self.axes.get_xlim(), self.axes.get_ylim()]).T
+        return (places - low) * 72.0 * np.array(self.inches) / (high - low)
+
+    def _metres(self, points: np.ndarray) -> np.ndarray:
+        """Return points (..., 2) of the page as places in m."""
+        low, high = np.array([self.axes.get_xlim(), self.axes.get_ylim()]).T
+        return low + points * (high - low) / (72.0 * np.array(self.inches))
+
+
+def _half(text: str, look: Mapping[str, Any]) -> np.ndarray:
+    """Return half the width and height in points that a text takes, with a margin."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextPath
+
+    font = FontProperties(family="DejaVu Sans", weight=look.get("fontweight"), style=look.get("fontstyle"))
+    lines = text.split("\n")
+    wide = max(TextPath((0.0, 0.0), line, size=_SIZE, prop=font).get_extents().width for line in lines)
+    return 0.5 * np.array([wide + 4.0, 1.2 * _SIZE * len(lines) + 1.0])
+
+
+def _halo() -> Any:
+    """Return a pale border that keeps a text legible where it stands on an edge all the same."""
+    from matplotlib.patheffects import withStroke
+
+    return withStroke(linewidth=1.4, foreground="white", alpha=0.85)
 
 
 # -- what is drawn ---------------------------------------------------------------------------------------------------
@@ -191,8 +212,9 @@ def _draw_frame(panel: _Panel, crane: Crane, body: str) -> None:
     }
     mass = [] if body == GROUND else [shapes.place(crane, f"bodies.{body}.com")]
     made = shapes.pillar(crane, _paint()) if body == GROUND else shapes.body_shape(crane, body, _paint())
-    corners = _fill(panel.axes, [(made, (0.0, 0.0, 0.0))])
-    panel.draw_axes(panel.show(np.vstack([np.zeros((1, 2)), corners, *points.values(), *mass])))
+    seen = _side_view([(made, (0.0, 0.0, 0.0))])
+    panel.draw_axes(panel.show(np.vstack([np.zeros((1, 2)), _corners(seen), *points.values(), *mass])))
+    _fill(panel, seen)
     own = None if body == GROUND else machine.carriers[body]
     if own is None or not own.own_pin:
         panel.label("origin" if own is None else f"origin, joint {own.name}", np.zeros(2), color=_SOFT)
@@ -209,25 +231,25 @@ def _draw_frame(panel: _Panel, crane: Crane, body: str) -> None:
     panel.place_labels()
 
 
-def _draw_machine(panel: _Panel, crane: Crane, marks: Sequence[str] = ()) -> None:
+def _draw_machine(panel: _Panel, crane: Crane, seen: _Seen, marks: Sequence[str] = ()) -> None:
     """Draw the machine at its start, with joints, coordinates, cylinders and bodies by name, and marks at places."""
     machine, start = crane.machine, np.array(crane.initial.pose)
     closed = pose(crane, *start)
     points = {name: at[0] for name, at in closed.points.items()}
     short = dict(zip(machine.points, machine.point_names, strict=True))
     frames = coordinates(crane, start)[0].reshape(-1, 3)
-    made = [
-        *zip(shapes.parts(crane, _paint()).values(), frames, strict=True),
-        (shapes.pillar(crane, _paint()), np.zeros(3)),
-    ]
-    scale = panel.show(np.vstack([np.zeros((1, 2)), _fill(panel.axes, made)]))
+    angles = {GROUND: 0.0} | {name: float(angle[0]) for name, angle in closed.angles.items()}
+    scale = panel.show(np.vstack([np.zeros((1, 2)), _corners(seen)]))
+    turning = [j for j in machine.joints if j.coordinate in machine.independent and j.kind != PRISMATIC]
+    sides = [points[short[j.pin]] + _SIDE * scale * _toward(angles[b]) for j in turning for b in (j.carrier, j.body)]
+    panel.reveal(np.array(sides).reshape(-1, 2))
+    _fill(panel, seen)
     panel.draw_axes(scale)
     for mark in marks:
         line = _place_of(crane, points, mark)
         look: dict[str, Any] = {"lw": 15, "solid_capstyle": "round"} if len(line) > 1 else {"marker": "o", "ms": 22}
         panel.axes.plot(*np.reshape(line, (-1, 2)).T, color=_MARK, alpha=0.6, zorder=5, **look)
         panel.keep_clear(line)
-    angles = {GROUND: 0.0} | {name: float(angle[0]) for name, angle in closed.angles.items()}
     for joint in machine.joints:
         if joint.coordinate in machine.independent:
             at, turned = points[short[joint.pin]], angles[joint.carrier]
@@ -289,28 +311,46 @@ def _paint() -> shapes.Paint:
     return shapes.Paint(**pale)  # type: ignore[arg-type]
 
 
-def _fill(axes: Axes, parts: Iterable[tuple[Sequence[shapes.Graphics], Sequence[float]]]) -> np.ndarray:
-    """Fill the side view of graphics, each list at a frame (x, y, angle), what is nearer over what is behind; return
-    its corners (n, 2).
-    """
-    from matplotlib.collections import PolyCollection
+#: what is seen of graphics from the side: how near, corners (n, 2) in m, and the graphics
+_Seen = list[tuple[float, np.ndarray, shapes.Graphics]]
 
-    seen = []
+
+def _machine_seen(crane: Crane) -> _Seen:
+    """Return the side view of the machine and its pillar at its start."""
+    frames = coordinates(crane, np.array(crane.initial.pose))[0].reshape(-1, 3)
+    parts = zip(shapes.parts(crane, _paint()).values(), frames, strict=True)
+    return _side_view([*parts, (shapes.pillar(crane, _paint()), (0.0, 0.0, 0.0))])
+
+
+def _side_view(parts: Iterable[tuple[Sequence[shapes.Graphics], Sequence[float]]]) -> _Seen:
+    """Return the side view of graphics, each list at a frame (x, y, angle), what is nearer after what is behind."""
+    seen: _Seen = []
     for made, (x, y, angle) in parts:
         turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
         for part in made:
             points = np.reshape(part["points"], (-1, 3))
             seen.append((points[:, 2].max(), np.delete(points, 2, axis=1) @ turn + [x, y], part))
-    for _, corners, part in sorted(seen, key=lambda s: s[0]):
+    return sorted(seen, key=lambda s: s[0])
+
+
+def _corners(seen: _Seen) -> np.ndarray:
+    return np.vstack([corners for _, corners, _ in seen])
+
+
+def _fill(panel: _Panel, seen: _Seen) -> None:
+    """Fill what is seen from the side."""
+    from matplotlib.collections import PolyCollection
+
+    for _, corners, part in seen:
         color = tuple(np.reshape(part["colors"], (-1, 4))[0])
         triangles = np.array(part["triangles"] if "triangles" in part else part["triangles6"])[
             :, :3
         ]  # the first three are corners
-        axes.add_collection(
+        panel.filled.append(corners[triangles])
+        panel.axes.add_collection(
             PolyCollection(list(corners[triangles]), facecolors=[color], edgecolors=[color], linewidths=0.4),
             autolim=False,
         )
-    return np.vstack([corners for _, corners, _ in seen])
 
 
 def _angle(panel: _Panel, at: np.ndarray, start: float, end: float, scale: float) -> None:
@@ -318,7 +358,7 @@ def _angle(panel: _Panel, at: np.ndarray, start: float, end: float, scale: float
     body's.
     """
     for turn, dashes in ((start, (0, (4, 3))), (end, "-")):
-        line = [at, at + 62.0 * scale * _toward(turn)]
+        line = [at, at + _SIDE * scale * _toward(turn)]
         panel.axes.plot(*zip(*line, strict=True), color=_COORDINATE, lw=0.9, ls=dashes, zorder=6)
         panel.keep_clear(line)
     arc = at + 46.0 * scale * np.array([_toward(turn) for turn in np.linspace(start, end, 40)])

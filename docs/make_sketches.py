@@ -46,9 +46,9 @@ def crane_sketch(crane: Crane) -> Figure:
     _frame(axes, np.array([0.0, 0.0]), 0.0, "x", "y", 0.5)
     named = {
         "pillar": (-0.55, 0.75),
-        "lift boom": 0.5 * (o + a) + (0.0, -0.05),
+        "lift boom": g + 0.45 * (a - g) + (0.12, -0.26),
         "outer boom": 0.5 * (a + e) + (0.62, 0.12),
-        "bracket 1 from B to C, bracket 2 from C to D": 0.5 * (c + d) + (0.0, 0.22),
+        "bracket 1 from B to C, bracket 2 from C to D": 0.5 * (c + d) + (0.0, 0.27),
         "payload": np.add(e, (0.1, -0.22)),
     }
     for words, at in named.items():
@@ -154,7 +154,8 @@ def _frame(axes: Axes, at: np.ndarray, angle: float, x: str, y: str, length: flo
     for turn, name in ((angle, x), (angle + math.pi / 2, y)):
         tip = at + length * np.array([math.cos(turn), math.sin(turn)])
         _arrow(axes, at, tip)
-        axes.text(*(tip + 0.09 * (tip - at) / length), name, ha="center", va="center")
+        beside = np.array([math.sin(turn), -math.cos(turn)])  # off the lines that go on where the arrow ends
+        axes.text(*(tip + 0.05 * (tip - at) / length + 0.1 * beside), name, ha="center", va="center")
 
 
 def _arrow(axes: Axes, start, end, color: str = INK) -> None:  # type: ignore[no-untyped-def]
