@@ -130,6 +130,11 @@ def load_map(path: Path, layout: Layout) -> dict[str, Column]:
     text = ""
     try:
         document = tomllib.loads(text := path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise CraneError(
+            f"{path}: there is no such map file. Check the name and the folder; `patu check REC --write-map FILE` "
+            "writes one."
+        ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         why = why_no_toml(problem, text) if isinstance(problem, tomllib.TOMLDecodeError) else f"{problem}."
         raise CraneError(

@@ -28,6 +28,8 @@ _GZIP = 31
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 #: what plain numbers are written with; anything else is for the careful reader
 _PLAIN = b"0123456789+-.eEnNaA\n"
+#: signs that no text has; 26 is how old programs end a file
+_CONTROL = bytes({*range(32)} - {*b"\t\n\v\f\r\x1a\x1b"})
 #: a date as in ISO 8601, with or without a time of day; hours, minutes and seconds; what else may be a date or time
 _DATE, _OF_DAY = re.compile(r"\d{4}-\d\d-\d\d([T ].+)?"), re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:[.,]\d*)?)")
 _MAYBE_TIME = re.compile(r"\d+:\d+|\d+[-./]\d+[-./]\d+")
@@ -208,8 +210,11 @@ def _decode(path: Path, data: bytes) -> bytes:
 def _plain(path: Path, data: bytes) -> bytes:
     if b"\x00" in data:
         raise CraneError(
-            f"{path}: holds zero bytes, so it is no text file, or one that was cut off while being written."
+            f"{path}: holds zero bytes, so it is a binary file and no text, or one that was cut off while being "
+            "written. Export it as CSV."
         )
+    if len(data.translate(None, _CONTROL)) < len(data):
+        raise CraneError(f"{path}: holds bytes that no text has, so it is a binary file. Export it as CSV.")
     return data
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_type_hints
@@ -22,6 +23,10 @@ ForceOption = Annotated[
 ]
 
 
+#: how a message begins that is about a crane or a recording: with its name
+_ABOUT = re.compile(r"[^-:][^:]{0,40}: ")
+#: what is given to options in every call
+_NUMBER_OR_CHOICE = re.compile(r"-?[\d.e-]*|True|False|auto|exudyn|semi-recursive")
 #: what the source of a value that stood on the command line is called
 _TYPED = "COMMANDLINE"
 
@@ -46,7 +51,7 @@ def checked(command: Callable[..., None]) -> Callable[..., None]:
             try:
                 command(**values)
             except CraneError as problem:
-                raise _naming(problem, read) from problem
+                raise _naming(problem, read, _others_typed(known, values)) from problem
             finally:
                 remember(written)
 
@@ -103,14 +108,28 @@ def _check_finite(flag: str, value: Any) -> None:
             raise CraneError(f"{flag} {number}: expected a finite number.")
 
 
-def _naming(problem: CraneError, read: list[str]) -> CraneError:
-    """Return the error with the files that were read, where its message names none: engines know a crane's name
-    only.
+def _naming(problem: CraneError, read: list[str], others: list[str]) -> CraneError:
+    """Return the error with the files that were read, where its message is about what they hold and names none of them:
+    engines know a crane's name only. It is not where it names an option, or one of the `others` that were typed.
     """
-    files = [name for name in read if os.path.isfile(name)]
-    if not files or any(name in str(problem) for name in files):
+    files, message = [name for name in read if os.path.isfile(name)], str(problem)
+    about_contents = _ABOUT.match(message) and not any(_names(message, word) for word in others)
+    told = any(name in message for name in read if os.path.splitext(name)[1])  # but for a built-in crane's name
+    if not files or not about_contents or told:
         return problem
-    return CraneError(f"{problem} Files read: {', '.join(files)}.")
+    return CraneError(f"{message} Files read: {', '.join(files)}.")
+
+
+def _names(message: str, word: str) -> bool:
+    """Whether a message holds a word as a whole."""
+    return re.search(rf"(?<!\w){re.escape(word)}(?!\w)", message) is not None
+
+
+def _others_typed(known: Mapping[str, Option], values: Mapping[str, Any]) -> list[str]:
+    """Return the words that were given to a call for anything but the files that it reads."""
+    others = [v for n, v in values.items() if not isinstance(known[n].role, Reads) and v is not None]
+    words = [str(word) for v in others for word in (v if isinstance(v, list | tuple) else [v])]
+    return [word for word in words if not _NUMBER_OR_CHOICE.fullmatch(word)]
 
 
 def _targets(known: Mapping[str, Option], values: Mapping[str, Any]) -> list[Target]:

@@ -50,9 +50,9 @@ def command(
 
     printer, told, notes = Printer(json), list[dict[str, Any]](), list[dict[str, str]]()
     columns: list[tuple[Recording, dict[str, Column]]] = []
+    read = [load_recording(path, chosen, mapping, map_file) for path in recordings]
     printer.line(f"Checked against the crane {chosen.name}:")
-    for path in recordings:
-        recording = load_recording(path, chosen, mapping, map_file)
+    for path, recording in zip(recordings, read, strict=True):
         findings = examine(recording, chosen)
         tell(printer, path, findings, recording)
         notes += [{"recording": str(path), "text": note} for note in recording.notes]

@@ -382,3 +382,37 @@ def test_an_error_that_names_no_file_says_which_were_read(
     monkeypatch.setattr(diagnosis, "diagnose", fail)
     done = patu("diagnose", "l.csv")
     assert (done.status, done.err) == (2, "patu655: no start is found. Files read: l.csv.\n")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("add", "internal_leakag@lift"),
+        ("add", "internal_leakage@lift", "--set", "K=3"),
+        ("remove", "dead_band@tilt"),
+        ("estimate", "l.csv", "--method", "sorcery"),
+        ("diagnose", "l.csv", "--per-recording", "payload.mas"),
+    ],
+)
+def test_an_error_about_what_was_typed_names_no_files(patu: Callable[..., SimpleNamespace], words: list[str]) -> None:
+    Crane.load("patu655").save("my.toml")
+    done = patu(*words, "--crane", "my.toml")
+    assert done.status == 2 and "Files read" not in done.err, done.err
+
+
+def test_a_recording_or_a_map_file_that_is_not_there_is_all_that_is_told(patu: Callable[..., SimpleNamespace]) -> None:
+    done = patu("check", "gone.csv")
+    assert (done.status, done.out) == (2, "") and done.err.startswith("gone.csv: there is no such file.")
+    done = patu("check", "l.csv", "--map-file", "gone.toml")
+    assert (done.status, done.out) == (2, "") and done.err.startswith("gone.toml: there is no such map file.")
+    assert done.err.count("\n") == 1 and "Files read" not in done.err
+
+
+def test_an_effect_without_its_place_is_told_with_the_places_and_an_example(
+    patu: Callable[..., SimpleNamespace],
+) -> None:
+    assert patu("add", "internal_leakage").err == (
+        "Effect 'internal_leakage' needs a place. Places: lift, tilt. Write internal_leakage@lift.\n"
+    )
+    assert patu("add", "internal_leakage@til").err.endswith("Write internal_leakage@tilt.\n")
+    assert patu("add", "pump_droop@lift").err.endswith("not at 'lift'. Write pump_droop.\n")

@@ -111,6 +111,7 @@ def test_wrong_dimension_names_found_and_expected_unit(tmp_path: Path, bad: str)
         ("time[s],u1,u2\n0,0,0\n1,50,0\n", ["line 3", "column u1", "command 50", "-1 to 1", "u1[%]"]),
         (b"PK\x03\x04 something", ["Excel"]),
         (b"time[s],z1[deg]\n0,1\n\x00\x00\x00", ["zero bytes"]),
+        (b"\x7fELF\x02\x01\n\x03,\x04\n", ["binary file", "Export it as CSV"]),
         (gzip.compress(GOOD.encode(), mtime=0)[:-12], ["gzip", "cut off"]),
     ],
 )

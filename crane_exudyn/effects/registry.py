@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib
 import importlib.util
@@ -76,11 +77,21 @@ def split_key(key: str, layout: Layout | None = None) -> tuple[type[Effect], str
             f"Effect {name!r} acts on a payload, and the machine has none: [payload] gives no body and at."
         )
     if (not place) != (not effect.places) or (layout is not None and place not in effect.on(layout)):
-        known = ", ".join(effect.on(layout)) if layout else f"the machine's {effect.places}"
-        raise CraneError(
-            f"Effect {name!r} cannot act at {place or '(no place)'!r}. Places: {known if effect.places else '(none)'}."
-        )
+        raise _misplaced(effect, place, layout)
     return effect, place
+
+
+def _misplaced(effect: type[Effect], place: str, layout: Layout | None) -> CraneError:
+    """Return the error on a place at which an effect cannot act ("" for none), with an example."""
+    if not effect.places:
+        return CraneError(f"Effect {effect.name!r} acts on the whole machine, not at {place!r}. Write {effect.name}.")
+    places = effect.on(layout) if layout else ()
+    known = ", ".join(places) if layout else f"the machine's {effect.places}"
+    found = f"cannot act at {place!r}" if place else "needs a place"
+    if not places:
+        return CraneError(f"Effect {effect.name!r} {found}. Places: {known or 'none on this machine'}.")
+    close = difflib.get_close_matches(place, places, n=1)
+    return CraneError(f"Effect {effect.name!r} {found}. Places: {known}. Write {effect.name}@{(close or places)[0]}.")
 
 
 def in_words(key: str) -> str:
