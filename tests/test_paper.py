@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ import pytest
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from ukf.estimator import Estimator
+from ukf.filter import Belief, predict_linearised, update_linearised
+from ukf.methods import INCREMENT
 from validation import filters, montecarlo, paper, paper_seeds, workers, wrong_models
 from validation.metrics import pn_rmse, r2
 
@@ -121,6 +124,33 @@ def test_one_width_is_not_weighed_and_the_likeliest_of_several_is():
         for w in paper.TUNINGS["own"].widths
     }
     assert width == max(runs, key=runs.__getitem__)
+
+
+def test_own_means_know_as_much_as_slopes_along_the_true_trajectory_tell():
+    """The payload's standard deviation where the first estimates are furthest off and cut off at no payload at all.
+    Along the smoothed trajectory, which no crane can go, it was less than half of that.
+    """
+    experiment = paper.real_system(CRANE, 3, FAST, 901, duration=2.8)
+    wrong = paper.wrong_crane(CRANE, 0.25)
+    filter_ = paper.estimator(wrong, experiment, FAST, "own", width=4.0)
+    found = filter_.run(experiment.signals)
+    assert not any("settle" in event.text for event in found.events)
+    plan, belief = filter_.set_out(experiment.signals), filter_.belief
+    increments = INCREMENT * np.sqrt(belief.covariance.diagonal())
+    constants = [CRANE[name] for name in filter_.state_names[8:]]
+    variance = np.diag(filter_.sensor_variance)
+    for k in range(1, plan.time.size):
+
+        def over(points, k=k):
+            return filter_.carried(points, plan, k, {})
+
+        true = np.r_[experiment.truth[k - 1], constants], np.r_[experiment.truth[k], constants]
+        prior = predict_linearised(replace(belief, at=true[0]), over, filter_.process_noise(1e-3), increments)
+        belief = Belief(prior.mean, prior.covariance, at=true[1])
+        belief = update_linearised(belief, filter_.observe, plan.values[k], variance, increments)
+        belief = Belief(belief.mean, belief.covariance)
+    payload = filter_.state_names.index("payload.mass")
+    assert found.std[-1, payload] == pytest.approx(np.sqrt(belief.covariance[payload, payload]), rel=0.2)
 
 
 def test_seeds_count_what_is_below_the_published_errors_and_inside():

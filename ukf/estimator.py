@@ -749,8 +749,9 @@ class Estimator:
         return plan
 
     def believe(self, belief: Belief) -> None:
-        """Go on from another belief, of all that is estimated, at the same time."""
-        self.belief = self._method.begin(belief.mean, belief.covariance)
+        """Go on from another belief, of all that is estimated, at the same time; slopes from where it says."""
+        begun = self._method.begin(belief.mean, belief.covariance)
+        self.belief = begun if belief.at is None else replace(begun, at=belief.at)
 
     def on_plan(self, plan: Plan, k: int, recorder: Recorder | None = None) -> Outcome:
         """Go on to instant k of a plan: by prediction and correction, or anew from the sensors after a long gap."""
@@ -793,6 +794,8 @@ class Estimator:
             self.events.append((time, "filter", f"the beginning could not be gone through again: {problem}"))
             beginning.end()
             return
+        if not beginning.settled:
+            self.events.append((time, "filter", "the beginning, gone through again, did not settle"))
         self.believe(found)
         if recorder.smooth:
             recorder.cut(self.belief)

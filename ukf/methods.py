@@ -119,17 +119,23 @@ class Linearised:
     ) -> kf.Correction:
         """Return the linearised correction."""
         found = kf.update_linearised(belief, observe, y, noise, self.increments, step=step)
-        return found if found.at is None else replace(found, at=self._leashed(found.at, found))
+        if found.at is None:
+            return found
+        spread = np.sqrt(found.covariance.diagonal())
+        return replace(found, at=leashed(found.at, found.mean, spread, self.constants))
 
-    def _leashed(self, at: np.ndarray, belief: kf.Belief) -> np.ndarray:
-        """Return where slopes are taken, not too far from the mean of a belief."""
-        away = np.abs(belief.mean - at) > _LEASH * np.sqrt(belief.covariance.diagonal())
-        away[self.constants] = False
-        if not away.any():
-            return at
-        near = belief.mean.copy()
-        near[self.constants] = at[self.constants]
-        return near
+
+def leashed(at: np.ndarray, mean: np.ndarray, spread: np.ndarray, constants: Sequence[int]) -> np.ndarray:
+    """Return where slopes are taken (n,): at the model's own trajectory `at`, or, where a state of that is further than
+    `_LEASH` standard deviations `spread` from `mean`, at the mean with the trajectory's constants.
+    """
+    away = np.abs(mean - at) > _LEASH * spread
+    away[constants] = False
+    if not away.any():
+        return at
+    near = mean.copy()
+    near[constants] = at[constants]
+    return near
 
 
 def method_of(name: str, std: np.ndarray, constants: Sequence[int] = (), near: bool = False) -> Method:
