@@ -12,13 +12,13 @@ from crane_exudyn import Crane, CraneError, Recording, simulate
 from crane_exudyn.channels import Channel
 from validation import compare, hidden
 from validation.criteria import CRITERIA
-from validation.diagnosis import Diagnosis, diagnose, held_to_runs, sentence
+from validation.diagnosis import Diagnosis, diagnose, held_to_runs, looked_at, sentence
 from validation.fit.data import FitData
 from validation.fit.staged import STIFF, WHOLE
 from validation.fitness import check_check
 from validation.selection.moves import Start, around, starts
 from validation.selection.screen import Score, likely
-from validation.selection.search import Round
+from validation.selection.search import Round, silent
 from validation.selection.verdict import verdict_of, within_clocks
 from validation.selection.white import WHITE, WhitePath
 from validation.semi_recursive import SemiRecursiveEngine
@@ -409,6 +409,18 @@ def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):
     ):
         with pytest.raises(CraneError, match=words):
             diagnose(crane, learn.select(["u1", "u2", "z1", "z4", "p1"]), check)
+
+
+def test_a_recording_that_was_looked_at_is_held_against_a_fitted_crane_that_could_not_have_shown_it():
+    crane, learn = Crane.load("patu655"), Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 2.0)
+    run = simulate(crane, learn, engine="semi-recursive")
+    given = Recording("lengths", {**learn.channels, "s1": Channel(run.time, run["s1"])})
+    problem, _ = looked_at(crane, given, None, (), 1, silent)
+    fitted = crane.with_parameters({"cylinders.lift.empty_length": float(run["s1"].min()) + 0.09})
+    with pytest.raises(CraneError, match="s1 goes from"):
+        compare(fitted, given)
+    with pytest.raises(CraneError, match="cannot follow"):
+        compare(fitted, problem.recordings[0])
 
 
 def test_the_same_recording_twice_is_told():

@@ -24,7 +24,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.layout import Layout
-from ukf.filter import Belief, update_linear
+from ukf.filter import Belief, FilterError, update_linear
 from ukf.smoother import smooth as smoothed
 
 from .fit.data import FitData
@@ -146,6 +146,14 @@ def _wide(knots: np.ndarray, nx: int) -> np.ndarray:
     return np.pad(knots, ((0, 0), (0, nx - knots.shape[1])))
 
 
+def _left_behind(data: FitData, time: float) -> CraneError:
+    """Return what is said of a model that cannot be run along a recording."""
+    return CraneError(
+        f"{data.name}: the model cannot follow this recording at t = {time:.3f} s (a pose or pressure out of its "
+        "reach). Is it another machine, or a channel with another sign or unit?"
+    )
+
+
 def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray) -> Balances:
     """Return the residuals along a stretch that is short enough to be held in memory at once."""
     lay, nx, stride = model.crane.layout, model.nx, _stride(data)
@@ -153,7 +161,10 @@ def _balances(model: Model, data: FitData, starts: np.ndarray, knots: np.ndarray
     inputs = np.zeros((len(data.time), len(spread)))
     for _ in range(_ROUNDS):
         steps = linearised(model, data, starts, knots, inputs, stride)
-        smoothed = smooth(steps)
+        try:
+            smoothed = smooth(steps)
+        except FilterError as problem:  # derivatives so large that no digit of the covariances is left
+            raise _left_behind(data, float(data.time[stride * (problem.step or 0)])) from problem
         states = steps.states + smoothed.mean[:, :nx] * jump
         found = steps.inputs + smoothed.mean[:, nx:]
         at = data.time[::stride][: len(found)]
@@ -290,11 +301,7 @@ def _transitions(
         allowed=model.accuracy,
     )
     if run.status.any() or not np.isfinite(run.X).all():
-        t = data.time[at[run.failed.max()]]
-        raise CraneError(
-            f"{data.name}: the model cannot follow this recording at t = {t:.3f} s (a pose or pressure out of its "
-            "reach). Is it another machine, or a channel with another sign or unit?"
-        )
+        raise _left_behind(data, float(data.time[at[run.failed.max()]]))
     before = np.flatnonzero(np.diff(at))  # of each step
     A, response = run.Phi[before + 1], run.S[before + 1, :, nx:]
     B = response - A @ run.S[before, :, nx:]
@@ -358,7 +365,7 @@ def smooth(steps: Steps) -> _Smoothed:
             crosses[k] = belief.covariance @ F[k - 1].T
             belief = Belief(F[k - 1] @ belief.mean + constant[k - 1], F[k - 1] @ crosses[k] + Q)
         predicted[k], spread[k] = belief.mean, belief.covariance
-        belief, gained = _corrected(belief, steps.C[k], steps.residual[k], steps.spread[k])
+        belief, gained = _corrected(belief, steps.C[k], steps.residual[k], steps.spread[k], k)
         likelihood += gained
         means[k], covariances[k] = belief.mean, belief.covariance
     mean, covariance = smoothed(means, covariances, predicted, spread, crosses, gains=gains)
@@ -379,12 +386,14 @@ def augmented(steps: Steps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return F, constant, Q
 
 
-def _corrected(belief: Belief, C: np.ndarray, residual: np.ndarray, spread: np.ndarray) -> tuple[Belief, float]:
+def _corrected(
+    belief: Belief, C: np.ndarray, residual: np.ndarray, spread: np.ndarray, step: int
+) -> tuple[Belief, float]:
     """Return the belief and the log-likelihood after the samples of one instant."""
     seen = np.isfinite(residual)
     if not seen.any():
         return belief, 0.0
     H = np.zeros((int(seen.sum()), len(belief.mean)))
     H[:, : C.shape[1]] = C[seen]
-    found = update_linear(belief, H, residual[seen] - H @ belief.mean, np.diag(spread[seen] ** 2))
+    found = update_linear(belief, H, residual[seen] - H @ belief.mean, np.diag(spread[seen] ** 2), step=step)
     return found, found.log_likelihood

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 from crane_exudyn.crane import Crane, given_crane
 from crane_exudyn.crane_toml import unit_at
 from crane_exudyn.effects import registry
-from crane_exudyn.errors import counted, names_of
+from crane_exudyn.errors import CraneError, counted, names_of
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording, given_recording
 
@@ -276,7 +277,8 @@ def looked_at(
     recordings = (recording,) if isinstance(recording, Recording) else tuple(recording)
     notes = check_all(recordings, check, crane)
     progress("fitting the nominal parameters", 0.05)
-    return Problem.of(crane, recordings, per_recording, jobs), notes
+    vouched = [replace(r, vouched=True) for r in recordings]  # with the crane as given: a fitted one may not fit them
+    return Problem.of(crane, vouched, per_recording, jobs), notes
 
 
 def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:
@@ -388,15 +390,15 @@ def _with_what_is_left(d: Diagnosis, path: WhitePath, check: Recording | None) -
 
 def _where(problem: Problem, cranes: Sequence[Crane]) -> tuple[Mapping[str, Any], ...]:
     """Return which balance of the crane of each recording is violated when, as `compare` finds it, worst first; with
-    several recordings also in which.
+    several recordings also in which. Nothing of one that a crane cannot follow at all.
     """
     from .comparison import compare
 
-    found = [
-        finding.to_dict() | ({"recording": r.name} if len(problem.recordings) > 1 else {})
-        for r, crane in zip(problem.recordings, cranes, strict=True)
-        for finding in compare(crane, r).where
-    ]
+    found = []
+    for r, crane in zip(problem.recordings, cranes, strict=True):
+        with suppress(CraneError):
+            own = {"recording": r.name} if len(problem.recordings) > 1 else {}
+            found += [finding.to_dict() | own for finding in compare(crane, r).where]
     return tuple(sorted(found, key=lambda f: -f["score"]))
 
 
