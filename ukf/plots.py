@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _BLUE, _BLACK, _RED, _GREY = "#0072B2", "#111111", "#D55E00", "#999999"
 _MODELS = ("#E69F00", "#009E73", "#CC79A7", "#56B4E9", _BLACK)  # none of them stands for anything beside it
 _MOST = 4000
+#: height of a panel, inches
+_PANEL = 1.25
 
 
 class Reading(NamedTuple):
@@ -71,26 +73,29 @@ class Judgement(NamedTuple):
 
 def estimate_figure(time: np.ndarray, lines: Sequence[Line], judged: Judgement, title: str) -> Figure:
     """Return a figure for a screen: one panel a quantity on the left, normalised innovations and NIS on the right."""
-    left, right = len(lines), judged.panels
-    rows = max(left, right)
-    made = plots.figure(rows, 2, height=1.25, width=2 * plots.WIDTH)
-    for axes, line in zip(made.axes[::2], lines, strict=False):
-        _state(axes, time, line)
-    _judged(made.axes[1 : 2 * right : 2], time, judged)
-    for column, used in ((0, left), (1, right)):
-        _end(made.axes[2 * used - 2 + column])
-        for row in range(used, rows):
-            made.axes[2 * row + column].set_visible(False)
+    height = max(_PANEL * max(len(lines), judged.panels), 2.0)
     with plots.style():
+        made = plots.empty_figure(2 * plots.WIDTH, height, layout="constrained")
+        # columns of their own: in one grid the time axis of the shorter one would part the longer one's panels
+        grid = made.add_gridspec(1, 2)
+        left, right = (
+            made.add_subfigure(grid[0, column]).subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+            for column, count in enumerate((len(lines), judged.panels))
+        )
         made.suptitle(title, fontsize=11)
-    made.align_ylabels()
+    for axes, line in zip(left, lines, strict=True):
+        _state(axes, time, line)
+    _judged(list(right), time, judged)
+    for panels in (left, right):
+        _end(panels[-1])
+        made.align_ylabels(list(panels))
     plots.legend_above(made, 6, "outside lower left")
     return made
 
 
 def states_figure(time: np.ndarray, lines: Sequence[Line]) -> Figure:
     """Return a figure with one panel a quantity, in one column."""
-    made = plots.figure(len(lines), height=1.25)
+    made = plots.figure(len(lines), height=_PANEL)
     for axes, line in zip(made.axes, lines, strict=True):
         _state(axes, time, line)
     return _column(made)
@@ -98,7 +103,7 @@ def states_figure(time: np.ndarray, lines: Sequence[Line]) -> Figure:
 
 def innovations_figure(time: np.ndarray, judged: Judgement) -> Figure:
     """Return a figure with the normalised innovations of each sensor and the NIS, in one column."""
-    made = plots.figure(judged.panels, height=1.25)
+    made = plots.figure(judged.panels, height=_PANEL)
     _judged(made.axes, time, judged)
     return _column(made)
 
