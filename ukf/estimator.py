@@ -28,25 +28,19 @@ from .bounds import Bounds, crane_bounds
 from .channels import Channels
 from .estimate import Estimate
 from .filter import Belief, FilterError
-from .linear_algebra import cholesky
+from .live import Stream
 from .methods import method_of
 from .monitor import ABSENT, OUTLIER, USED, Doubt, Monitor
 from .noise import ProcessNoise, added_by, measurement_noise
 from .process import EngineMisfit, Process, engine_of
-from .recorder import REJECTED, Outcome, Recorder, kind_of
+from .recorder import Outcome, Recorder
 from .revisit import Beginning, Revisit, Step
-from .samples import command_of, first_stamp, impossible, number, positive, readings_of
+from .samples import command_of, first_stamp, number, positive, readings_of
 from .second_opinion import SecondOpinion
 from .signals import LONG_GAP, Plan, Signals
-from .start import UNSHOWN, rivals, showing, start_belief, taken
+from .start import UNSHOWN, check_start, rivals, showing, start_belief, taken
 from .visible import show
 
-#: after so many growing stamps that are not later than the last good one the clock has gone back
-_LATE_STAMPS = 10
-#: the last stamp that was not later than a good one, and how many of them grew in a row
-_IN_ORDER = (np.inf, 0)
-#: by how much correlations at the start may differ from their mirror images
-_UNEVEN = 1e-6
 #: what a step of the filter may end in
 _FAILURES = (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError)
 
@@ -156,7 +150,8 @@ class Estimator:
         self._constants = constants if revisit is not None else []
         self._method = method_of(method, np.ones(self.size))
         self._start = start
-        self._check_start()
+        if start is not None:
+            check_start(start, self.engine.state_names)
         self._known_noise(self.max_step)  # refused here, not in the middle of a run
         self.revisit = revisit
         if revisit is not None and method != "ekf":
@@ -166,43 +161,12 @@ class Estimator:
             "strokes": strokes, "revisit": revisit,
         }  # fmt: skip
         self._noises: dict[int, np.ndarray] = {}
-        self._spool: Any = None
         self.reset()
 
     def __repr__(self) -> str:
         sensors = ", ".join(f"{n} ± {std:.2g}" for n, std in self.std_of.items())
         kind, names = type(self.engine).__name__, " ".join(self.state_names)
         return f"<Estimator of {self.crane.name} by {self._method_name} on {kind}: {names} from sensors {sensors}>"
-
-    def _check_start(self) -> None:
-        """Raise CraneError for a start that is no belief in the engine's states."""
-        if self._start is None:
-            return
-        n, names = self._engine_states, " ".join(self.engine.state_names)
-        mean, covariance = (np.asarray(getattr(self._start, part, None)) for part in ("mean", "covariance"))
-        if mean.shape != (n,) or covariance.shape != (n, n):
-            raise CraneError(
-                f"start: mean and covariance have shapes {mean.shape} and {covariance.shape}, expected ({n},) and "
-                f"({n}, {n}) for {names}. Of variances, np.diag makes a covariance: Belief(mean, np.diag(variances))."
-            )
-        if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
-            raise CraneError(f"start: mean or covariance of {names} holds what is not finite. Give numbers in SI.")
-        for name, variance in zip(self.engine.state_names, np.diag(covariance), strict=True):
-            if not variance > 0.0:
-                raise CraneError(f"start: {name} has variance {variance:g}. Give a small positive one.")
-        scale = np.sqrt(np.diag(covariance))
-        correlation = np.asarray(covariance / np.outer(scale, scale), float)
-        uneven = np.abs(correlation - correlation.T) > _UNEVEN
-        if uneven.any():
-            one, other = (self.engine.state_names[i] for i in np.argwhere(uneven)[0])
-            raise CraneError(f"start: the covariance of {one} and {other} is not that of {other} and {one}. Mend one.")
-        column = cholesky(correlation, np.empty_like(correlation))
-        if column >= 0:
-            name = self.engine.state_names[column]
-            raise CraneError(
-                f"start: the covariance is not positive definite, as {name} follows from the states before it or is "
-                "correlated with them by more than is possible. Give smaller covariances."
-            )
 
     def varied(self, **changes: Any) -> Estimator:
         """Return a fresh estimator with some arguments changed."""
@@ -248,13 +212,8 @@ class Estimator:
         self._monitor = Monitor(self._channels.names, self._units, self._std, self.gate, self._floor)
         self._belief_in_doubt = Doubt(self.gate)
         self._opinion: SecondOpinion | None = None
-        self._spool = None
-        self._last_input: np.ndarray | None = None
-        self._last_command: np.ndarray | None = None
-        self._late = _IN_ORDER
-        self._odd: set[tuple[str, str]] = set()
+        self._stream = Stream(self.crane, self._channels.names, self._units)
         self._broken = False  # whether the belief was set up anew on the way
-        self._flags = np.zeros(len(self.std_of), np.uint8)
         self._sizes = Sizes(self.extras, self._engine_states + len(self._channels.lags), self._adapt)
 
     # -- live ----------------------------------------------------------------------------------------------------
@@ -286,107 +245,34 @@ class Estimator:
             time = 0.0 if time is None else first_stamp(time)
         else:
             time = self.time + self.max_step if time is None else number(time, "time")
-        command, values, supply, odd = self._usable(command, readings)
-        late = self.time is not None and not (np.isfinite(time) and (time > self.time or self._went_back(time)))
+        command, values, supply, odd = self._stream.usable(command, readings)
+        late = self.time is not None and not (np.isfinite(time) and (time > self.time or self._stream.went_back(time)))
         if late:
             odd.append(("time", "stamp not later than the last one: sample left out"))
-        self._note(time, odd)
+        self.events += [(time, *what) for what in self._stream.news(odd)]
         if late:
             return self._unchanged()
         if self.time is None:
-            self._begin(time, command, values, supply)
+            self.start_at(time, dict(zip(self._channels.names, values, strict=True)))
+            self._stream.rest(time, command, supply)
             return self._unchanged()
         if not 0.0 < time - self.time <= LONG_GAP:
             self._resume(time, dict(zip(self._channels.names, values, strict=True)), {})
-            self._set_inputs(command, supply)
-            self._late = _IN_ORDER
+            self._stream.rest(time, command, supply)
+            self._stream.in_order()
             return self._unchanged()
-        self._late = _IN_ORDER
-        if self._last_input is None:  # what was before is a recording
-            self._set_inputs(command, supply)
+        self._stream.in_order()
+        if not self._stream.begun:  # what was before is a recording
+            self._stream.rest(self.time, command, supply)
         times = inner_times(self.time, time, self.max_step)
-        inputs = self._live_inputs(times, command, supply)
-        outcome = self._advance(times, inputs, values)
-        self._note_rejections(time, outcome.flags)
+        outcome = self._advance(times, self._stream.inputs(times, command, supply), values)
+        self.events += [(time, *what) for what in self._stream.rejected(outcome.flags)]
         return self._now(outcome)
-
-    def _usable(
-        self, command: np.ndarray, readings: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[tuple[str, str]]]:
-        """Return command (valves,), values (k,) of the sensors and supply pressures (2,) of a sample as the filter
-        takes them, and what is odd about it: (where, what).
-
-        A command that is missing stays as it was, one beyond ±1 is cut; a reading that no crane shows is missing; a
-        supply pressure that is missing stays as it was, NaN before the first.
-        """
-        lay, odd = self.crane.layout, list[tuple[str, str]]()
-        units = (*self._units, *("Pa" for _ in lay.supply))
-        for k, (name, unit) in enumerate(zip((*self.std_of, *lay.supply), units, strict=True)):
-            if impossible(unit, readings[k]):
-                odd.append((name, f"no crane shows this: {readings[k]:g}, taken as missing"))
-                readings[k] = np.nan
-        values, supply = readings[: len(self.std_of)], readings[len(self.std_of) :]
-        if self._last_input is not None:
-            supply = np.where(np.isnan(supply), self._last_input[lay.supplies], supply)
-        missing = ~np.isfinite(command)
-        if missing.any():
-            odd.append(("commands", "missing, the last one is held"))
-            command[missing] = 0.0 if self._last_command is None else self._last_command[missing]
-        if (np.abs(command) > 1.0).any():
-            odd.append(("commands", "beyond ±1, cut"))
-            command = np.clip(command, -1.0, 1.0)
-        return command, values, supply, odd
-
-    def _note(self, time: float, odd: Sequence[tuple[str, str]]) -> None:
-        """Tell what is odd about a sample, (where, what), and was not so about the one before."""
-        kinds = {(where, kind_of(text)) for where, text in odd}
-        self.events += [(time, where, text) for where, text in odd if (where, kind_of(text)) not in self._odd]
-        self._odd = kinds
 
     @property
     def _clock(self) -> float:
         """Time of the last sample, s; NaN before the first."""
         return float("nan") if self.time is None else self.time
-
-    def _went_back(self, time: float) -> bool:
-        """Whether so many stamps in a row were not later than the last good one that it must be that one which was
-        wrong.
-        """
-        last, count = self._late
-        self._late = (time, count + 1 if time > last else 1)
-        return self._late[1] >= _LATE_STAMPS
-
-    def _note_rejections(self, time: float, flags: np.ndarray) -> None:
-        """Tell when a sensor begins to be rejected, and why."""
-        for row in np.flatnonzero((flags != self._flags) & (flags != ABSENT)):
-            if flags[row] in REJECTED:
-                self.events.append((time, self._channels.names[row], REJECTED[int(flags[row])]))
-            self._flags[row] = flags[row]
-
-    def _begin(self, time: float, command: np.ndarray, values: np.ndarray, supply: np.ndarray) -> None:
-        self.start_at(time, dict(zip(self._channels.names, values, strict=True)))
-        self._set_inputs(command, supply)
-
-    def _set_inputs(self, command: np.ndarray, supply: np.ndarray) -> None:
-        """Take the spools to be at rest at this command."""
-        from crane_exudyn.inputs import SpoolPath
-
-        assert self.time is not None
-        self._spool = SpoolPath(self.crane)
-        spool = np.asarray(self._spool.step(self.time, command), float)
-        self._last_input = np.concatenate([spool, supply])
-        self._last_command = command
-
-    def _live_inputs(self, times: np.ndarray, command: np.ndarray, supply: np.ndarray) -> np.ndarray:
-        assert self._last_command is not None and self._last_input is not None
-        inputs = np.empty((times.size, self._last_input.size))
-        inputs[0] = self._last_input
-        for k in range(1, times.size):
-            share = (times[k] - times[0]) / (times[-1] - times[0])
-            between = self._last_command + share * (command - self._last_command)
-            inputs[k] = [*self._spool.step(float(times[k]), between), *supply]
-        self._last_command, self._last_input = command, inputs[-1].copy()
-        return inputs
 
     def _unchanged(self) -> Now:
         """Return what is known after a call that was corrected by no sensor."""

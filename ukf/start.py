@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 
 import numpy as np
 
 from crane_exudyn.crane import Crane
+from crane_exudyn.errors import CraneError
 from crane_exudyn.layout import Layout
 from crane_exudyn.pose import shown_pose, sources
 from crane_exudyn.statics import vapour_pressure
 
 from .filter import Belief
+from .linear_algebra import cholesky
 
 #: standard deviations of what no sensor shows, by unit
 UNSHOWN: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.05, "m/s": 0.05, "Pa": 10e5}
@@ -21,6 +23,36 @@ UNSHOWN: Mapping[str, float] = {"rad": 0.1, "m": 0.1, "rad/s": 0.05, "m/s": 0.05
 _AS_FILED, _FILED, _LEAST_FILED = 0.05, 0.2, 0.5e5
 #: by the unit of a coordinate, by how many metres a cylinder is longer for one more of it
 _LEVER = {"rad": 0.3, "m": 1.0}
+#: by how much correlations at the start may differ from their mirror images
+_UNEVEN = 1e-6
+
+
+def check_start(start: Belief, states: Sequence[str]) -> None:
+    """Raise CraneError for a start that is no belief in these states."""
+    n, names = len(states), " ".join(states)
+    mean, covariance = (np.asarray(getattr(start, part, None)) for part in ("mean", "covariance"))
+    if mean.shape != (n,) or covariance.shape != (n, n):
+        raise CraneError(
+            f"start: mean and covariance have shapes {mean.shape} and {covariance.shape}, expected ({n},) and "
+            f"({n}, {n}) for {names}. Of variances, np.diag makes a covariance: Belief(mean, np.diag(variances))."
+        )
+    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        raise CraneError(f"start: mean or covariance of {names} holds what is not finite. Give numbers in SI.")
+    for name, variance in zip(states, np.diag(covariance), strict=True):
+        if not variance > 0.0:
+            raise CraneError(f"start: {name} has variance {variance:g}. Give a small positive one.")
+    scale = np.sqrt(np.diag(covariance))
+    correlation = np.asarray(covariance / np.outer(scale, scale), float)
+    uneven = np.abs(correlation - correlation.T) > _UNEVEN
+    if uneven.any():
+        one, other = (states[i] for i in np.argwhere(uneven)[0])
+        raise CraneError(f"start: the covariance of {one} and {other} is not that of {other} and {one}. Mend one.")
+    column = cholesky(correlation, np.empty_like(correlation))
+    if column >= 0:
+        raise CraneError(
+            f"start: the covariance is not positive definite, as {states[column]} follows from the states before it or "
+            "is correlated with them by more than is possible. Give smaller covariances."
+        )
 
 
 def showing(layout: Layout, coordinate: str) -> tuple[str, ...]:
