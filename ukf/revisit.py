@@ -59,7 +59,7 @@ class Step:
 
 class Beginning:
     """What a run has gone through since its start, to be gone through again whenever a constant is known twice as well
-    as it was when slopes were taken last, and at the end.
+    as it was when slopes were taken last, when the run is twice as long as it was then, and at the end.
 
     Attributes:
         over: nothing is to be gone through any more.
@@ -72,6 +72,7 @@ class Beginning:
         self._steps: list[Step] = []
         self._means, self._spreads = [start.mean], [_spread(start)]
         self._known = self._spreads[0][self._constants]
+        self._due: float = np.inf
         self._last = False
         self.over, self.settled = not constants, True
 
@@ -86,7 +87,8 @@ class Beginning:
         self._means.append(belief.mean)
         self._spreads.append(spread)
         self._last = time >= self._until
-        return self._last or bool((spread[self._constants] < _KNOWN * self._known).any())
+        due = len(self._steps) >= self._due
+        return self._last or due or bool((spread[self._constants] < _KNOWN * self._known).any())
 
     def again(self, inside: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Belief:
         """Go through all steps until the smoothed trajectory stays where it is, and return the belief at its end, with
@@ -109,7 +111,7 @@ class Beginning:
                 break
         self.settled = change < _SETTLED
         self._means, self._spreads = list(means), list(spreads)
-        self._known = _spread(end)[self._constants]
+        self._known, self._due = _spread(end)[self._constants], 2 * len(self._steps)
         if self._last:
             self.end()
         return Belief(inside(end.mean, end.covariance), end.covariance, at=end.at)
