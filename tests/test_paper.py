@@ -56,7 +56,7 @@ def test_the_papers_tuning_leaves_the_sensor_noise_that_the_formula_says():
     error = case.estimate.mean[1000:, [4, 7]] - case.experiment.truth[1000:, [4, 7]]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(paper.pressure_floor(), rel=0.1)
     document = case.document()
-    assert set(document) >= {"model_error", "inputs", "pn_rmse", "published", "coverage95", "nees_mean"}
+    assert set(document) >= {"model_error", "inputs", "pn_rmse", "published", "coverage95", "width95", "nees_mean"}
     assert not document["consistent"]  # NIS is far too small: the covariances are not those of this crane
     json.dumps(document, allow_nan=False)
 
@@ -163,6 +163,20 @@ def test_seeds_count_what_is_below_the_published_errors_and_inside():
     table = paper_seeds.table(lines).splitlines()
     assert [row.split(" | ")[0] for row in table[2:5]] == ["| 1", "| 2", "| 3"] and "z1 50 %" in table[4]
     assert "published error: 2 of 3;" in table[-1] and "both: 1." in table[-1]
+
+
+def test_cases_are_told_over_their_seeds():
+    def line(error, inputs, inside):
+        told = {"coverage95": inside, "width95": 2.0, "pn_rmse": 0.5}
+        return {"model_error": error, "inputs": inputs} | {k: dict.fromkeys(paper.STATES, v) for k, v in told.items()}
+
+    lines = [line(0.25, 3, 0.8), line(0.15, 3, 1.0), line(0.25, 3, 1.0), line(0.25, 1, 0.95)]
+    rows = [row.strip("| ").split(" | ") for row in paper_seeds.cases_table(lines).splitlines()[2:]]
+    assert [row[:3] for row in rows] == [
+        ["25 %", "1", "95 (95), 2.0, 0.50"],
+        ["15 %", "3", "100 (100), 2.0, 0.50"],
+        ["25 %", "3", "90 (80), 2.0, 0.50"],
+    ]
 
 
 def test_wrong_models_are_judged_by_what_no_sensor_measures():

@@ -262,6 +262,14 @@ class Case:
         return self.estimate.coverage(self.experiment.truth)
 
     @property
+    def width(self) -> dict[str, float]:
+        """Half the mean width of the 95 % interval over the RMS error, by state; 2 where a filter errs as it believes,
+        less where its belief changes much in a run.
+        """
+        half = 1.96 * self.estimate.std[:, :8].mean(axis=0)
+        return _named(half / metrics.rmse(self.estimate.mean[:, :8], self.experiment.truth))
+
+    @property
     def nees_mean(self) -> float:
         """Mean NEES of the eight states; 8 for a consistent filter."""
         assert self.estimate.covariance is not None
@@ -285,6 +293,7 @@ class Case:
             "published": self.published,
             "pn_rmse_open_loop": or_none(self.pn_rmse_open_loop),
             "coverage95": self.coverage,
+            "width95": self.width,
             "nees_mean": self.nees_mean,
             "nis_mean": self.estimate.nis_mean,
             "nis_bounds": list(self.estimate.nis_bounds),

@@ -1,7 +1,8 @@
-"""Many seeds of the paper's 15 % case, all counted: how often own means reach the published errors, with intervals that
-hold.
+"""Many seeds of the paper's experiment, all counted: how often own means reach the published errors, with intervals
+that hold.
 
 python -m validation.paper_seeds results.jsonl --seeds 100-115    a line a run, then the table; what is there is kept
+python -m validation.paper_seeds results.jsonl --seeds 100-102 --nine    every error of the model with every input set
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from crane_exudyn.crane import Crane
 
 from .json_lines import read_lines
-from .paper import PUBLISHED, STATES, TUNINGS, run_case
+from .paper import INPUT_SETS, MODEL_ERRORS, PUBLISHED, STATES, TUNINGS, run_case
 from .seeds import seed_range
 from .study import markdown, run
 
@@ -23,9 +26,9 @@ INSIDE = 0.9
 _COLUMNS = ("seed", "width", *STATES, "least inside", "NEES", "payload / kg")
 
 
-def one_seed(name: str, tuning: str, inputs: int, seed: int) -> dict[str, Any]:
+def one_seed(name: str, tuning: str, inputs: int, seed: int, error: float = 0.15) -> dict[str, Any]:
     """Return the document of one run, with its name, its seed and the width of its priors."""
-    case = run_case(0.15, inputs, "semi-recursive", seed, tuning=tuning)
+    case = run_case(error, inputs, "semi-recursive", seed, tuning=tuning)
     told = {"name": name, "seed": seed}
     if TUNINGS[tuning].widths:
         pump = "supply.pump_pressure"
@@ -54,6 +57,24 @@ def table(lines: Sequence[Mapping[str, Any]]) -> str:
     return f"{markdown(_COLUMNS, [_row(line) for line in sorted(lines, key=lambda line: line['seed'])])}\n\n{words}\n"
 
 
+def cases_table(lines: Sequence[Mapping[str, Any]]) -> str:
+    """Return one row a case, over all seeds, as Markdown: of each state the share of time in % inside its interval, on
+    the average (and in the worst seed), half the interval's width over the RMS error and the error in %.
+    """
+    cases = sorted({(line["model_error"], line["inputs"]) for line in lines}, key=lambda c: (c[1], c[0]))
+    rows = []
+    for error, inputs in cases:
+        those = [line for line in lines if (line["model_error"], line["inputs"]) == (error, inputs)]
+        cells = (_over_seeds(those, state) for state in STATES)
+        rows.append([f"{100 * error:g} %", str(inputs), *cells])
+    return markdown(("error", "inputs", *STATES), rows)
+
+
+def _over_seeds(lines: Sequence[Mapping[str, Any]], state: str) -> str:
+    inside, width, error = ([line[what][state] for line in lines] for what in ("coverage95", "width95", "pn_rmse"))
+    return f"{100 * np.mean(inside):.0f} ({100 * min(inside):.0f}), {np.mean(width):.1f}, {np.mean(error):.2f}"
+
+
 def _row(line: Mapping[str, Any]) -> list[str]:
     least = min(line["coverage95"], key=line["coverage95"].__getitem__)
     payload = line["found"].get("payload.mass")
@@ -73,22 +94,29 @@ def said(line: Mapping[str, Any]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run seeds of the paper's 15 % case on the semi-recursive engine, and show the table of them."""
+    """Run seeds of the paper's experiment on the semi-recursive engine, and show the table of them."""
     parser = argparse.ArgumentParser(prog="python -m validation.paper_seeds", description=main.__doc__)
     parser.add_argument("results", type=Path, help="results file, a JSON a line")
     parser.add_argument("--seeds", type=seed_range, default="100-115", help="FIRST-LAST (default %(default)s)")
     parser.add_argument("--tuning", choices=TUNINGS, default="own")
     parser.add_argument("--inputs", type=int, choices=(1, 2, 3), default=1)
+    parser.add_argument("--nine", action="store_true", help="every error with every input set, not 15 %% with one")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
-    names = {f"{given.tuning} {given.inputs} {seed}": seed for seed in given.seeds}
+    names = {
+        f"{given.tuning} {i} {seed}" + (f" {error:g}" if given.nine else ""): (given.tuning, i, seed, error)
+        for seed in given.seeds
+        for i in (INPUT_SETS if given.nine else (given.inputs,))
+        for error in (MODEL_ERRORS if given.nine else (0.15,))
+    }
     run(
         given.results,
-        [(name, one_seed, (name, given.tuning, given.inputs, seed)) for name, seed in names.items()],
+        [(name, one_seed, (name, *case)) for name, case in names.items()],
         jobs=given.jobs,
         say=said,
     )
-    print(table([line for line in read_lines(given.results) if line["name"] in names]))
+    lines = [line for line in read_lines(given.results) if line["name"] in names]
+    print(cases_table(lines) if given.nine else table(lines))
 
 
 if __name__ == "__main__":
