@@ -16,7 +16,7 @@ import numpy as np
 from . import crane_toml
 from .description import Description, complete, number
 from .effects import registry
-from .effects.base import Acting
+from .effects.base import Acting, Effect
 from .effects.curve import X, Y
 from .errors import CraneError, by_name, named_file, nearest, shortened
 from .files import write_text
@@ -155,15 +155,18 @@ class Crane(Description):
 
     # -- changed copies ------------------------------------------------------------------------------------------
 
-    def with_parameters(self, changes: Mapping[str, float]) -> Crane:
+    def with_parameters(self, changes: Mapping[str, float] | None = None) -> Crane:
         """Return a copy with other nominal parameters, numbers in SI such as {"payload.mass": 150.0} in kg."""
-        return self.changed(changes, {})
+        given = by_name(changes, f"{self.name}: parameters", "{'payload.mass': 150.0}")
+        return self.changed(given, {})
 
-    def with_effect(self, key: str, values: Mapping[str, Any]) -> Crane:
+    def with_effect(self, key: str, values: Mapping[str, Any] | None = None) -> Crane:
         """Return a copy with the effect "name@place" added, or given other parameters where it is there already:
         numbers in SI by name, or the table of a curve as it stands in a crane file.
         """
-        return self.changed({}, {key: values})
+        effect, _ = registry.split_key(str(key), self.layout)
+        own = by_name(values, f"{self.name}: effect {key!r}", f"{_example(effect)}, in SI")
+        return self.changed({}, {key: own})
 
     def changed(self, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, Any]]) -> Crane:
         """Return a copy with other nominal parameters (SI), and with effects as `with_effect` sets them."""
@@ -219,6 +222,13 @@ class Crane(Description):
             f"<Crane {self.name}: {effects}{f', {self._own}' if self.objects else ''}; payload "
             f"{self['payload.mass']:g} kg, pump {self['supply.pump_pressure'] / 1e5:g} bar>"
         )
+
+
+def _example(effect: type[Effect]) -> str:
+    """Return values of an effect as Python writes them, of a usual size."""
+    if effect.curve is not None:
+        return f"{{'over': {effect.curve.over[0].name!r}, 'x': […], 'y': […]}}"
+    return str({p.name: p.typical for p in effect.parameters if not p.shape})
 
 
 def checked_crane(given: Any, whom: str) -> Crane:

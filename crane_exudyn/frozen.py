@@ -7,17 +7,37 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from .errors import CraneError
+
 K = TypeVar("K")
 V = TypeVar("V")
 
 
 def frozen(mapping: Mapping[K, V]) -> Mapping[K, V]:
     """Return a read-only copy of a mapping."""
-    return MappingProxyType(dict(mapping))
+    return MappingProxyType(Told(mapping, mapping.said) if isinstance(mapping, Told) else dict(mapping))
+
+
+class Told(dict[K, V]):
+    """A dict that says what to do where an entry is missing: `said` with the name of the entry in place of {}."""
+
+    def __init__(self, mapping: Mapping[K, V], said: str) -> None:
+        super().__init__(mapping)
+        self.said = said
+
+    def __missing__(self, name: K) -> V:
+        raise CraneError(self.said.format(name))
+
+    def copy(self) -> Told[K, V]:
+        """Return another one with the same entries."""
+        return Told(self, self.said)
+
+    def __reduce__(self) -> tuple[Any, tuple[dict[K, V], str]]:
+        return Told, (dict(self), self.said)
 
 
 def _parts(mapping: MappingProxyType[Any, Any]) -> tuple[Any, tuple[dict[Any, Any]]]:
-    return frozen, (dict(mapping),)
+    return frozen, (mapping.copy(),)
 
 
 copyreg.pickle(MappingProxyType, _parts)  # Python itself neither copies nor pickles them

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 #: samples of other channels in a pause of a command by which it is known that the recording went on
 _RECORDED = 2
+#: share of samples that are no larger than what is usual: a few may be spikes
+_USUAL = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +107,7 @@ class Recording:
             layout: as in `load`.
 
         Raises:
-            CraneError: an unknown channel, or what is no recording over time.
+            CraneError: an unknown channel, what is no recording over time, or degrees and millimetres instead of SI.
         """
         layout = layout_of(layout)
         units = channel_names.of(layout)
@@ -116,6 +118,9 @@ class Recording:
         columns = [RawColumn("time", _row(_seconds(time), f"{name}: time"), "s")]
         columns += [RawColumn(n, _row(v, f"{name}: {n}"), units[n]) for n, v in values.items()]
         made = cls(**assemble(Path(name), RawTable(columns), {}, layout) | {"name": name, "source": name})
+        for channel in (n for n in made.channels if n in layout.sensors):
+            most = float(np.quantile(np.abs(made[channel].values), _USUAL))
+            channel_names.refuse_beyond(name, channel, most, units[channel], channel)
         return made.with_gaps_told()
 
     # -- asking --------------------------------------------------------------------------------------------------
@@ -304,6 +309,7 @@ class Recording:
 
     def window(self, start: float, end: float) -> Recording:
         """Return the samples with start <= time <= end; channels without any there are left out."""
+        start, end = number(start, "window: start", "s"), number(end, "window: end", "s")
         kept = {}
         for name, channel in self.channels.items():
             chosen = (channel.time >= start) & (channel.time <= end)
@@ -369,6 +375,7 @@ class Recording:
         first change of a command. A sensor that is first read later (`signals.early`) says nothing of the start and is
         left out.
         """
+        span = number(span, "first_values: span", "s")
         moves = [_first_change(self[n]) for n in (*self.layout.commands, *self.layout.voltages) if self.has(n)]
         start = min((float(self[n].time[0]) for n in self.sensors), default=0.0)
         until = min([start + span, *moves])

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import channels
+from .channels import refuse_beyond
 from .crane import Crane, given_crane
+from .description import number
 from .engines import engine_class, of_this_crane
-from .errors import CraneError, nearest
+from .errors import CraneError, nearest, shortened
 from .recording import Recording, given_recording
 from .strokes import run_while_possible, within_strokes
 
@@ -179,6 +181,8 @@ def simulate_while_possible(
     Raises:
         CraneError: what `simulate` raises before it runs, or where not even two instants can be had.
     """
+    from .statics import check_payload  # compiled code, of which the effects must be part
+
     crane = given_crane(crane, "simulate")
     if engine is None:
         from .engine import ExudynEngine
@@ -189,8 +193,8 @@ def simulate_while_possible(
     time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
     grid, rows = inner_grid(time, step)
     commands, w = _driven(crane, inputs, grid)
-    _check_payload(crane, grid)
-    x0 = _start_told(crane, engine) if start is None else np.asarray(start, dtype=float)
+    check_payload(crane, grid)
+    x0 = _start_told(crane, engine) if start is None else _given_start(crane, start)
     halved = getattr(engine, "halved", 0)
     states, ended = _run(engine, x0, grid, w, step, whole=whole or inputs is None)
     if ended is not None and inputs is None:
@@ -241,19 +245,6 @@ def sensed(crane: Crane, states: np.ndarray, time: np.ndarray) -> np.ndarray:
     return readings
 
 
-def _check_payload(crane: Crane, time: np.ndarray) -> None:
-    """Raise CraneError where effects make the payload's mass negative at an instant of `time` (n,)."""
-    from .effects import hooks
-    from .statics import weightless
-
-    effects, nominal = crane.effect_vector(), crane["payload.mass"]
-    mass = hooks.plain("payload_mass")
-    masses = np.array([mass(effects, t, nominal) for t in time]) if crane.effects else np.zeros(1)
-    if masses.min() < 0.0:
-        worst = int(np.argmin(masses))
-        raise weightless(crane, masses[worst], time[worst])
-
-
 def paper_time() -> np.ndarray:
     """Return the instants of the paper's working cycle: 25 s at 1 kHz."""
     return np.linspace(0.0, CYCLE, round(CYCLE * 1000) + 1)
@@ -272,6 +263,22 @@ def initial_state(crane: Crane, engine: Any) -> np.ndarray:
     return np.asarray(engine.static_start(*rule.pose, less_loaded=rule.less_loaded_pressure))
 
 
+def _given_start(crane: Crane, start: Any) -> np.ndarray:
+    """Return a start (nx,) that was given. Raises CraneError where it is none, or its coordinates are not in SI."""
+    from .statics import checked_state
+
+    try:
+        numbers = np.asarray(start, dtype=float)
+    except (TypeError, ValueError):
+        raise CraneError(
+            f"simulate: start is {shortened(start)}. Give a state in SI, such as engine.static_start(…)."
+        ) from None
+    state, lay = checked_state(crane, numbers), crane.layout
+    for name, z in zip(lay.coordinates, state[lay.positions], strict=True):
+        refuse_beyond("simulate: start", name, float(z), lay.unit_of(name))
+    return state
+
+
 def _start_told(crane: Crane, engine: Any) -> np.ndarray:
     """Return the crane file's start (nx,); what its pump cannot lift there is told by the logger of this package."""
     from .static_start import beyond_pump
@@ -288,6 +295,7 @@ def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         CraneError: a step that is not positive, or more of them than a computer could hold.
     """
+    step = number(step, "simulate: step", "s")
     if not step > 0.0:
         raise CraneError(f"A step of {step:g} s is not positive. Give the largest time step in seconds, such as 1e-3.")
     spans = np.diff(time)

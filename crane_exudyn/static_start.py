@@ -11,6 +11,7 @@ from . import faulty_laws
 from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
+from .channels import refuse_beyond
 from .crane import Crane
 from .description import number
 from .effects import hooks
@@ -32,7 +33,8 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
             coordinates.
 
     Raises:
-        CraneError: the pose cannot be reached, a pressure below vapour pressure, or cylinders without leverage there.
+        CraneError: the pose cannot be reached or is in other units than rad and m, a pressure is below vapour pressure,
+            or cylinders have no leverage there.
     """
     lay = crane.layout
     n = len(lay.coordinates)
@@ -46,6 +48,8 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
     units = map(lay.unit_of, lay.coordinates)
     named = zip(lay.coordinates, pose, units, strict=True)
     state[lay.positions] = [number(z, f"{crane.name}: static_start: {name}", unit) for name, z, unit in named]
+    for name, z in zip(lay.coordinates, state[lay.positions], strict=True):
+        refuse_beyond(f"{crane.name}: static_start", name, z, lay.unit_of(name))
     state[lay.extra][:1] = math.atan2(gx, -gy)
     less_loaded = crane.initial.less_loaded_pressure if less_loaded is None else less_loaded
     each = [less_loaded] if np.ndim(less_loaded) == 0 else [*less_loaded]
@@ -57,6 +61,7 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
     low = np.broadcast_to([number(p, f"{crane.name}: less_loaded", "Pa") for p in each], len(lay.cylinders))
     check_less_loaded(crane, low, "the pressure")
     r = reduced(crane, state, 0.0)
+    _check_lengths(crane, state, r.lines[:, LENGTH])
     forces = _holding_forces(crane, r, state)
     for c, force in enumerate(forces):
         state[lay.pressures_of(c)] = _pressures(P, E, c, r.lines[c, LENGTH], force, low[c])
@@ -66,6 +71,19 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
             "the forces there are not finite. Look for numbers of the crane that are out of proportion."
         )
     return state
+
+
+def _check_lengths(crane: Crane, state: np.ndarray, lengths: np.ndarray) -> None:
+    """Raise CraneError where a cylinder would be longer or shorter than it can be by more than its whole stroke, which
+    no measurement errs by.
+    """
+    for cylinder, length in zip(crane.layout.cylinders, lengths, strict=True):
+        shortest, longest = crane.stroke(cylinder)
+        if not 2.0 * shortest - longest <= length <= 2.0 * longest - shortest:
+            raise CraneError(
+                f"{crane.name}: static_start: at {geo.told(crane.layout, state)} the {cylinder} cylinder would be "
+                f"{length:.4g} m long, and it can be {shortest:.4g} to {longest:.4g} m. Coordinates are in rad and m."
+            )
 
 
 def beyond_pump(crane: Crane, state: np.ndarray) -> str:

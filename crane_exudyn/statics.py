@@ -135,6 +135,17 @@ def weightless(crane: Crane, mass: float, time: float) -> CraneError:
     )
 
 
+def check_payload(crane: Crane, time: np.ndarray) -> None:
+    """Raise CraneError where effects make the payload's mass negative at an instant of `time` (n,) in s, or leave none
+    to swing.
+    """
+    effects, nominal, mass = crane.effect_vector(), crane["payload.mass"], hooks.plain("payload_mass")
+    masses = np.array([mass(effects, t, nominal) for t in time] if crane.effects else [nominal])
+    worst = int(np.argmin(masses))
+    if masses[worst] < 0.0 or (masses[worst] == 0.0 and hooks.swings(effects)):
+        raise weightless(crane, float(masses[worst]), float(time[worst]))
+
+
 def vapour_pressure(crane: Crane) -> float:
     """Return the pressure in Pa, absolute or gauge as the crane's are, at which its oil boils: the lowest that a gauge
     shows.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -663,3 +664,55 @@ def test_the_example_begins_where_the_recording_does(tmp_path):
     lines = done.stdout.splitlines()
     assert len(lines) == 6 and all(line.endswith("stays within 10 times") for line in lines)
     assert {p.name for p in folder.iterdir()} == {"channels.png", "scene.png", "film.gif"}
+
+
+# -- degrees and millimetres where SI is wanted ------------------------------------------------------------------------
+
+
+def test_degrees_given_for_radians_are_refused_with_the_mend(start):
+    degrees = start.copy()
+    degrees[:2] = 20.0, -50.0
+    for asked in (
+        lambda: static_start(CRANE, 20.0, -50.0),
+        lambda: simulate(CRANE, STILL, start=degrees, engine="semi-recursive"),
+    ):
+        with pytest.raises(CraneError, match=r"z1 = 20 is in radians.*write np\.deg2rad\(20\)"):
+            asked()
+    shown = {"u1": 0.0 * TIME, "u2": 0.0 * TIME, "z1": 10.0 + TIME}
+    with pytest.raises(CraneError, match=r"still: z1 = .* is in radians.*write np\.deg2rad\(z1\)"):
+        Recording.from_arrays("still", TIME, shown)
+    with pytest.raises(CraneError, match=r"s1 = 900 is in metres.*write 1e-3 \* s1"):
+        Recording.from_arrays("still", TIME, {"u1": 0.0 * TIME, "u2": 0.0 * TIME, "s1": 900.0 + 0.0 * TIME})
+
+
+def test_a_spike_is_no_other_unit():
+    z1 = np.where(np.arange(TIME.size) == 5, 99.0, 0.2)
+    assert "z1" in Recording.from_arrays("spike", TIME, {"u1": 0.0 * TIME, "u2": 0.0 * TIME, "z1": z1})
+
+
+def test_a_start_at_which_a_cylinder_would_be_far_beyond_its_stroke_is_refused():
+    telescope = Crane.load("patu655-telescope")
+    with pytest.raises(CraneError, match=r"the extension cylinder would be 31\.3 m long, and it can be 1\.25 to 2\.15"):
+        static_start(telescope, 0.2, -0.5, 30.0)
+    assert np.isfinite(static_start(telescope, 0.2, -0.5, 0.95)).all()  # a little beyond, as a measured one may be
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (lambda: simulate(CRANE, STILL, step="a"), "simulate: step = 'a' is not a number"),
+        (lambda: simulate(CRANE, STILL, start="a"), "simulate: start is 'a'"),
+        (lambda: simulate(CRANE, STILL, start=[1.0]), "a state has 8 numbers"),
+        (lambda: CRANE.with_effect("x@lift"), "no effect 'x'"),
+        (lambda: CRANE.with_effect("dead_band@lift"), r"Give a dict such as \{'lower': 0.0.*, 'upper': 0.0.*\}"),
+        (lambda: CRANE.with_effect("learned_force@lift"), r"Give a dict such as \{'over': "),
+        (lambda: CRANE.with_parameters(), r"such as \{'payload.mass': 150.0\}"),
+        (lambda: STILL.window("a", 1.0), "window: start = 'a' is not a number"),
+        (lambda: STILL.first_values("a"), "span = 'a' is not a number"),
+        (lambda: CRANE.voltage["lift"], r"add \[valves.lift.voltage\]"),
+        (lambda: pickle.loads(pickle.dumps(CRANE)).voltage["lift"], r"add \[valves.lift.voltage\]"),
+    ],
+)
+def test_what_is_left_out_or_of_another_kind_is_told_in_one_message(asked, message):
+    with pytest.raises(CraneError, match=message):
+        asked()

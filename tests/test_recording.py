@@ -330,7 +330,7 @@ def test_channels_cannot_be_changed() -> None:
 def test_first_values_stop_at_the_first_command() -> None:
     time = np.arange(100) * 0.01
     command = np.where(time > 0.045, 0.5, 0.0)
-    values = np.where(time > 0.045, 100.0, 1.0)
+    values = np.where(time > 0.045, 2.0, 1.0)
     recording = Recording.from_arrays("r", time, {"u1": command, "u2": 0 * time, "z1": values})
     assert recording.first_values(span=0.5) == {"z1": 1.0}
 
