@@ -1,6 +1,7 @@
 """The crane file: round trips, refusals that say the mend, a source for every number."""
 
 import copy
+import math
 import pickle
 import re
 import tomllib
@@ -287,6 +288,23 @@ def test_an_effect_twice_is_refused(crane):
     once = crane.with_effect("pump_droop", {"R": 1e9})
     with pytest.raises(CraneError, match="twice"):
         replace(once, effects=once.effects * 2)
+
+
+def test_the_history_tells_the_errors_before_and_after_and_an_older_one_is_read(crane, tmp_path):
+    from validation.history import added, removed, with_errors
+
+    after = crane.with_effect("dead_band@lift", {"lower": 0.03})
+    older = added(crane, after, recording="lift.csv", evidence=12.0, error_before=3.0)
+    for file, told in (
+        (with_errors(older, (4.0, 5.0), (1.1, 1.2)), (4.0, 1.1, 5.0, 1.2)),
+        (with_errors(older, (4.0, math.nan), (1.1, math.nan)), (4.0, 1.1, None, None)),
+        (older, (3.0, None, None, None)),
+    ):
+        file.save(tmp_path / "new.toml")
+        again = Crane.load(tmp_path / "new.toml")
+        names = ("error_before", "error_after", "check_error_before", "check_error_after")
+        assert tuple(map(again.history[-1].get, names)) == told
+        assert removed(again, "dead_band@lift") == crane
 
 
 def test_adding_and_removing_is_exact(crane):

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from crane_exudyn.channels import Channel
+from crane_exudyn.channels import of as of_layout
 from crane_exudyn.crane import Crane
 from crane_exudyn.description import Uncertainty
 from crane_exudyn.errors import CraneError
@@ -36,7 +38,11 @@ def recorded(n: int = 2000, step: float = 0.005, **changed: np.ndarray | float) 
         "p1": (60 + 10 * wave) * BAR, "p3": (20 + 5 * wave) * BAR, "pp": (100 + wave) * BAR,
         "pt": (1 + 0.1 * wave) * BAR,
     }  # fmt: skip
-    return Recording.from_arrays("r", time, values | {k: np.broadcast_to(v, n) for k, v in changed.items()})
+    made, units = Recording.from_arrays("r", time, values), of_layout(Crane.load("patu655").layout)
+    other = {k: Channel(time, np.broadcast_to(v, n), units[k]) for k, v in changed.items()}
+    return dataclasses.replace(
+        made, channels={**made.channels, **other}
+    )  # as a file has them; from_arrays refuses some at once
 
 
 def of(wave: float, middle: float, n: int = 2000) -> np.ndarray:

@@ -34,6 +34,16 @@ def added(before: Crane, after: Crane, **evidence: Any) -> Crane:
     return after.with_history(entry | ({"model_error_before": kept} if kept else {}))
 
 
+def with_errors(crane: Crane, before: tuple[float, float], after: tuple[float, float]) -> Crane:
+    """Return the crane with what the last step of its history did to the errors, in noise units: on what was learned
+    from and on the check recording, NaN where there is none.
+    """
+    pairs = zip(("error", "check_error"), zip(before, after, strict=True), strict=True)
+    told = {f"{name}_{when}": e for name, both in pairs for when, e in zip(("before", "after"), both, strict=True)}
+    entry = {**crane.history[-1], **{name: error for name, error in told.items() if math.isfinite(error)}}
+    return replace(crane, history=(*crane.history[:-1], frozen(entry)))
+
+
 def removed(crane: Crane, key: str) -> Crane:
     """Return the crane without an effect; exactly as it was before the last step of its history, if that added nothing
     else that is still there.

@@ -25,7 +25,7 @@ from .criteria import CRITERIA
 from .diagnosis import Candidate, Diagnosis, OneRecording, diagnosis_of, loaded, searched, sentence
 from .fit.data import FINE, FitData
 from .fit.staged import residuals, rms
-from .history import added, learned, without_learned
+from .history import added, learned, with_errors, without_learned
 from .learning import Learned
 from .learning import learn as learn_laws
 from .learning import sentence as learned_sentence
@@ -54,6 +54,11 @@ class Step:
     verdict: str
     search_error: float = math.nan
     text: str = ""
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Errors on what was learned from, and on the check recording."""
+        return self.error, self.check_error
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON of improve."""
@@ -249,15 +254,11 @@ def _named(
         text = "no effect alone explains the recording, nor do two; these together do"
         text += "" if proven.explains else " what can be done"
     elif chosen is not None:
-        name, improved, evidence, text = chosen.name, chosen.crane, chosen.evidence, ""
+        name, improved, evidence, text = chosen.name, chosen.crane, _gain(chosen, d), ""
     else:
         return result
-    entry: dict[str, Any] = {
-        "recording": d.recording,
-        "evidence": evidence,
-        "verdict": d.verdict,
-        "error_before": result.steps[0].error,
-    }
+    entry: dict[str, Any] = {"recording": d.recording, "verdict": d.verdict}
+    entry |= {"evidence_gain": evidence} if math.isfinite(evidence) else {}
     if replaced:
         entry = entry | {"replaced": list(replaced)}
     best = added(crane, replace(improved, history=crane.history), **entry)
@@ -267,6 +268,7 @@ def _named(
     if replaced:
         text += f"; it replaces {' and '.join(replaced)}"
     step, left = replace(step, text=text + step.text), "adequate" if good else "unknown"
+    best = with_errors(best, result.steps[0].errors, step.errors)
     return replace(result, steps=(*result.steps, step), crane=best, verdict=left, proven=proven)
 
 
@@ -280,6 +282,14 @@ def _with_laws(result: Improvement, found: Learned, judge: Judge) -> Improvement
     step = judge.step(name, found.crane, "unknown", f"learned, as no named effect explains it: {text}")
     left = "adequate" if step.search_error < judge.level else "unknown"
     return replace(result, steps=(*result.steps, step), crane=found.crane, verdict=left, learned=found)
+
+
+def _gain(chosen: Candidate, d: Diagnosis) -> float:
+    """Return by how much the log evidence of effects is above that of parameters moved alone; NaN where it was not
+    weighed, or there is no effect.
+    """
+    plain = max((c.evidence for c in d.candidates if not c.effects), default=math.nan)
+    return chosen.evidence - plain if chosen.effects else math.nan
 
 
 def _chosen(d: Diagnosis) -> Candidate | None:

@@ -18,7 +18,7 @@ from crane_exudyn.recording import Recording
 from .criteria import CRITERIA
 from .diagnosis import OneRecording, loaded, looked_at
 from .fit.staged import STIFF, TIGHT
-from .history import added, moved_in_words
+from .history import added, moved_in_words, with_errors
 from .learned.fits import laws_of, refined, spread, told, with_curves
 from .learned.laws import unit_over
 from .learned.learned_law import LearnedLaw
@@ -202,6 +202,8 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
             f"{named(best)} explains the recording, but not the check recording (error {before:.3g} -> {after:.3g})"
         )
         return replace(unchanged, notes=tuple(notes))
+    told = with_errors(learned.crane, (learned.error_before, before), (learned.error_after, after))
+    learned = replace(learned, crane=told)
     moved = moved_in_words(problem.crane, found)
     if moved:
         notes.append(f"with it moved {moved}, which a file of --write does not hold")
