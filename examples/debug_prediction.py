@@ -11,14 +11,15 @@ import numpy as np
 from crane_exudyn import Crane, Recording, simulate
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.render import Scene, Trajectory
-from patu.simulate import first_state
 from validation import plots
+from validation.measured_start import measured_start
 
-recording, folder = Recording.load(sys.argv[1]), Path(sys.argv[2] if len(sys.argv) > 2 else ".")
+if len(sys.argv) < 2 or not Path(sys.argv[1]).is_file():
+    sys.exit(__doc__)
+recording, folder, crane = Recording.load(sys.argv[1]), Path(*sys.argv[2:3]), Crane.load("patu655")
 folder.mkdir(parents=True, exist_ok=True)
-crane = Crane.load("patu655")
 engine = ExudynEngine(crane)
-start = first_state(crane, engine, recording)  # at rest where the recording begins, not where the crane file does
+start = measured_start(crane, engine, recording)  # at rest where the recording begins, not where the crane file does
 model = simulate(crane, recording, start=start, engine=engine, step=2e-3)
 
 noise, rms, leaves = recording.noise(), {}, {}
@@ -35,10 +36,7 @@ measured = {name: recording[name].held(model.time) for name in recording.sensors
 lines = {"measured": measured, "simulated": {name: model[name] for name in recording.sensors}}
 marks = [(leaves[worst], leaves[worst] + 0.3, "leaves here")] if leaves else []
 plots.save(plots.trajectories(model.time, lines, marks=marks), folder / "channels.png")
-runs = [
-    Trajectory.from_recording(recording),
-    Trajectory.from_states("simulated", model.time, model.states, model.crane.layout),
-]
+runs = [Trajectory.from_recording(recording), Trajectory.from_states("run", model.time, model.states, crane.layout)]
 place = {"z1": "O", "z4": "A"}.get(worst, worst)
 scene = Scene(crane, runs, colour="residual", marks=[place], title=recording.name, size=(640, 360))
 scene.save(folder / "scene.png", time=min(leaves.get(worst, scene.end) + 1.0, scene.end))

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 SensorsOption = Annotated[
-    list[str] | None, typer.Option("--sensor", metavar="CHANNEL", help="Use only this sensor; repeatable.")
+    list[str] | None, typer.Option("--sensors", "--sensor", metavar="CHANNEL …", help="Use only these sensors.")
 ]
 AugmentOption = Annotated[
     list[str] | None,
@@ -200,7 +200,7 @@ def sensor_noise(crane: Crane, recording: Recording, only: list[str] | None) -> 
     for name in only or ():
         if name not in recording.sensors:
             raise CraneError(
-                f"--sensor {name}: {recording.name} has no such sensor, only {', '.join(recording.sensors)}."
+                f"--sensors {name}: {recording.name} has no such sensor, only {', '.join(recording.sensors)}."
             )
     measured = recording.noise()
     chosen = [n for n in recording.sensors if not only or n in only]

@@ -28,8 +28,6 @@ from .outputs import Reads, saving
 from .reading import load_crane, load_recording
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from crane_exudyn.crane import Crane
     from crane_exudyn.recording import Recording
     from crane_exudyn.simulation import Simulation
@@ -70,7 +68,11 @@ def command(
 
     compile_for("check", engine, "semi-recursive")
     holder = engine_class(engine)(chosen)
-    start = first_state(chosen, holder, recording) if recording is not None and start_from_recording else None
+    start = None
+    if recording is not None and start_from_recording:
+        from validation.measured_start import measured_start
+
+        start = measured_start(chosen, holder, recording)
     _compile(chosen, holder)
     holder.halved = 0
     begin = perf_counter()
@@ -102,20 +104,6 @@ def _compile(crane: Crane, engine: Any) -> None:
 
     closed, time = np.tile(crane.layout.closed, (2, 1)), np.array([0.0, 1e-3])
     sensed(crane, engine.simulate(initial_state(crane, engine), time, closed), time)
-
-
-def first_state(crane: Crane, engine: Any, recording: Recording) -> np.ndarray:
-    """Return the state (nx,) at rest in the pose and at the pressures that the sensors first show.
-
-    A pressure that was not measured follows from the measured one of its cylinder and the balance of moments.
-    """
-    from crane_exudyn.vetting import vetted
-    from ukf.start import start_belief
-
-    first = vetted(recording.require(sensors=1), crane).first_values()
-    mean: np.ndarray = start_belief(crane, engine.static_start, first, recording.noise()).mean
-    mean[crane.layout.velocities] = 0.0
-    return mean
 
 
 def summary(run: Simulation, engine: str, seconds: float) -> dict[str, Any]:

@@ -127,7 +127,7 @@ def test_the_filter_of_a_machine_finds_pressures_that_it_is_not_shown(
 ) -> None:
     crane, file = Crane.load(case.machine), tmp_path / "states.csv"
     layout = crane.layout
-    words = [w for n in (*layout.coordinates, *layout.chambers[::2]) for w in ("--sensor", n)]
+    words = ["--sensors", *layout.coordinates, *layout.chambers[::2]]
     answered("estimate", case.learn, "--crane", case.true, "--engine", "semi-recursive", *words, "-o", str(file))
     header = file.read_text().partition("\n")[0].split(",")
     states = dict(zip(header, np.genfromtxt(file, delimiter=",", skip_header=1).T, strict=True))

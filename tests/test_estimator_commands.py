@@ -58,22 +58,25 @@ def test_estimate_writes_table_picture_and_json(lift, tmp_path, capsys):
     assert "payload.mass / kg" in said and "p4: leapt away" in said and "whose time stands there already" in said
     table = np.genfromtxt(out, delimiter=",", names=True, deletechars="")
     assert table.size == 201 and {"p2[Pa]", "p2_low95[Pa]", "innovation_z1[rad]"} <= set(table.dtype.names)
+    assert {"U_lift[-]", "nis[-]"} <= set(table.dtype.names)  # as recordings and runs write pure numbers
     assert picture.read_bytes().startswith(b"\x89PNG")
     result = json.loads(document.read_text())
     assert result["used"]["p4"] < result["used"]["p1"] == 200
     assert set(result["filter"]) >= {"nis_mean", "nis_bounds", "whiteness", "consistent"}
 
 
-def test_estimate_with_one_sensor_on_standard_output(lift, capsys):
-    status, said, _ = call(capsys, "estimate", str(lift), "--sensor", "z1", "--engine", "semi-recursive", "--json", "-")
+def test_estimate_with_some_sensors_on_standard_output(lift, capsys):
+    status, said, _ = call(
+        capsys, "estimate", str(lift), "--sensors", "z1", "z4", "--engine", "semi-recursive", "--json", "-"
+    )
     assert status == 0
-    assert list(json.loads(said)["used"]) == ["z1"]
+    assert list(json.loads(said)["used"]) == ["z1", "z4"]
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--sensor", "p2"), "no such sensor"),
+        (("--sensors", "p2"), "no such sensor"),
         (("--method", "kalman"), "no filter"),
         (("--augment", "payload.mas"), "payload.mass"),
         (("--plot", "picture.gif"), "unknown ending"),

@@ -54,7 +54,8 @@ def test_samples_come_from_a_socket_and_odd_ones_are_left_out():
 def test_a_leak_that_opens_is_found():
     said = example("models_side_by_side.py", 1)
     late = float(said.partition("found ")[2].partition(" s later")[0])
-    assert 0.0 < late < 1.0 and "1 of 1 found" in said and said.strip().endswith("false alarms: 0")
+    assert 0.0 < late < 1.0 and "1 of 1 found, false alarms: 0\n" in said
+    assert said.splitlines()[-1] == f"  100 % of the leaks were found within {late:6.3f} s"
 
 
 def test_own_objects_act_on_the_crane(tmp_path):
@@ -71,6 +72,13 @@ def test_debugging_names_the_cylinder_that_leaks(leaking, tmp_path):
     errors = {line.split()[0]: float(line.split()[2]) for line in said.splitlines()}
     assert max(errors, key=errors.__getitem__) in ("p1", "p2") and errors["p1"] > 10.0 > errors["z4"]
     assert {p.name for p in tmp_path.iterdir()} == {"channels.png", "scene.png", "film.gif"}
+
+
+@pytest.mark.parametrize("name", ["debug_prediction.py", "cross_validate.py"])
+def test_an_example_without_its_argument_says_what_it_wants(name):
+    path = next(p for p in EXAMPLES if p.name == name)
+    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and f"python examples/{name}" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_cross_validation_prefers_the_effect_that_is_there(leaking):

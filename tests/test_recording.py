@@ -247,6 +247,11 @@ def test_unknown_columns_are_ignored_with_a_note_and_what_reads_them(tmp_path: P
         assert channel in read(tmp_path, text, **{channel: column})
 
 
+@pytest.mark.parametrize("unit", ["[-]", "[dimensionless]", "[1]", ""])
+def test_pure_numbers_are_read_however_their_unit_is_written(tmp_path: Path, unit: str) -> None:
+    assert list(read(tmp_path, f"time[s],u1{unit}\n0,0.5\n1,0.5\n")["u1"].values) == [0.5, 0.5]
+
+
 def test_two_columns_of_one_channel_are_refused_with_the_choice_that_there_is(tmp_path: Path) -> None:
     text = "time[s],z1[deg],z1[{}]\n0,1,2\n1,1,2\n"
     assert refusal(tmp_path, text.format("deg")).endswith("Delete or rename one.")

@@ -380,7 +380,7 @@ class Estimate:
         from crane_exudyn.formats import write_table
 
         spools = zip(self.layout.cylinders, self.inputs[:, self.layout.spools].T, strict=True)
-        columns = {"time[s]": self.time} | {f"U_{name}[dimensionless]": spool for name, spool in spools}
+        columns = {"time[s]": self.time} | {f"U_{name}[-]": spool for name, spool in spools}
         low, high = self.interval()
         for i, name in enumerate(self.state_names):
             series = {name: self.mean, f"{name}_low95": low, f"{name}_high95": high}
@@ -388,12 +388,12 @@ class Estimate:
         for i, name in enumerate(self.channel_names):
             series = {f"innovation_{name}": self.innovation, f"innovation_std_{name}": self.innovation_std}
             columns |= {f"{n}[{self._unit(name)}]": values[:, i] for n, values in series.items()}
-        columns["nis[dimensionless]"] = self.nis
-        columns |= {f"probability_{name}[dimensionless]": values for name, values in self.models.items()}
+        columns["nis[-]"] = self.nis
+        columns |= {f"probability_{name}[-]": values for name, values in self.models.items()}
         write_table(path, columns, digits=9)
 
     def _unit(self, name: str) -> str:
-        return self.units.get(name, "") or "dimensionless"
+        return self.units.get(name, "") or "-"
 
     def to_dataframe(self) -> Any:
         """Return estimated quantities and, as "name_std", their standard deviations as a pandas DataFrame over time in
