@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -64,13 +65,14 @@ def command(
     if fit is None:
         from validation.history import added, with_typical
 
-        result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
+        with _naming(crane, chosen):
+            result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
         _write(printer, result, output, json, {"effect": effect})
         return
     from validation.selection.fitted import fitted_effect, helped
 
     [measured] = load_checked([fit], chosen, mapping, map_file, anyway=anyway, needs=("semi-recursive", "fit"))
-    with doing(f"fitting {effect} to {fit}"):
+    with doing(f"fitting {effect} to {fit}"), _naming(crane, chosen):
         result, document = fitted_effect(chosen, effect, measured, values_given)
     better = helped(document)
     if not better:
@@ -101,7 +103,8 @@ def remove(
 
     printer = _printer(output, json)
     before = load_crane(crane, effects)
-    after = removed(before, effect)
+    with _naming(crane, before):
+        after = removed(before, effect)
     moved = moved_in_words(before, after)
     with_it = [e.key for e in after.effects if after.history and e.key in after.history[-1]["added"]]
     if moved:
@@ -112,6 +115,17 @@ def remove(
             "are; they go back when that is taken out as well."
         )
     _write(printer, after, output, json, {"effect": effect})
+
+
+@contextmanager
+def _naming(file: str, crane: Crane) -> Iterator[None]:
+    """Have what is said of a crane that was read from a file name the file."""
+    try:
+        yield
+    except CraneError as problem:
+        if not Path(file).is_file() or not str(problem).startswith(f"{crane.name} has "):
+            raise
+        raise CraneError(f"{file}: {problem}") from problem
 
 
 def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]) -> str:

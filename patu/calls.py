@@ -23,8 +23,6 @@ ForceOption = Annotated[
 ]
 
 
-#: how a message begins that is about a crane or a recording: with its name
-_ABOUT = re.compile(r"[^-:][^:]{0,40}: ")
 #: what is given to options in every call
 _NUMBER_OR_CHOICE = re.compile(r"-?[\d.e-]*|True|False|auto|exudyn|semi-recursive")
 #: what the source of a value that stood on the command line is called
@@ -113,7 +111,7 @@ def _naming(problem: CraneError, read: list[str], others: list[str]) -> CraneErr
     engines know a crane's name only. It is not where it names an option, or one of the `others` that were typed.
     """
     files, message = [name for name in read if os.path.isfile(name)], str(problem)
-    about_contents = _ABOUT.match(message) and not any(_names(message, word) for word in others)
+    about_contents = "--" not in message and not any(_names(message, word) for word in others)
     told = any(name in message for name in read if os.path.splitext(name)[1])  # but for a built-in crane's name
     if not files or not about_contents or told:
         return problem
