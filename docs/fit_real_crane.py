@@ -1,12 +1,17 @@
 """Fits the effects that docs/real-crane.md names to a recording of the laboratory rig: python fit_real_crane.py REC.csv
 OUT.toml [UNTIL].
 
+The crane file that it writes begins with a legend: what was fitted, what the sources are, what each group is.
+
 Windows of 0.25 s, then 2 s, then one open-loop run. Between the open-loop rounds each channel's noise is raised to what
 the model leaves of it, so that no channel outweighs the others only because its sensor is good.
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -14,10 +19,11 @@ from scipy.optimize import minimize_scalar
 from crane_exudyn import Crane, Recording
 from crane_exudyn.geometry import pose
 from validation.fit.data import FitData
-from validation.fit.linear import cut
-from validation.fit.solve import Fit, fit, reknot
+from validation.fit.knots import reknot
+from validation.fit.solve import Fit, fit
 from validation.fit.staged import first_knots, residuals
 from validation.fit.variables import EffectParameter, NominalDirection, Variable, effect_variables, uncertain_parameters
+from validation.fit.windows import cut
 
 FREE = (
     "payload.mass", "bodies.lift_boom.mass", "bodies.lift_boom.com.x", "bodies.outer_boom.mass",
@@ -41,6 +47,37 @@ BEGIN = {"valves.lift.time_constant": 0.5, "valves.lift.flow_coefficient": -0.8}
 LEVELS = {
     "z1": 5.5e-3, "z4_abs": 3.5e-3, "p1": 3e4, "p2": 1.2e4, "p3": 1.2e4, "p4": 1.2e4, "s1": 1.2e-3, "s2": 2.5e-4,
 }  # fmt: skip
+
+LEGEND = """\
+# The laboratory's PATU 655 as docs/fit_real_crane.py identified it from one lift; docs/real-crane.md has the account.
+# Values are SI. It began as the built-in patu655-lab, and differs from it in what was fitted:
+{fitted}
+# All other numbers are those of patu655-lab at the time. [sources] gives where each comes from:
+# [X]  public rigid Exudyn model of the crane (2023)
+# [M]  public MATLAB semi-recursive model of the rig with its data files (2026): github.com/qkhadim22/DeepMechDyn
+# [R]  what is known of the measured run: its first samples, its noise at rest
+# [C]  chosen for this project, because no source gives it
+#
+# Masses and friction are not those of the machine: this recording cannot separate payload, boom masses and friction
+# that is held at rest. Chambers: empty_length and chamber_range are as in the public models; read as a data sheet they
+# would be the other way round.
+"""
+#: what each group of the file is, written above its heading
+GROUPS = {
+    "[bodies.lift_boom]": "mass in kg, centre of mass in m in the body's frame, inertia in kg m^2 about it",
+    "[payload]": "fixed at the tip E of the outer boom",
+    "[joints]": "pins in m, each in the frame of the body that carries it; O in that of the ground",
+    "[cylinders.lift]": "pins in m, bore and rod diameter, empty length and chamber range in m; "
+    "hoses in m^3, friction in N and N s/m",
+    "[valves.lift]": "flow coefficient in m^3/s/sqrt(Pa), time constant of the spool in s, voltages in V",
+    "[fluid]": "Pa",
+    "[supply]": "Pa; overridden where the recording has pp and pt",
+    "[initial]": "pose in rad, and the range in Pa of the pressure in each cylinder's less loaded chamber",
+    "[sensors]": "standard deviation of each channel's noise, SI",
+    "[uncertainty]": "standard uncertainty of each nominal parameter, or the range in which it lies",
+    "[sources]": "where each number comes from",
+    "[[effect]]": "what the recording demands beyond the public model: name, place, parameters in SI",
+}
 
 
 def with_effects(crane: Crane) -> Crane:
@@ -95,7 +132,7 @@ def fitted(crane: Crane, data: FitData) -> Fit:
     return found
 
 
-def told(found: Fit) -> None:
+def report(found: Fit) -> None:
     """Print what was fitted, with standard deviations of the linearised fit."""
     for v, x in zip(found.variables, found.u, strict=True):
         if isinstance(v, NominalDirection):
@@ -126,6 +163,16 @@ def errors(crane: Crane, data: FitData, x0: np.ndarray, start: float = 0.0) -> d
     return found
 
 
+def with_legend(text: str, fitted: Sequence[str]) -> str:
+    """Return a crane file's text with its legend on top and a comment above the first heading of each group."""
+    names = ["cylinders.lift.rod_end.x", *fitted, *EFFECTS]
+    said = fill(", ".join(names), 120, initial_indent="#   ", subsequent_indent="#   ", break_on_hyphens=False)
+    text = LEGEND.format(fitted=said) + text
+    for heading, words in GROUPS.items():
+        text = text.replace(f"\n{heading}\n", f"\n# {words}\n{heading}\n", 1)
+    return text
+
+
 def main(path: str, out: str, until: float = np.inf) -> None:
     """Fit, print and write."""
     recording = Recording.load(path)
@@ -133,12 +180,13 @@ def main(path: str, out: str, until: float = np.inf) -> None:
     crane = with_effects(with_lever(Crane.load("patu655-lab"), learn))
     data = raised(FitData.of(learn, crane, step=5e-3), LEVELS)
     found = fitted(crane, data)
-    told(found)
+    report(found)
     whole = FitData.of(recording, found.crane, step=5e-3)
     print("all       ", {k: round(e, 2) for k, e in errors(found.crane, whole, found.knots[0]).items()})
     if np.isfinite(until):
         print("predicted ", {k: round(e, 2) for k, e in errors(found.crane, whole, found.knots[0], until).items()})
     found.crane.save(out)
+    Path(out).write_text(with_legend(Path(out).read_text(), [v.name for v in found.variables if v.name in FREE]))
     np.savetxt(out + ".start", found.knots[0])
 
 

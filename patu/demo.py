@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from textwrap import fill
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from validation.report import Section
 
 MODEL_ERROR = 0.15
-COLUMNS = ("state", "own means %", "paper's tuning %", "published %", "model alone %")
+COLUMNS = ("state", "this filter %", "paper's tuning %", "published %", "model alone %")
 _IMPROVED = "improved.toml"
 _FILES = ("filter.png", "before_after.png", "error.png", "crane.png", _IMPROVED, "report.html")
 
@@ -102,24 +103,34 @@ def command(
         with progress("The paper's cycle") as done:
             cases = follow(chosen, engine, seed, done)
         printer.table("PN-RMSE: error in % of the state's range", COLUMNS, rows(cases))
-        printer.line(followed(cases))
+        printer.line(_wrapped(followed(cases)))
+    printer.line()
     printer.line(
         "2 of 3: a recording of a crane with a hidden effect is compared and diagnosed, the crane file improved."
     )
     with progress("Comparing") as done:
         recordings, comparison = laid_beside(chosen, done)
-    printer.line(f"Compared: {comparison.verdict}")
+    printer.line(_wrapped(f"Compared: {comparison.verdict}"))
     with progress("Improving") as done:
         improvement = improved(chosen, recordings, jobs, partial(tell, printer), done)
     found = Found(engine, cases, recordings, comparison, improvement, perf_counter() - begin)
+    printer.line()
     printer.line("3 of 3: a picture of that crane.")
     with saving(printer) as save:
         save(output, partial(write, found, seed, printer))
         save.json(json, found.document())
     from validation.reports import verdict
 
-    printer.line(f"Found in {perf_counter() - begin:.0f} s: {verdict(found.diagnosis)}")
+    answer, _, errors = verdict(found.diagnosis).partition(". ")
+    printer.line()
+    printer.line(_wrapped(f"Done in {perf_counter() - begin:.0f} s. {errors}"))
+    printer.line(f"Found: {answer.rstrip('.')}.")
     printer.line(f"Report: {output / 'report.html'}")
+
+
+def _wrapped(text: str) -> str:
+    """Return a text in lines that a terminal shows whole."""
+    return fill(text, 100, break_long_words=False, break_on_hyphens=False)
 
 
 def follow(crane: Crane, engine: str, seed: int, done: Callable[..., None]) -> dict[str, Case]:
@@ -143,14 +154,22 @@ def _filtering(done: Callable[..., None], case: int, words: str, share: float) -
 
 
 def rows(cases: dict[str, Case]) -> list[tuple[object, ...]]:
-    """Return the table: PN-RMSE in % of each state by both tunings, as published, and by the model alone."""
+    """Return the table: PN-RMSE in % of each state by both tunings, as published, and by the model alone; three
+    digits each.
+    """
     from crane_exudyn.plots import shown
+    from validation.report import three_digits
 
     own, paper = cases["own"], cases["paper"]
     published = own.published or {}
     return [
-        (shown(s).symbol, v, paper.pn_rmse[s], published.get(s), own.pn_rmse_open_loop[s])
-        for s, v in own.pn_rmse.items()
+        (
+            shown(s).symbol,
+            *(three_digits(v) for v in (own.pn_rmse[s], paper.pn_rmse[s])),
+            three_digits(published[s]) if s in published else None,
+            three_digits(own.pn_rmse_open_loop[s]),
+        )
+        for s in own.pn_rmse
     ]
 
 
@@ -160,11 +179,10 @@ def followed(cases: dict[str, Case]) -> str:
     published = own.published or {}
     better = sum(own.pn_rmse[s] <= value for s, value in published.items())
     return (
-        f"The model alone leaves the crane by up to {max(own.pn_rmse_open_loop.values()):.0f} % of a state's range. "
-        "The filter, "
-        "which estimates along with the state what its model may be wrong about, stays within "
-        f"{max(own.pn_rmse.values()):.2g} %: "
-        f"below the published error in {better} of {len(published)} states. The paper's own tuning is shown beside it."
+        f"The model alone is off by up to {max(own.pn_rmse_open_loop.values()):.3g} % of a state's range. This filter "
+        "also estimates what its model may have wrong (masses, joints, payload, pump); its errors are at most "
+        f"{max(own.pn_rmse.values()):.3g} %, below the published ones in {better} of {len(published)} states. The "
+        "paper's tuning is given for comparison."
     )
 
 
@@ -256,12 +274,12 @@ def sections(found: Found, pictures: dict[str, Path], drawn: list[Path], written
             followed(found.cases),
             Picture(pictures["filter.png"], "The angles over the whole cycle; below, two pressures that no sensor "
                                             "sees, closer."),
-            Table(COLUMNS, rows(found.cases), note="PN-RMSE: 100 RMSE / (max - min of the true state)."),
+            Table(COLUMNS, rows(found.cases), note="PN-RMSE: 100 RMSE / (max − min of the true state)."),
             "`patu paper` shows all cases of the paper, and why its tuning cannot do better on this crane.",
         ]),
         ("2. A hidden effect is found", [
-            f"Two recordings come with the package, {learn.duration:g} and {check.duration:g} s of a crane that is not "
-            "as its file says.",
+            f"Two recordings come with the package, {learn.duration:g} s to learn from and {check.duration:g} s to "
+            "check on, of a crane that is not as its file says.",
             f"Compared with the first: {found.comparison.verdict}",
             f"Diagnosed: {verdict(d)}",
             Picture(pictures["error.png"], "The falling error, confirmed on the Exudyn engine."),

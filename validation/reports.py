@@ -44,7 +44,7 @@ _ERRORS = (
     "Errors are open-loop RMS over all channels in units of the sensors' noise; 1 means that nothing is left but noise."
 )
 #: rows of the tables of what was weighed, and of where a model fails
-_WEIGHED, _WORST = 12, 20
+_WEIGHED, _WORST = 12, 10
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,13 @@ def error_rows(c: Comparison) -> list[tuple[object, ...]]:
     """Return the table of channels."""
     white = c.estimate.whiteness
     return [
-        (n, e.unit, e.rmse, e.pn_rmse, e.bias, e.noise_std, three_digits(e.error_over_noise), e.r2, white.get(n))
+        (
+            n,
+            e.unit,
+            *map(three_digits, (e.rmse, e.pn_rmse, e.bias, e.noise_std, e.error_over_noise)),
+            e.r2,
+            _share(white[n]) if n in white else None,
+        )
         for n, e in c.channels.items()
     ]
 
@@ -164,7 +170,7 @@ def balance_table(c: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]
     """
     equations = c.layout.equations
     units = [people_unit(e, c.layout) for e in equations]
-    columns = ("work", *(f"{e} {unit}" for e, (unit, _) in zip(equations, units, strict=True)))
+    columns = ("work", *(f"{e} [{unit}]" for e, (unit, _) in zip(equations, units, strict=True)))
     rows = []
     for kind, mean, std in c.scores.by_kind():
         cells = [
