@@ -88,6 +88,7 @@ def robust(squares: float, number: int) -> tuple[float, float]:
     return min(squares, number) + number * float(np.log1p(excess / number)), 1.0 / (1.0 + excess / number)
 
 
+@single_threaded
 def linearised(
     crane: Crane,
     data: Data,
@@ -117,6 +118,7 @@ def linearised(
     return joined(found), knots
 
 
+@single_threaded
 def near(
     crane: Crane,
     data: Data,
@@ -240,8 +242,7 @@ def _each(task: Callable[..., list[Swept]], groups: Sequence[Group], *more: Sequ
     if multiprocessing.parent_process() is not None:  # a worker process has one core to itself
         yield from chain.from_iterable(map(task, groups, *more))
         return
-    with single_threaded():
-        yield from chain.from_iterable(_threads().map(task, groups, *more))
+    yield from chain.from_iterable(_threads().map(task, groups, *more))
 
 
 @cache

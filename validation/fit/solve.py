@@ -116,6 +116,7 @@ class Fit:
         return float(math.sqrt(max(self.cov[i, i], 0.0)))
 
 
+@single_threaded
 def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced | None:
     """Return the normal equations of the variables, the knots eliminated one after the other along time.
 
@@ -123,8 +124,7 @@ def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced | No
     """
     if not linear.failed:
         try:
-            with single_threaded():
-                return _eliminated(linear, guess, knots)
+            return _eliminated(linear, guess, knots)
         except LinAlgError:
             linear.failed = True
     return None
@@ -176,6 +176,7 @@ def bounded_step(
     return np.asarray(lsq_linear(rows, right, (lower - u, upper - u), method="bvls", tol=1e-12).x)
 
 
+@single_threaded
 def fit(
     crane: Crane,
     data: Data,

@@ -22,9 +22,11 @@ from ..fit.linear import linearised
 from ..fit.solve import Fit, bounded_step, reduce, with_prior
 from ..fit.staged import STIFF, timings
 from ..fit.variables import NominalDirection, Variable, stated_effects
+from ..workers import single_threaded
 from .model import Fitted, each_parameter, fitted
 
 
+@single_threaded
 def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
     """Return the explanation with the fewest moved parameters, or `full` where moving everything is better
     supported.

@@ -21,6 +21,7 @@ from ..fit.data import FitData
 from ..fit.linear import linearised
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
+from ..workers import single_threaded
 from .moves import Start, apart, around, of_typical_size, sizes, starts
 
 #: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the
@@ -145,6 +146,7 @@ def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
     return [*chosen, *(s for s in scores if s.start.key in unsized and s not in chosen)]
 
 
+@single_threaded
 def projected(fit: Fit, knots: np.ndarray, probes: Probes, stiffness: float) -> Projected | None:
     """Return the normal equations of probes at a fit, with all that the fit moves projected out; None where the model
     failed.
