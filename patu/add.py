@@ -27,7 +27,7 @@ EffectArgument = Annotated[
 ]
 CraneOutput = Annotated[
     Path | None,
-    typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file to write; standard output if absent."),
+    typer.Option("-o", "--output", metavar="NEW.toml", help="Crane file to write; standard output if left out."),
     Writes(),
 ]
 
@@ -36,10 +36,10 @@ def command(
     context: typer.Context,
     effect: EffectArgument,
     fit: Annotated[
-        Path | None, typer.Option("--fit", metavar="REC", help="Recording to fit its parameters to."), Reads()
+        Path | None, typer.Option("--fit", metavar="REC", help="Recording to which its parameters are fitted."), Reads()
     ] = None,
     even_if_worse: Annotated[
-        bool, typer.Option("--even-if-worse", help="Write the crane even if the fit did not make its error smaller.")
+        bool, typer.Option("--even-if-worse", help="Write the crane even if the fit did not reduce its error.")
     ] = False,
     values: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter, with its unit.")
@@ -52,10 +52,10 @@ def command(
     anyway: AnywayOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Add an effect to a crane file: fitted to a recording, or with given values, or with typical ones.
+    """Add an effect to a crane file, with parameters fitted to a recording, given values or typical values.
 
-    After a fit that does not make the open-loop error smaller, or is hardly likelier than one of the parameters alone,
-    nothing is written, unless --even-if-worse asks for it; exit status 1.
+    If the fit does not reduce the open-loop error, or is hardly better than a fit of the nominal parameters alone,
+    nothing is written and the exit status is 1. --even-if-worse writes the file anyway.
     """
     idle = ("--even-if-worse", "--map", "--map-file", "--anyway")
     refuse_idle(context, (fit is None, idle, "nothing is fitted without --fit REC"))
@@ -76,11 +76,11 @@ def command(
         result, document = fitted_effect(chosen, effect, measured, values_given)
     better = helped(document)
     if not better:
-        unwritten = "" if even_if_worse else " Nothing was written; --even-if-worse writes it all the same."
+        unwritten = "" if even_if_worse else " Nothing was written; --even-if-worse writes it anyway."
         printer.line(
             f"The fit of {effect} to {fit} did not help: error {document['error_before']:.4g} before, "
-            f"{document['error_after']:.4g} after, {document['error_without']:.4g} with parameters moved alone, in "
-            f"units of the sensors' noise.{unwritten}"
+            f"{document['error_after']:.4g} after, {document['error_without']:.4g} with the nominal parameters "
+            f"fitted alone (noise units).{unwritten}"
         )
     else:
         printer.line(_fit_told(chosen, result, effect, document))
@@ -96,8 +96,8 @@ def remove(
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Take an effect out of a crane file; what moved when it was added goes back to where it was, unless another effect
-    that came with it stays.
+    """Remove an effect from a crane file. Parameters that changed when it was added get their old values back, unless
+    another effect that was added with it remains.
     """
     from validation.history import moved_in_words, removed
 
@@ -108,11 +108,11 @@ def remove(
     moved = moved_in_words(before, after)
     with_it = [e.key for e in after.effects if after.history and e.key in after.history[-1]["added"]]
     if moved:
-        printer.line(f"Back to where they were: {moved}.")
+        printer.line(f"Back to the old values: {moved}.")
     elif with_it and len(after.history) == len(before.history):
         printer.line(
-            f"What was added in the same step stays ({', '.join(with_it)}), and with it the parameters where they "
-            "are; they go back when that is taken out as well."
+            f"{', '.join(with_it)} was added in the same step and remains, so the parameters keep their values. They "
+            "get their old values back when it is removed as well."
         )
     _write(printer, after, output, json, {"effect": effect})
 
@@ -145,7 +145,7 @@ def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]
     moved = moved_in_words(before, after)
     return (
         f"{key}: {', '.join(found)}; open-loop error {document['error_before']:.3g} -> {document['error_after']:.3g} "
-        "noise units." + (f" With it moved {moved}." if moved else "")
+        "noise units." + (f" Changed with it: {moved}." if moved else "")
     )
 
 

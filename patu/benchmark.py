@@ -16,18 +16,16 @@ from .reading import load_crane
 def command(
     only: Annotated[
         list[str] | None,
-        typer.Option(
-            "--only", metavar="PART", help="start_up, open_loop, filters, diagnosis or memory; may be repeated."
-        ),
+        typer.Option("--only", metavar="PART", help="start_up, open_loop, filters, diagnosis or memory; repeatable."),
     ] = None,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Measure speed and memory: both engines open loop, the filter and where its time goes, the naive way, a diagnosis.
+    """Measure speed and memory: both engines open loop, the filter and its parts, the naive way, a diagnosis.
 
-    Everything is measured in this one run, so the ratios hold for this machine as it is now; kernels are compiled
-    first.
+    Everything is measured in one run, so the ratios hold for this computer in its present state. The kernels are
+    compiled first.
     """
     chosen = load_crane(crane, effects)
     from validation.benchmark import run

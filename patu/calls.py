@@ -19,7 +19,7 @@ from .output import STANDARD_OUTPUT
 from .outputs import Reads, Target, Writes, plan, remember
 
 ForceOption = Annotated[
-    bool, typer.Option("--force", help="Replace files that are there already, also those that patu did not write.")
+    bool, typer.Option("--force", help="Replace existing files, even those that patu did not write.")
 ]
 
 
@@ -76,7 +76,7 @@ def refuse_idle(context: typer.Context, *rules: tuple[bool, Sequence[str], str])
     for holds, options, why in rules:
         idle = [option for option in options if option in flags]
         if holds and idle:
-            raise CraneError(f"{', '.join(idle)} would change nothing: {why}. Leave it out, or ask for what it is for.")
+            raise CraneError(f"{', '.join(idle)} would change nothing: {why}. Leave it out, or add what it needs.")
 
 
 def options_of(command: Callable[..., None]) -> dict[str, Option]:

@@ -23,24 +23,23 @@ if TYPE_CHECKING:
 
 
 def command(
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC…", help="Recordings to look at."), Reads()],
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC…", help="Recordings to check."), Reads()],
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     mapping: MapOption = None,
     map_file: MapFileOption = None,
     write_map: Annotated[
         Path | None,
-        typer.Option("--write-map", metavar="FILE.toml", help="Write a map file that mends what can be mended."),
+        typer.Option("--write-map", metavar="FILE.toml", help="Write a map file that corrects what can be corrected."),
         Writes(),
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Look whether recordings are what they say they are: signs, exchanged channels, units, lines of reference, clocks,
-    poses, noise.
+    """Check recordings for wrong signs, exchanged channels, wrong units, angle references, clocks, poses and noise.
 
-    A channel is found to be something else where the crane's balances close far better with it read otherwise; leaks,
-    friction or another payload do not make them so. What `patu compare` would refuse is told, too, and what was left
-    out while reading. Exit status 1 where something is surely wrong.
+    A channel is reported if the crane's balances close far better when it is read in another way. Leaks, friction or
+    another payload do not cause this. The command also reports what `patu compare` would refuse and what was left out
+    while reading. The exit status is 1 if a finding is an error.
     """
     chosen = load_crane(crane, effects)
     from crane_exudyn.files import write_text
@@ -105,4 +104,6 @@ def tell(printer: Printer, path: Path, findings: list[Finding], recording: Recor
     for note in (n for n in recording.notes if not any(n in f.mend for f in findings)):
         printer.line(f"{path}: note: {note}{'' if note.endswith('?') else '.'}")
     if not findings:
-        printer.line(f"{path}: nothing to complain of in what was read: {', '.join(recording.channels)}.")
+        printer.line(
+            f"{path}: nothing wrong was found in the channels that were read: {', '.join(recording.channels)}."
+        )

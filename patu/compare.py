@@ -41,7 +41,7 @@ def command(
     engine: EngineOption = "semi-recursive",
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Write pictures there."),
+        typer.Option("-o", "--output", metavar="DIR", help="Write pictures to this folder."),
         Writes(files=tuple(f"*{name}.png" for name in _PICTURES)),
     ] = None,
     report: ReportOption = None,
@@ -52,11 +52,11 @@ def command(
     anyway: AnywayOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Lay the model beside a measurement: how large the errors are, when they arise, which balance is violated.
+    """Compare the model with a measurement: how large the errors are, when they occur, which balance is violated.
 
-    The crane starts as the recording starts (the start is fitted) and then sees only the commands; a filter predicts
-    each next sample; a smoother finds the flow of each chamber and the moment of each joint that the model lacks.
-    Several recordings are compared one after the other; what --per-recording names is fitted to each.
+    The simulated crane starts at the fitted start of the recording and then gets only the commands. A filter predicts
+    each next sample. A smoother finds the flow into each chamber and the moment at each joint that the model lacks.
+    Several recordings are compared one after the other; parameters named by --per-recording are fitted to each.
     """
     chosen = load_crane(crane, effects)
     measured = load_checked(
@@ -91,11 +91,11 @@ def tell(printer: Printer, result: Comparison) -> None:
     printer.table("Open loop, start fitted", ERROR_COLUMNS, error_rows(result))
     printer.line(result.started)
     printer.line(filter_words(result))
-    printer.table("What the balances lack, by work done (± 95 %)", *balance_table(result))
+    printer.table("What the balances lack, by kind of work (± 95 %)", *balance_table(result))
     if result.where:
         printer.table("Where the model fails, worst first", ("score", "where"), worst(result))
         if len(result.where) > _SHOWN:
-            printer.line(f"… and {len(result.where) - _SHOWN} more; --json gives all.")
+            printer.line(f"… and {len(result.where) - _SHOWN} more; --json writes all.")
     printer.line(result.verdict)
 
 

@@ -19,18 +19,20 @@ if TYPE_CHECKING:
 
     from validation.crosscheck import CrossCheck, Quantity
 
-_COLUMNS = ("quantity", "unit", "largest difference", "relative", "tolerance", "ok", "where; why that much")
+_COLUMNS = ("quantity", "unit", "largest difference", "relative", "tolerance", "ok", "where; reason for the tolerance")
 
 
 def command(
     crane: CraneOption = DEFAULT_CRANE,
-    states: Annotated[int, typer.Option(min=10, help="Random states for the quantities.")] = 200,
-    seconds: Annotated[float, typer.Option(min=1.0, help="Length of the runs, s.")] = 25.0,
-    quick: Annotated[bool, typer.Option("--quick", help="50 states and runs of 6 s.")] = False,
-    seed: Annotated[int, typer.Option(help="Of the random states, cranes and joystick inputs.")] = 1,
+    states: Annotated[
+        int, typer.Option(min=10, help="Number of random states at which the quantities are compared.")
+    ] = 200,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Length of the runs in s.")] = 25.0,
+    quick: Annotated[bool, typer.Option("--quick", help="Only 50 states and runs of 6 s.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the random states, cranes and joystick inputs.")] = 1,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Write pictures there."),
+        typer.Option("-o", "--output", metavar="DIR", help="Write pictures to this folder."),
         Writes(files=("crosscheck-*.png",)),
     ] = None,
     report: ReportOption = None,
@@ -44,8 +46,8 @@ def command(
     """Compare the Exudyn engine with the semi-recursive one: every quantity, the static start, every effect,
     trajectories.
 
-    Exit status 1 if anything is out of its tolerance, or could not be run; the first line out of tolerance is nearest
-    to the cause.
+    The exit status is 1 if anything is out of its tolerance or could not be run. The first line out of tolerance is
+    closest to the cause.
     """
     chosen = load_crane(crane, effects)
     from validation.crosscheck import crosscheck, save_figures
@@ -76,7 +78,7 @@ def verdict(result: CrossCheck) -> str:
         said = [f"The engines differ in {len(result.failures)} of {count} quantities, first in {first}: "
                 f"{_names(result.failures)}."]  # fmt: skip
     if unknown:
-        said.append(f"{len(unknown)} could not be run, so that nothing is known of them: {_names(unknown)}.")
+        said.append(f"{len(unknown)} could not be run: {_names(unknown)}.")
     return " ".join(said)
 
 
@@ -103,7 +105,9 @@ def _write_report(result: CrossCheck, seed: int, states: int, seconds: float, di
         for name, runs in by_name(result.runs).items()
     ]
     table = Table(
-        _COLUMNS, [_row(q) for q in result.quantities], note="A relative tolerance is of the quantity's largest value."
+        _COLUMNS,
+        [_row(q) for q in result.quantities],
+        note="Relative tolerances refer to the largest value of the quantity.",
     )
     return write_report(
         directory, f"Cross-check of {result.crane}", verdict(result),

@@ -73,21 +73,23 @@ class Found:
 def command(
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder for report, pictures and results; made if missing."),
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Folder for report, pictures and results; created if missing."
+        ),
         Writes(files=_FILES),
     ] = Path("out/demo"),
     crane: CraneOption = DEFAULT_CRANE,
     engine: EngineOption = "exudyn",
     effects: EffectsOption = None,
     jobs: JobsOption = 2,
-    seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise in the paper's experiment.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the sensors' noise in the paper's experiment.")] = 0,
     json: JsonOption = None,
 ) -> None:
-    """Show the main job on what comes with the package.
+    """Run the main steps on the recordings that come with the package.
 
-    First a crane follows the paper's working cycle, and a filter whose model has wrong masses, joints, payload and pump
-    follows the crane. Then a recording of a crane with a hidden effect is compared and diagnosed, and the crane file is
-    improved, which the Exudyn engine confirms. Last a picture of that crane is drawn. One report shows all three.
+    1. A crane runs the paper's working cycle, and a filter estimates its states. The filter's model has wrong masses,
+    joints, payload and pump. 2. A recording of a crane with a hidden effect is compared and diagnosed, and the crane
+    file is improved; the Exudyn engine confirms the result. 3. A picture of that crane is drawn. One report shows all.
     """
     printer = Printer(json)
     begin = perf_counter()
@@ -98,7 +100,7 @@ def command(
     with compiling("check", "exudyn", "semi-recursive", "filter", "fit") as wait_for:
         wait_for("exudyn", "semi-recursive", "filter")
         printer.line(
-            f"1 of 3: a crane follows the paper's 25 s working cycle ({engine} engine), a filter follows the crane."
+            f"1 of 3: a crane runs the paper's 25 s working cycle ({engine} engine), and a filter estimates its states."
         )
         with progress("The paper's cycle") as done:
             cases = follow(chosen, engine, seed, done)
@@ -106,7 +108,7 @@ def command(
         printer.line(_wrapped(followed(cases)))
     printer.line()
     printer.line(
-        "2 of 3: a recording of a crane with a hidden effect is compared and diagnosed, the crane file improved."
+        "2 of 3: a recording of a crane with a hidden effect is compared and diagnosed, and the crane file improved."
     )
     with progress("Comparing") as done:
         recordings, comparison = laid_beside(chosen, done)
@@ -180,9 +182,9 @@ def followed(cases: dict[str, Case]) -> str:
     better = sum(own.pn_rmse[s] <= value for s, value in published.items())
     return (
         f"The model alone is off by up to {max(own.pn_rmse_open_loop.values()):.3g} % of a state's range. This filter "
-        "also estimates what its model may have wrong (masses, joints, payload, pump); its errors are at most "
-        f"{max(own.pn_rmse.values()):.3g} %, below the published ones in {better} of {len(published)} states. The "
-        "paper's tuning is given for comparison."
+        "also estimates what may be wrong in its model (masses, joints, payload, pump). Its errors are at most "
+        f"{max(own.pn_rmse.values()):.3g} %, and below the published ones in {better} of {len(published)} states. The "
+        "column of the paper's tuning is for comparison."
     )
 
 
@@ -272,24 +274,24 @@ def sections(found: Found, pictures: dict[str, Path], drawn: list[Path], written
     return [
         ("1. A filter follows a crane", [
             followed(found.cases),
-            Picture(pictures["filter.png"], "The angles over the whole cycle; below, two pressures that no sensor "
-                                            "sees, closer."),
+            Picture(pictures["filter.png"], "The angles over the whole cycle; below, a detail of two pressures "
+                                            "that are not measured."),
             Table(COLUMNS, rows(found.cases), note="PN-RMSE: 100 RMSE / (max − min of the true state)."),
-            "`patu paper` shows all cases of the paper, and why its tuning cannot do better on this crane.",
+            "`patu paper` shows all cases of the paper, and what limits its tuning on this crane.",
         ]),
         ("2. A hidden effect is found", [
-            f"Two recordings come with the package, {learn.duration:g} s to learn from and {check.duration:g} s to "
-            "check on, of a crane that is not as its file says.",
+            f"Two recordings come with the package: {learn.duration:g} s to learn from and {check.duration:g} s to "
+            "check on. They are of a crane that differs from its file.",
             f"Compared with the first: {found.comparison.verdict}",
             f"Diagnosed: {verdict(d)}",
-            Picture(pictures["error.png"], "The falling error, confirmed on the Exudyn engine."),
-            Picture(pictures["before_after.png"], "What was measured, and what the crane file as given and the "
-                                                  "improved one do from the same start."),
+            Picture(pictures["error.png"], "Open-loop error after each step, confirmed on the Exudyn engine."),
+            Picture(pictures["before_after.png"], "Measured, and simulated from the same start with the crane file "
+                                                  "as given and as improved."),
             *where_parts(d.given, found.places),
             *law_parts(d.effects, next((c.parameters for c in d.candidates if c.effects == d.effects), {})),
         ]),
-        ("3. A picture", [Picture(drawn[0], "The recorded crane after 3 s, coloured by pressure; the arrow marks what "
-                                            "was found.")]
+        ("3. A picture", [Picture(drawn[0], "The recorded crane after 3 s, coloured by pressure; the arrow marks the "
+                                            "place of the effect.")]
             if drawn else ["No picture could be drawn here."]),
         ("Files", [Links(written)]),
     ]  # fmt: skip

@@ -46,9 +46,10 @@ def command(
 ) -> None:
     """Find which physical effect the model lacks.
 
-    First the nominal parameters may move within their uncertainty; then every effect at every place is weighed, alone
-    and in pairs. What the recording cannot tell apart is said, and so is what no known effect explains. Several
-    recordings of one machine are fitted together; each has its own start and clocks, and what --per-recording names.
+    First the nominal parameters are fitted within their uncertainty. Then every effect at every place is tested, alone
+    and in pairs. The result names the effects that the recording cannot separate, and says if no known effect explains
+    it. Several recordings of one machine are fitted together; each has its own start, clocks and the parameters that
+    --per-recording names.
     """
     chosen = load_crane(crane, effects)
     measured, other = load_with_check(
@@ -74,7 +75,7 @@ def command(
     printer = Printer(json)
     tell(printer, result)
     if result.verdict == "unknown" and not result.misses_check:
-        printer.line(f"Go on: {examined.command('learn')}   looks for a law that is not in the library")
+        printer.line(f"Next step: {examined.command('learn')}   looks for a law that is not in the library")
     given = {"check": other.name if other else None, "own effects": listed(effects) or None}
     with saving(printer) as save:
         save.json(json, {"recording": listed(recordings), "crane": chosen.name} | result.to_dict())
@@ -90,7 +91,9 @@ def tell(printer: Printer, d: Diagnosis) -> None:
 
     printer.line(f"Verdict: {d.verdict} — {sentence(d)}.")
     printer.table(
-        "Weighed, best first", ("explanation", "log evidence", "probability", "error / noise", "on check"), _rows(d)
+        "Explanations, best first",
+        ("explanation", "log evidence", "probability", "error / noise", "on check"),
+        _rows(d),
     )
     if d.effects or d.verdict == "parameters":
         chosen = next((c for c in d.candidates if c.effects == d.effects), d.candidates[0])
@@ -100,7 +103,7 @@ def tell(printer: Printer, d: Diagnosis) -> None:
     moved = list(d.parameters.items())[:6]
     if moved:
         printer.table(
-            "Nominal parameters that bring it nearest" if d.nearest else "Nominal parameters that moved most",
+            "Nominal parameters of the best fit" if d.nearest else "Nominal parameters that changed most",
             ("parameter", "value", "std", "nominal", "unit"),
             [(n, p["value"], p["std"], p["nominal"], p["unit"]) for n, p in moved],
         )
@@ -109,9 +112,9 @@ def tell(printer: Printer, d: Diagnosis) -> None:
             (r["recording"], three_digits(r["error_before"]), three_digits(r["error_after"]), own_values(r))
             for r in d.recordings
         ]
-        printer.table("By recording", ("recording", "error before", "after", "its own"), rows)
+        printer.table("By recording", ("recording", "error before", "after", "own values"), rows)
     for entry in d.where[:5]:
-        printer.line(f"  left over{' beside these' if moved else ''}: {entry['text']}")
+        printer.line(f"  unexplained{' with these' if moved else ''}: {entry['text']}")
     for note in d.notes:
         printer.line(f"note: {note}")
     if d.next_manoeuvre:

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 def command(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect; all when left out.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect; all if left out.")] = None,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """List the physical effects that a model may lack, or tell one of them: law, signature, parameters, places."""
+    """List the physical effects that a model may lack, or show one: law, signature, parameters, places."""
     from crane_exudyn.effects import registry
 
     layout = load_crane(crane, effects).layout
@@ -36,7 +36,7 @@ def command(
     else:
         rows = [(e.name, _places(e, layout), _parameters(e), e.law()) for e in chosen]
         printer.table("", ("effect", "places", "parameters", "what it is"), rows)
-        printer.line("`patu effects NAME` tells one of them whole.")
+        printer.line("`patu effects NAME` shows one of them in full.")
     with saving(printer) as save:
         save.json(json, [describe(effect, layout) for effect in chosen])
 
@@ -79,7 +79,7 @@ def tell(printer: Printer, effect: type[Effect], layout: Layout) -> None:
     ]
     printer.table("", ("parameter", "unit", "neutral", "range", "meaning"), rows)
     key = next(iter(effect.keys(layout)), effect.name)
-    printer.line(f"patu add {key} --fit REC -o new.toml   adds it to a crane file, fitted.")
+    printer.line(f"patu add {key} --fit REC -o new.toml   adds it to a crane file, with fitted parameters.")
 
 
 def _tell_curve(printer: Printer, curve: Curve) -> None:
@@ -88,10 +88,10 @@ def _tell_curve(printer: Printer, curve: Curve) -> None:
         (a.name, a.unit or "-", curve.unit or "-", " or ".join(_ACTS[kind] for kind in a.against)) for a in curve.over
     ]
     printer.table("", ("over", "unit of x", "unit of y", "acts"), rows)
-    printer.line("patu learn REC -o new.toml   finds such a curve; in a crane file it is a table over, x, y.")
+    printer.line("patu learn REC -o new.toml   finds such a curve. In a crane file it is a table with over, x and y.")
 
 
-_ACTS = {True: "against motion", False: "as it is"}
+_ACTS = {True: "against motion", False: "with its own sign"}
 
 
 def _places(effect: type[Effect], layout: Layout) -> str:

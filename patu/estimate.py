@@ -47,16 +47,16 @@ AugmentOption = Annotated[
     list[str] | None,
     typer.Option("--augment", metavar="NAME", help="Also estimate this, such as payload.mass; repeatable."),
 ]
-SmoothOption = Annotated[bool, typer.Option("--smooth", help="Also smooth back over the recording (RTS).")]
+SmoothOption = Annotated[bool, typer.Option("--smooth", help="Also run a backward smoother over the recording (RTS).")]
 TuneOption = Annotated[
-    bool, typer.Option("--tune", help="First find the most likely process noise, not only its size.")
+    bool, typer.Option("--tune", help="First find the most likely process noise, not only its scale.")
 ]
 ModelErrorOption = Annotated[
     str,
     typer.Option(
         "--model-error",
         metavar="auto|off|on",
-        help="Let the intervals allow for an error of the model; auto: where needed.",
+        help="Widen the intervals for an error of the model; auto: only if needed.",
     ),
 ]
 ModelsOption = Annotated[
@@ -64,7 +64,7 @@ ModelsOption = Annotated[
     typer.Option(
         "--models",
         metavar="A.toml B.toml …",
-        help="Run these cranes side by side, instead of --crane: which one is it, and when?",
+        help="Run these cranes side by side instead of --crane, and show which is likeliest when.",
     ),
     Reads(),
 ]
@@ -93,9 +93,9 @@ def command(
 ) -> None:
     """Estimate the whole state of the crane from a recording: states with 95 % intervals, innovations, consistency.
 
-    The filter starts from pose, rates and pressures as the sensors first show them, and uses every sensor in the
-    recording. Noise of the sensors comes from the crane file, else from the recording. What was odd in the recording is
-    told. Exit status 1 where the filter failed so often that its result is no estimate.
+    The filter starts from the pose, rates and pressures of the first samples and uses every sensor in the recording.
+    The sensors' noise comes from the crane file, or else from the recording. Anything unusual in the recording is
+    reported. The exit status is 1 if the filter failed too often for a usable estimate.
     """
     cranes = model_cranes(models, crane, effects)  # with the user's own effects, before anything is compiled
     _refuse(cranes, method, augment or [], model_error, smooth and bool(models))
@@ -143,7 +143,9 @@ def _refuse(
     for crane in cranes.values():
         resolve(crane, augment)
     if smoothed_together:
-        raise CraneError("--smooth and --models exclude each other: several models cannot be smoothed together.")
+        raise CraneError(
+            "--smooth and --models exclude each other: several models cannot be smoothed together. Leave one out."
+        )
 
 
 def _best(result: Estimate) -> Estimate:
@@ -236,13 +238,15 @@ def save_report(result: Estimate, name: str, directory: Path, engine: str, std: 
 
     best = _best(result)
     pictures = best.figures()
-    states = Picture(pictures["states"], "Every quantity with its 95 % interval, and what the sensors showed.")
-    words = "Innovations in units of what the filter expects; 95 % should lie in the band, without a pattern in time."
+    states = Picture(pictures["states"], "Every quantity with its 95 % interval, and the measured values.")
+    words = (
+        "Innovations over their expected standard deviation; 95 % should lie in the band, without a pattern in time."
+    )
     sections: list[tuple[str, list[Any]]] = [
         ("States", [states, Table(COLUMNS, rows(best))]),
         *([("Models", [Table(MODEL_COLUMNS, model_rows(result))])] if result.models else []),
         ("Consistency", [consistency(result), *allowance(result), Picture(pictures["innovations"], words)]),
-        ("What happened on the way", event_lines(result) or ["Nothing odd."]),
+        ("Events", event_lines(result) or ["Nothing unusual."]),
     ]
     parameters: dict[str, object] = {
         "crane": result.crane,
@@ -333,29 +337,28 @@ def allowance(result: Estimate) -> list[str]:
         _, _, factor, unit = shown(name, now["unit"], result.layout)
         words.append(f"{name} {factor * now['value']:.3g} ± {factor * 1.96 * now['std']:.2g} {unit}".rstrip())
     return [
-        f"The intervals allow for an error of the model: {len(listed)} unknowns; at the end, most of all "
+        f"The intervals allow for an error of the model with {len(listed)} unknowns. The largest at the end: "
         f"{', '.join(words)}."
     ]
 
 
-_MEND = "`patu compare` shows where it fails, --augment estimates what is unknown."
+_MEND = "`patu compare` shows where it fails; --augment estimates an unknown parameter."
 #: what to make of each judgement of the consistency
 VERDICTS: dict[Consistency, str] = {
     "unjudged": "Nothing can be said of the consistency: {}. The intervals are not confirmed.",
-    "noise-free": "The recording has no noise, as a simulation has none. The model explains it to less than the noise "
-    "that the filter takes the sensors to have, so its intervals are on the safe side.",
+    "noise-free": "The recording has no noise, as a simulation has none. The model explains it to within less than the "
+    "noise that the filter assumes for the sensors, so its intervals are on the safe side.",
     "consistent": "The filter is consistent with the recording: its intervals can be trusted.",
     "too narrow": "Not consistent: the model explains less than the filter believes, so the intervals are too narrow. "
     f"{_MEND} --tune finds a noise that fits.",
     "allowed for": "The model lacks something. What it may be was estimated along, and the intervals allow for it. "
     + _MEND,
     "lacking": "Not consistent: the innovations of {} keep their sign for a while, as noise never does: the model "
-    "lacks something. The intervals of what no sensor measures are too narrow, and those of the angles may be. "
-    + _MEND,
+    "lacks something. The intervals of unmeasured quantities are too narrow, and those of the angles may be. " + _MEND,
     "overstated": "Not consistent: the filter takes {} to be more than twice as noisy as the recording shows, so the "
-    "intervals are wider than need be. Mend [sensors] in the crane file.",
-    "too wide": "Not consistent: the filter expects more noise than there is, so the intervals are wider than need be; "
-    "try --tune.",
+    "intervals are wider than necessary. Correct [sensors] in the crane file.",
+    "too wide": "Not consistent: the filter expects more noise than there is, so the intervals are wider than "
+    "necessary; try --tune.",
 }
 
 

@@ -46,19 +46,19 @@ def command(
     anyway: AnywayOption = False,
     jobs: JobsOption = 2,
     scheduler: SchedulerOption = None,
-    most: Annotated[int, typer.Option("--most", metavar="N", help="At most so many effects.", min=1)] = 4,
+    most: Annotated[int, typer.Option("--most", metavar="N", help="Largest number of effects to add.", min=1)] = 4,
     learn: Annotated[
-        bool, typer.Option("--learn", help="Learn laws where named effects do not explain the recordings.")
+        bool, typer.Option("--learn", help="Learn laws if named effects do not explain the recordings.")
     ] = False,
     plot: PlotOption = None,
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Improve a crane file on a recording step by step; errors are open-loop, in units of the sensors' noise.
+    """Improve a crane file step by step on a recording. Errors are open-loop RMS, in units of the sensors' noise.
 
-    Every accepted step is confirmed on the Exudyn engine. The crane file keeps what was added, from which recording and
-    with which evidence; `patu remove` undoes it. Learned laws are a last resort: a named effect that does as well later
-    replaces them.
+    Every accepted step is confirmed on the Exudyn engine. The crane file records what was added, from which recording
+    and with what evidence; `patu remove` undoes it. Learned laws are a last resort: a named effect that later explains
+    the data equally well replaces them.
     """
     chosen = load_crane(crane, effects)
     measured, other = load_with_check(
@@ -96,7 +96,7 @@ def tell(printer: Printer, step: Step) -> None:
     """Print one step as soon as it is known."""
     name = "as given" if step.added is None else f"+ {step.added}"
     check = f", on the check recording {step.check_error:.3g}" if step.check_error == step.check_error else ""
-    nis = f"mean NIS of a filter that trusts it {step.nis_mean:.3g}"
+    nis = f"mean NIS of a filter that trusts the model {step.nis_mean:.3g}"
     printer.line(f"{name}: error {step.error:.3g}{check}, {nis} — {step.text}.")
 
 
@@ -106,4 +106,4 @@ def tell_own(printer: Printer, own: Sequence[Mapping[str, Any]]) -> None:
 
     if own:
         rows = [(entry["recording"], own_values(entry)) for entry in own]
-        printer.table("By recording", ("recording", "its own"), rows)
+        printer.table("By recording", ("recording", "own values"), rows)

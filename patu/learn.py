@@ -40,7 +40,7 @@ def python_file(path: Path) -> None:
     """Refuse a file whose name cannot be an effect's."""
     if path.suffix != ".py" or not path.stem.isidentifier():
         raise CraneError(
-            f"{path}: the effect gets the file's name. Give letters, digits and underscores, as in my_effect.py."
+            f"{path}: the effect is named after the file. Use letters, digits and underscores, as in my_effect.py."
         )
 
 
@@ -53,7 +53,7 @@ def command(
     ] = None,
     write: Annotated[
         Path | None,
-        typer.Option("--write", metavar="EFFECT.py", help="Write the law as an effect of your own."),
+        typer.Option("--write", metavar="EFFECT.py", help="Write the law as your own effect."),
         Writes(python_file),
     ] = None,
     crane: CraneOption = DEFAULT_CRANE,
@@ -67,11 +67,11 @@ def command(
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Learn a law that the library does not have: in which balance something is missing, where, over what it runs, its
-    curve.
+    """Learn a law that the library does not have: the balance in which something is missing, the place, the variable
+    on which it depends, and its curve.
 
-    A curve is given only where the recording went, with its interval, and only if it predicts what was left out. Where
-    the library's effects do as well, or nothing is found, no law is given (exit status 0).
+    The curve has intervals. It covers only the range that the recording visited, and is given only if it predicts data
+    that was left out. If an effect of the library does as well, or nothing is found, no law is given (exit status 0).
     """
     chosen = load_crane(crane, effects)
     measured, other = load_with_check(
@@ -111,7 +111,7 @@ def _save_laws(save: Saver, result: Learned, chosen: Crane, output: Path | None,
         save(output, result.crane.save, result.crane.to_toml())
         save(write, lambda path: write_text(path, own_effect(result.laws[0], chosen, result.recording, path.stem)))
     elif output is not None or write is not None:
-        print("No law was found: no crane file and no effect were written.", file=sys.stderr)
+        print("No law was found, so no crane file and no effect were written.", file=sys.stderr)
 
 
 def tell(printer: Printer, found: Learned) -> None:
@@ -139,4 +139,4 @@ def _tell_law(printer: Printer, law: LearnedLaw) -> None:
     printer.line(f"{law.effect}: {acts}known from {law.x[0] / one:.3g} to {law.x[-1] / one:.3g} {unit} only")
     printer.table("", *law.table())
     if law.tied_with:
-        printer.line(f"  this recording cannot tell it from {', or '.join(law.tied_with)}")
+        printer.line(f"  this recording cannot separate it from {', or '.join(law.tied_with)}")

@@ -33,19 +33,19 @@ class Command(NamedTuple):
 #: all commands, in the order of the help; nothing of them is imported before it is asked for
 COMMANDS: dict[str, Command] = {
     "demo": Command(
-        "the main job on what comes with the package: follow, find, improve; report and pictures",
+        "run the main steps on the recordings in the package; writes a report and pictures",
         "patu demo -o out/demo",
     ),
-    "sample": Command("recordings to play with", "patu sample out/sample"),
-    "check": Command("is a recording what it says it is: signs, units, exchanged channels", "patu check lift.csv"),
-    "simulate": Command("open-loop run of the crane", "patu simulate --inputs lift.csv -o run.csv"),
-    "estimate": Command("UKF over a recording: states, intervals, consistency", "patu estimate lift.csv -o states.csv"),
-    "crosscheck": Command("both engines against each other, quantity by quantity", "patu crosscheck"),
-    "compare": Command("model against measurement: how good, and where it fails", "patu compare lift.csv"),
-    "diagnose": Command("which physical effect is missing", "patu diagnose lift.csv --check lower.csv"),
-    "learn": Command(
-        "a law that nobody wrote: where it is missing, over what, its curve", "patu learn lift.csv -o new.toml"
+    "sample": Command("write example recordings to try the commands on", "patu sample out/sample"),
+    "check": Command("check a recording: signs, units, exchanged channels, clocks", "patu check lift.csv"),
+    "simulate": Command("run the crane open loop", "patu simulate --inputs lift.csv -o run.csv"),
+    "estimate": Command(
+        "estimate the states with a UKF: intervals, consistency", "patu estimate lift.csv -o states.csv"
     ),
+    "crosscheck": Command("compare the two engines, quantity by quantity", "patu crosscheck"),
+    "compare": Command("compare the model with a measurement: errors, and where it fails", "patu compare lift.csv"),
+    "diagnose": Command("find which physical effect the model lacks", "patu diagnose lift.csv --check lower.csv"),
+    "learn": Command("learn a law that the library does not have, as a curve", "patu learn lift.csv -o new.toml"),
     "add": Command(
         "add an effect, fitted, to a crane file",
         "patu add internal_leakage@lift --fit lift.csv -o new.toml",
@@ -54,11 +54,11 @@ COMMANDS: dict[str, Command] = {
     "improve": Command(
         "compare, diagnose, add, until nothing more is justified", "patu improve lift.csv --check lower.csv -o new.toml"
     ),
-    "effects": Command("what effects there are, their laws and parameters", "patu effects dead_band"),
+    "effects": Command("list the effects, their laws and parameters", "patu effects dead_band"),
     "paper": Command("reproduce the paper's tables and figures", "patu paper"),
-    "render": Command("pictures and films through the Exudyn renderer", "patu render run.csv -o run.png"),
-    "benchmark": Command("speed and memory, as ratios measured in one run", "patu benchmark --json -"),
-    "montecarlo": Command("the estimate over many random errors and seeds", "patu montecarlo -n 20"),
+    "render": Command("draw pictures and films with the Exudyn renderer", "patu render run.csv -o run.png"),
+    "benchmark": Command("measure speed and memory, as ratios within one run", "patu benchmark --json -"),
+    "montecarlo": Command("test the filter over many random runs", "patu montecarlo -n 20"),
 }
 
 
@@ -75,7 +75,7 @@ def help_text() -> str:
             "Commands:",
             *lines,
             "",
-            "`patu COMMAND --help` tells its options. Example: patu demo -o out/demo",
+            "`patu COMMAND --help` shows its options. Example: patu demo -o out/demo",
             "Exit status: 0 success, 1 the answer is no, 2 bad input.",
         ]
     )
@@ -223,8 +223,8 @@ def _fault(problem: BaseException, words: Sequence[str]) -> str:
         with open(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)
     except OSError:
-        return f"{named} This is a fault of the program; please report it.\n{whole}"
-    return f"{named} This is a fault of the program, not of your input; please report it with {name}, which says where."
+        return f"{named} This is a fault of the program. Please report it.\n{whole}"
+    return f"{named} This is a fault of the program, not of your input. Please report it and attach {name}."
 
 
 def _while(problem: BaseException) -> str:
@@ -254,7 +254,7 @@ def _check_signs(words: Sequence[str]) -> None:
         except UnicodeEncodeError:
             typed = False
         if not typed:
-            raise CraneError(f"{word!r}: has a sign that no name and no value can have. Leave it out.")
+            raise CraneError(f"{word!r}: contains a character that no name or value can have. Remove it.")
 
 
 def _dispatch(words: list[str]) -> int:
@@ -300,7 +300,7 @@ def _tell_taken(words: Sequence[str], problem: BaseException | None) -> None:
     missing: Any = getattr(problem, "param", None)
     if taken and type(problem).__name__ == "MissingParameter" and getattr(missing, "param_type_name", "") == "argument":
         option, word = taken[-1]
-        print(f"{word} was taken for a value of {option}; put {missing.metavar} first.", file=sys.stderr)
+        print(f"{word} was read as a value of {option}; put {missing.metavar} first.", file=sys.stderr)
 
 
 def one_each(words: Sequence[str]) -> list[str]:

@@ -31,38 +31,43 @@ MOST_SAMPLES = 1e7
 
 
 def command(
-    runs: Annotated[int, typer.Option("--runs", "-n", metavar="N", help="How many runs.")] = 20,
+    runs: Annotated[int, typer.Option("--runs", "-n", metavar="N", help="Number of runs.")] = 20,
     jobs: JobsOption = 1,
     scheduler: SchedulerOption = None,
     file: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", metavar="FILE", help="Every finished run, a line each; a killed series goes on."
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File with one line for each finished run; an interrupted series continues from it.",
         ),
         Writes(continues=True),
     ] = None,
     model_error: Annotated[
-        float, typer.Option("--error", metavar="SHARE", help="Error of the filter's model; 0 for a perfect one.")
+        float,
+        typer.Option("--error", metavar="SHARE", help="Relative error of the filter's model; 0 for a perfect model."),
     ] = 0.0,
     inputs: Annotated[
         int,
         typer.Option(
-            "--inputs", metavar="1|2|3", help="Input set of the paper's machine; another gets the paper's cycle."
+            "--inputs", metavar="1|2|3", help="Input set for the paper's machine; other machines get the paper's cycle."
         ),
     ] = 3,
     duration: Annotated[float, typer.Option("--duration", metavar="SECONDS", help="Length of a run.")] = 25.0,
     step: Annotated[float, typer.Option("--step", metavar="SECONDS", help="Time between two samples.")] = 1e-3,
     method: MethodOption = "ukf",
-    seed: Annotated[int, typer.Option("--seed", help="Of the series.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the series.")] = 0,
     engine: EngineOption = "semi-recursive",
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Test over many runs whether the filter is as good as it says: NEES, NIS and coverage against their bounds.
+    """Test over many runs whether the filter is consistent: NEES, NIS and coverage against their bounds.
 
-    In every run the crane is shaken by the noise that the filter assumes, and starts where the filter thinks it may.
-    With a perfect model the answer should be yes, with --error it should be no (exit status 1).
+    In every run the crane is disturbed by the noise that the filter assumes, and its start is drawn from the filter's
+    initial distribution. With a perfect model the filter should be consistent; with --error it should not (exit
+    status 1).
     """
     chosen = load_crane(crane, effects)
     _check(chosen, runs, inputs, duration, step, model_error, method)
@@ -92,7 +97,9 @@ def _check(crane: Crane, runs: int, inputs: int, duration: float, step: float, e
     if not (step > 0 and duration >= 10 * step):
         raise CraneError(f"--duration {duration:g} with --step {step:g}: a run needs at least ten samples.")
     if duration > MOST_SAMPLES * step:
-        raise CraneError(f"--duration {duration:g} with --step {step:g}: a run may have {MOST_SAMPLES:g} samples.")
+        raise CraneError(
+            f"--duration {duration:g} with --step {step:g}: a run may have at most {MOST_SAMPLES:g} samples."
+        )
     check_error(error)
     if error:
         check_machine(crane)
@@ -104,7 +111,7 @@ def tell(printer: Printer, series: Series) -> None:
     d = series.document()
     low, high = d["nees_bounds"]
     expected = f"expected {d['nees_expected']}, bounds {low:.2f} to {high:.2f}"
-    printer.line(f"NEES over {d['runs']} runs at shares of the run ({expected})")
+    printer.line(f"NEES over {d['runs']} runs, at fractions of the run ({expected})")
     printer.table(
         "",
         ("at", *(f"{100 * float(share):g} %" for share in d["nees"])),
@@ -119,5 +126,7 @@ def tell(printer: Printer, series: Series) -> None:
         ],
     )
     low, high = d["nis_bounds"]
-    printer.line(f"NIS a measured value {d['nis_per_value']:.4f} (expected 1, bounds {low:.4f} to {high:.4f})")
-    printer.line("Consistent." if d["consistent"] else "Not consistent: the filter is not as good as it says.")
+    printer.line(f"NIS per measured value {d['nis_per_value']:.4f} (expected 1, bounds {low:.4f} to {high:.4f})")
+    printer.line(
+        "Consistent." if d["consistent"] else "Not consistent: the filter's covariance does not match its errors."
+    )

@@ -61,7 +61,7 @@ CraneOption = Annotated[
 ]
 EffectsOption = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE.py", help="Python file with effects of your own; may be repeated."),
+    typer.Option("--effects", metavar="FILE.py", help="Python file with your own effects; repeatable."),
     Reads(),
 ]
 MapOption = Annotated[
@@ -69,7 +69,7 @@ MapOption = Annotated[
     typer.Option(
         "--map",
         metavar="NAME=COLUMN[UNIT]",
-        help="Other column name, such as z1=BoomAngle[deg], or sign, z1=-z1; repeatable.",
+        help="Column name and unit, such as z1=BoomAngle[deg], or sign, z1=-z1; repeatable.",
     ),
 ]
 MapFileOption = Annotated[
@@ -78,7 +78,7 @@ MapFileOption = Annotated[
     Reads(),
 ]
 AnywayOption = Annotated[
-    bool, typer.Option("--anyway", help="Use a recording in which `patu check` finds errors all the same.")
+    bool, typer.Option("--anyway", help="Use a recording even if `patu check` finds errors in it.")
 ]
 JsonOption = Annotated[
     str | None,
@@ -92,16 +92,18 @@ OutputOption = Annotated[
 ]
 ReportOption = Annotated[
     Path | None,
-    typer.Option("--report", metavar="DIR", help="Write one self-contained HTML report there."),
+    typer.Option("--report", metavar="DIR", help="Write a self-contained HTML report to this folder."),
     Writes(files=("report.html",)),
 ]
-JobsOption = Annotated[int, typer.Option("--jobs", "-j", metavar="N", help="Processes to use.", min=1)]
+JobsOption = Annotated[int, typer.Option("--jobs", "-j", metavar="N", help="Number of processes.", min=1)]
 SchedulerOption = Annotated[
     str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster; local for one made here."),
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler; local starts one on this machine."
+    ),
 ]
 EngineName = Literal["exudyn", "semi-recursive"]
-EngineOption = Annotated[EngineName, typer.Option("--engine", help="Which implementation of the crane runs.")]
+EngineOption = Annotated[EngineName, typer.Option("--engine", help="Which engine runs the crane.")]
 MethodOption = Annotated[str, typer.Option("--method", metavar="ukf|sr-ukf|ckf|simplex|ekf", help="Which filter.")]
 PlotOption = Annotated[
     Path | None,
@@ -114,7 +116,7 @@ StepOption = Annotated[
 ]
 CheckOption = Annotated[
     Path | None,
-    typer.Option("--check", metavar="REC2", help="A recording that is only predicted, never fitted."),
+    typer.Option("--check", metavar="REC2", help="A second recording, which is predicted and never fitted."),
     Reads(),
 ]
 

@@ -102,8 +102,8 @@ def plan(targets: Sequence[Target], inputs: Iterable[str], *, force: bool) -> No
         for path in read:
             if target.holds(path):
                 raise CraneError(
-                    f"{target.option} {target.typed}: {path.name} is also read by this command, and would be lost. "
-                    "Give another name for the result."
+                    f"{target.option} {target.typed}: {path.name} is also read by this command and would be "
+                    "overwritten. Give another name for the result."
                 )
         for other in targets[:i]:
             if target.meets(other):
@@ -114,7 +114,7 @@ def plan(targets: Sequence[Target], inputs: Iterable[str], *, force: bool) -> No
         for path in [] if force else target.existing():
             if path not in known:
                 raise CraneError(
-                    f"{path}: this file stands there already, and is not as `patu` wrote it. "
+                    f"{path}: this file exists already, and is not as `patu` wrote it. "
                     f"Give {target.option} another name, or replace the file with --force."
                 )
 
@@ -167,7 +167,7 @@ def remember(paths: Iterable[Path]) -> None:
             stream.write(lines)
     except OSError as problem:
         print(
-            f"note: {file}: {problem.strerror}; a later run will want --force to replace what this one wrote.",
+            f"note: {file}: {problem.strerror}; a later run will need --force to replace the files of this run.",
             file=sys.stderr,
         )
 

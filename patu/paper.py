@@ -26,12 +26,16 @@ if TYPE_CHECKING:
 
 FolderOption = Annotated[
     Path,
-    typer.Option("-o", "--output", "--report", metavar="DIR", help="Folder for figures and report; made if missing."),
+    typer.Option(
+        "-o", "--output", "--report", metavar="DIR", help="Folder for figures and report; created if missing."
+    ),
     Writes(files=("figure[567]_*.png", "report.html")),
 ]
 ErrorsOption = Annotated[
     list[float] | None,
-    typer.Option("--error", metavar="SHARE", help="Only this error of the booms' masses, such as 0.15; repeatable."),
+    typer.Option(
+        "--error", metavar="SHARE", help="Only this relative error of the booms' masses, such as 0.15; repeatable."
+    ),
 ]
 InputsOption = Annotated[
     list[int] | None, typer.Option("--inputs", metavar="1|2|3", help="Only this input set; repeatable.")
@@ -46,19 +50,19 @@ TuningOption = Annotated[
 ]
 SensorsOption = Annotated[
     list[str] | None,
-    typer.Option("--sensors", metavar="CHANNEL …", help="What the filter gets instead of z1 z4 p1 p4."),
+    typer.Option("--sensors", metavar="CHANNEL …", help="Sensors of the filter instead of z1 z4 p1 p4."),
 ]
 NoiseOption = Annotated[
     list[str] | None,
     typer.Option("--sensor-noise", metavar="CHANNEL=STD[UNIT] …", help="Noise of a sensor, such as 'p1=0.15[bar]'."),
 ]
-SeedOption = Annotated[int, typer.Option("--seed", help="Of the sensors' noise.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the sensors' noise.")]
 FiltersOption = Annotated[
     bool,
     typer.Option("--filters", help="Also compare UKF, square root, cubature, simplex and EKF on the 15 % case."),
 ]
 ToldOption = Annotated[
-    bool, typer.Option("--what-sensors-tell", help="Also find the payload with more and more sensors.")
+    bool, typer.Option("--what-sensors-tell", help="Also estimate the payload with more and more sensors.")
 ]
 
 
@@ -80,9 +84,9 @@ def command(
 ) -> None:
     """Reproduce the paper: 5, 15 and 25 % model error, three input sets, table, Figures 5, 6 and 7.
 
-    The first rows use the paper's covariances to the letter, then with gauges of 0.15 bar; the rows "own" estimate
-    payload, pump pressure, masses and joint coordinates along with the state, as uncertain as the crane file says or
-    more. Beside each the published row, where there is one, and the model without filter.
+    The first rows use exactly the paper's covariances; the next use pressure sensors with a noise of 0.15 bar. The rows
+    "own" estimate payload, pump pressure, masses and joint coordinates together with the state, with at least the
+    uncertainty that the crane file states. Published rows and the model without a filter are shown for comparison.
     """
     chosen = load_crane(crane, effects)
     _check(chosen, model_error, inputs, tuning)
@@ -133,7 +137,7 @@ class Found:
             ),
             ("Filters on the 15 % case, PN-RMSE in % and cost of a step", FILTER_COLUMNS, filter_rows(self.compared)),
             (
-                "Payload found in the 15 % case, kg ± one standard deviation; PN-RMSE in %",
+                "Payload estimated in the 15 % case, kg ± one standard deviation; PN-RMSE in %",
                 TOLD_COLUMNS,
                 told_rows(self.told),
             ),
@@ -315,7 +319,7 @@ def tell(printer: Printer, found: Found) -> None:
     printer.line(f"Sensors, except where a row says otherwise: {found.words}.")
     for line in findings(found.cases):
         printer.line(line)
-    printer.line(f"All in {found.cases.seconds:.0f} s.")
+    printer.line(f"Total time {found.cases.seconds:.0f} s.")
 
 
 def findings(result: Reproduction) -> list[str]:
@@ -336,7 +340,7 @@ def findings(result: Reproduction) -> list[str]:
     if "own" in result.shown:
         lines.append(_found(result.shown["own"]))
     if not result.shown:
-        lines.append("Figures are drawn of the 15 % case with the first input set only (--error 0.15 --inputs 1).")
+        lines.append("Figures are drawn only for the 15 % case with the first input set (--error 0.15 --inputs 1).")
     return lines
 
 
@@ -352,9 +356,9 @@ def _why(case: Case) -> list[str]:
     if not parts:
         return []
     return [
-        "What the paper's tuning leaves at best: its process noise lets each pressure walk by 1.6 bar a millisecond, "
-        f"so the filter hardly averages, and the gauges' noise alone leaves {', '.join(parts)}, whatever the model "
-        "knows."
+        "Lower limit of the error with the paper's tuning: its process noise lets each pressure vary by 1.6 bar per "
+        f"millisecond, so the filter hardly averages. The sensors' noise alone causes {', '.join(parts)}, however good "
+        "the model is."
     ]
 
 
@@ -364,7 +368,7 @@ def _found(case: Case) -> str:
     std = case.estimate.std[-1, case.estimate.state_names.index("payload.mass")]
     pump = case.estimate["supply.pump_pressure"][-1] / 1e5
     return (
-        f"Found on the way: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: "
+        f"Also estimated: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: "
         f"{case.experiment.crane['supply.pump_pressure'] / 1e5:g})."
     )
 
@@ -377,7 +381,7 @@ def write(found: Found, seed: int, engine: str, crane: Crane, folder: Path) -> l
     cases, said = found.cases, findings(found.cases)
     drawn = [_drawn(tuning, case, folder) for tuning, case in cases.shown.items()]
     sections: list[tuple[str, list[Any]]] = [
-        ("What came out", list(said)),
+        ("Results", list(said)),
         *((title, [Table(columns, rows)]) for title, columns, rows in found.tables()),
         *(section for section, _ in drawn),
     ]

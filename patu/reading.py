@@ -80,7 +80,7 @@ def _accepted(path: Path, recording: Recording, crane: Crane, *, anyway: bool) -
     try:
         return accepted(recording, findings, anyway=anyway)
     except CraneError as problem:
-        raise CraneError(f"{problem} To use it all the same, give --anyway.") from None
+        raise CraneError(f"{problem} To use it anyway, give --anyway.") from None
 
 
 def load_with_check(

@@ -46,7 +46,9 @@ def ghost_of(entry: str) -> tuple[str, str]:
 
 RunArgument = Annotated[
     Path | None,
-    typer.Argument(metavar="REC", help="Recording or result with the coordinates; none: the crane at its start."),
+    typer.Argument(
+        metavar="REC", help="Recording or result with the coordinates; if left out, the crane at its start."
+    ),
     Reads(),
 ]
 DrawnOption = Annotated[
@@ -55,7 +57,7 @@ DrawnOption = Annotated[
     Writes(picture_or_film),
 ]
 FramesOption = Annotated[
-    bool, typer.Option("--frames", help="Sketch of the crane file instead: every body's frame with its points.")
+    bool, typer.Option("--frames", help="Draw a sketch of the crane file instead: every body's frame with its points.")
 ]
 GhostOption = Annotated[
     list[str] | None,
@@ -63,32 +65,32 @@ GhostOption = Annotated[
     Reads(lambda entry: ghost_of(entry)[1]),
 ]
 LabelOption = Annotated[
-    str | None, typer.Option(help="What the run itself is called; by default measured, or simulated without noise.")
+    str | None, typer.Option(help="Name of the run; measured by default, or simulated if it has no noise.")
 ]
 TimeOption = Annotated[
-    float | None, typer.Option(help="Time of the picture in s; the last (that REC and --ghost cover) if left out.")
+    float | None, typer.Option(help="Time of the picture in s; if left out, the last that REC and --ghost cover.")
 ]
 FromOption = Annotated[float | None, typer.Option("--from", help="Start of the film in s.")]
 ToOption = Annotated[float | None, typer.Option("--to", help="End of the film in s.")]
-FpsOption = Annotated[float | None, typer.Option(help="Pictures a second of film; 12 if left out.")]
-SpeedOption = Annotated[float | None, typer.Option(help="Seconds of the run in a second of film; 1 if left out.")]
+FpsOption = Annotated[float | None, typer.Option(help="Pictures per second of film; 12 if left out.")]
+SpeedOption = Annotated[float | None, typer.Option(help="Seconds of the run per second of film; 1 if left out.")]
 ColourOption = Annotated[
-    Literal["pressure", "residual"] | None, typer.Option(help="Colour by pressure, or by what differs from --ghost.")
+    Literal["pressure", "residual"] | None, typer.Option(help="Colour by pressure, or by the difference from --ghost.")
 ]
 MarkOption = Annotated[
     list[str] | None,
     typer.Option(metavar="PLACE", help="Arrow at a cylinder, chamber, joint, point or body by its name; repeatable."),
 ]
-ViewOption = Annotated[Literal["side", "oblique"] | None, typer.Option(help="Where it is seen from.")]
+ViewOption = Annotated[Literal["side", "oblique"] | None, typer.Option(help="Direction of view.")]
 SizeOption = Annotated[str | None, typer.Option(metavar="WxH", help="Size in pixels; 1280x720 if left out.")]
-TitleOption = Annotated[str | None, typer.Option(help="Written at the top; the recording's name if left out.")]
+TitleOption = Annotated[str | None, typer.Option(help="Title of the picture; the recording's name if left out.")]
 RendererOption = Annotated[
     Literal["raytracer", "opengl"] | None,
-    typer.Option(help="Exudyn's ray tracer, the usual one, or its OpenGL window (on Xvfb without a screen)."),
+    typer.Option(help="Exudyn's ray tracer (default) or its OpenGL window (on Xvfb if there is no screen)."),
 ]
 SolutionOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Write an Exudyn solution file, as its SolutionViewer opens."),
+    typer.Option(metavar="FILE", help="Write an Exudyn solution file for its SolutionViewer."),
     Writes(),
 ]
 OpenOption = Annotated[bool, typer.Option("--open", help="Open Exudyn's SolutionViewer (needs a screen).")]
@@ -122,8 +124,8 @@ def command(
 ) -> None:
     """Draw the crane of a run: one picture, a film, or Exudyn's live viewer.
 
-    Other runs given with --ghost stand in the same scene, so that one sees where a model leaves the measurement. --map
-    and --map-file are for files without the crane's own names, and for REC where every file has them.
+    Runs given with --ghost appear in the same scene, so that differences between model and measurement can be seen.
+    --map and --map-file apply to the files without the crane's own channel names, or to REC if all files have them.
     """
     if output is None and save_solution is None and not open_viewer:
         raise CraneError("Nothing to do: give -o FILE.png (or .gif, .mp4), --save-solution FILE or --open.")

@@ -26,8 +26,8 @@ def command(
     effects: EffectsOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Write recordings to play with, simulated on the spot: a sound one, a hidden effect, and what loggers make of
-    one.
+    """Simulate and write example recordings: one that agrees with the crane file, one with a hidden effect, and some
+    as loggers record them.
     """
     chosen = load_crane(crane, effects)
     from validation.sample import samples

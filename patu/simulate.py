@@ -52,12 +52,12 @@ def command(
 ) -> None:
     """Run the crane open loop.
 
-    Commands come from a recording, or are the paper's 25 s working cycle, in which a lever that would drive its
-    cylinder to the end of its stroke is let go in time. The crane starts as its file says: given angles, at rest,
-    valves closed. The result has the instants of the recording (1 ms for the cycle), SI units, and is itself a
-    recording without noise.
+    The commands come from a recording, or are the paper's 25 s working cycle. In the cycle a lever is released before
+    its cylinder reaches the end of its stroke. The crane starts at rest with closed valves, at the angles of its file.
+    The result has the instants of the recording (1 ms for the cycle) and SI units. It is a recording without noise.
 
-    A run that cannot go on, as at the end of a stroke, is written as far as it went; the exit status is then 2.
+    If the run cannot continue, for example at the end of a stroke, it is written up to that time and the exit status
+    is 2.
     """
     idle = ("--start-from-recording", "--map", "--map-file")
     refuse_idle(context, (inputs is None, idle, "no recording is given with --inputs REC"))
@@ -93,7 +93,7 @@ def command(
 def _so_far(run: Simulation, output: Path | None) -> str:
     """Return what there is of a run that ended early."""
     went = f"The run went to t = {run.time[-1]:g} s"
-    return f"{went}; {output} holds it so far." if output is not None else f"{went}; -o FILE writes it so far."
+    return f"{went}; {output} contains it." if output is not None else f"{went}; -o FILE writes it."
 
 
 def _compile(crane: Crane, engine: Any) -> None:
@@ -146,12 +146,13 @@ def tell_accuracy(
     from validation.step_error import step_error
 
     if halved:
-        printer.line(f"{halved} steps were halved, because their local error was too large.")
+        printer.line(f"{halved} steps were halved because their local error was too large.")
     try:
         found = step_error(run, recording, step)
     except CraneError as problem:
         printer.line(
-            f"How far these numbers depend on the steps is not known, because a run with finer ones fails: {problem}"
+            "The dependence of these numbers on the step size is not known, because a run with finer steps fails: "
+            f"{problem}"
         )
         return {"step_error": None}
     size = f"{found.pressure / 1e5:.2g} bar and {found.position:.1g} rad (RMS)"
@@ -159,10 +160,9 @@ def tell_accuracy(
         printer.line(f"A run with steps ten times as accurate differs by {size}.")
     else:
         printer.line(
-            f"CAUTION: from t = {found.since:.3f} s on these numbers depend on the size of the steps: ten times as "
-            f"accurate, they are {size} elsewhere. "
-            "The machine makes small differences large there, as a boom does that bounces between voids or on a stop "
-            "that does not damp."
+            f"CAUTION: from t = {found.since:.3f} s on, these numbers depend on the step size. A run with steps ten "
+            f"times as accurate differs by {size}. The machine amplifies small differences there, as a boom does that "
+            "bounces between voids or on an undamped end stop."
         )
     return {"step_error": {"position": found.position, "pressure": found.pressure, "since": found.since}}
 
@@ -175,7 +175,7 @@ def _cycle_told(run: Simulation) -> str:
     early = levers_let_go(run.crane, paper_cycle(run.time, len(run.crane.layout.cylinders)), run.commands)
     if not early:
         return "the paper's working cycle"
-    return f"the paper's working cycle, {' and '.join(early)} let go before the end of the stroke"
+    return f"the paper's working cycle, {' and '.join(early)} released before the end of the stroke"
 
 
 _RANGE = (lambda v: v[0], lambda v: v[-1], lambda v: v.min(), lambda v: v.max())

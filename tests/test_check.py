@@ -311,7 +311,7 @@ def test_check_notes_what_was_left_out_of_the_file(patu: Callable[..., SimpleNam
     said = patu("check", str(tmp_path / "log.csv")).out
     assert (
         "log.csv: note: column 'temp' was ignored.\n" in said
-        and "nothing to complain of in what was read: u1, u2, z1" in said
+        and "nothing wrong was found in the channels that were read: u1, u2, z1" in said
     )
 
 

@@ -304,10 +304,10 @@ def test_a_fit_that_did_not_help_writes_a_crane_only_if_asked(
         assert printed.out == Path("new.toml").read_text() and "open-loop error" in printed.err
         printed = patu("remove", "dead_band@tilt", "--crane", "new.toml")
         Path("printed.toml").write_text(printed.out)
-        assert Crane.load("printed.toml").effects == () and "Back to where they were" in printed.err
+        assert Crane.load("printed.toml").effects == () and "Back to the old values" in printed.err
         assert "dead_band@tilt: lower = 0.10 ± 0.04; open-loop error 2 -> " in done.out
-        assert "With it moved payload.mass 25 kg -> 61 kg" in done.out
-        assert "Back to where they were: payload.mass 61 kg -> 25 kg" in patu(
+        assert "Changed with it: payload.mass 25 kg -> 61 kg" in done.out
+        assert "Back to the old values: payload.mass 61 kg -> 25 kg" in patu(
             "remove", "dead_band@tilt", "--crane", "new.toml", "-o", "old.toml"
         ).out  # fmt: skip
     else:
@@ -352,7 +352,7 @@ def test_a_hint_carries_the_options_of_the_run(
     monkeypatch.setattr(diagnosis, "diagnose", nothing_known)
     options = "--per-recording payload.mass --map-file map.toml --crane own.toml"
     done = patu("diagnose", "l.csv", *options.split(), "--report", "r")
-    assert f"Go on: patu learn l.csv {options}   looks for a law" in done.out, done.err
+    assert f"Next step: patu learn l.csv {options}   looks for a law" in done.out, done.err
     page = Path("r/report.html").read_text()
     assert f"<code>patu improve l.csv {options} -o new.toml</code> takes effects in" in page
 

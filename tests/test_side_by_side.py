@@ -172,7 +172,7 @@ def test_files_of_one_name_in_two_folders_keep_their_cranes(tmp_path):
 
 def test_a_recording_behind_the_models_is_told(patu):
     done = patu("estimate", "--models", "A.toml", "B.toml", "lift.csv", "--json", "-")
-    assert done.status == 2 and "lift.csv was taken for a value of --models; put REC first." in done.err
+    assert done.status == 2 and "lift.csv was read as a value of --models; put REC first." in done.err
     assert "was taken" not in patu("estimate", "a.csv", "--models", "A.toml", "B.toml", "--wrong").err
 
 

@@ -125,16 +125,16 @@ def test_the_command_writes_a_run_as_far_as_it_went(
     assert patu(*words, "-o", result, "--json", document) == 2
     said = capsys.readouterr().err
     run = Recording.load(result, layout=SHORT.layout)
-    assert "stroke" in said and f"went to t = {run.end:g} s; {result} holds it so far" in said
+    assert "stroke" in said and f"went to t = {run.end:g} s; {result} contains it" in said
     assert run.end > 1.0 and set(run.sensors) == set(SHORT.layout.sensors)
     assert json.loads(document.read_text(encoding="utf-8"))["ended"]
     assert patu(*words) == 2
-    assert "-o FILE writes it so far" in capsys.readouterr().err
+    assert "-o FILE writes it" in capsys.readouterr().err
 
 
 def test_the_command_tells_which_lever_was_let_go(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     SHORT.save(tmp_path / "short.toml")
     words = ["--engine", "semi-recursive", "--json", tmp_path / "run.json"]
     assert patu("simulate", "--crane", tmp_path / "short.toml", *words) == 0
-    assert "working cycle, lift let go before the end of the stroke" in capsys.readouterr().out
+    assert "working cycle, lift released before the end of the stroke" in capsys.readouterr().out
     assert json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["ended"] is None
