@@ -24,7 +24,7 @@ from .levels import Errors, left_over, levels_of, likelihoods, noise_level
 from .model import Fitted, Model, effects_of, moved_to, parameters_of, values_of
 from .moves import scaled, starts
 from .screen import best_starts, screen, unseen
-from .search import Problem, Progress, silent
+from .search import Problem, Progress, Stages, silent
 from .whole_runs import Judged, Standing, Taken, errors_of, first_part, joined, judged, run, typical
 
 
@@ -80,17 +80,18 @@ def proven(
     most.
     """
     progress("fitting everything together", 0.7)
-    now, kept = _whole_run(problem, last), None
-    while True:
-        progress("looking for what acts beside them", 0.8)
-        grown = _grown(problem, now, most)
-        if grown is kept:  # nothing came in for what was left out
-            break
+    now, kept, settled = _whole_run(problem, last), None, set[frozenset[str]]()
+    progress("looking for what acts beside them", 0.8)
+    while (grown := _grown(problem, now, most)) is not kept:  # nothing comes in for what was left out
         progress("leaving out each effect once", 0.9)
-        kept, full, left = _needed(problem, grown)
-        now = _brought_back(problem, kept, left)
+        now, full, left = _needed(problem, grown)
+        if frozenset(now.keys) in settled:  # what was brought back among these has found its place
+            break
+        settled.add(frozenset(now.keys))
+        kept, now = now, _brought_back(problem, now, left)
         if now is grown:
             break
+        progress("looking for what acts beside them", 0.8)
     final, keys, parts = now.fit, now.keys, problem.data.parts
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
     shared = zip(final.variables, final.u, strict=True)
@@ -278,7 +279,7 @@ def _settled(problem: Problem, ways: Sequence[_Way], beside: Fit | None = None) 
     the first the best of each set of effects is fitted with its own levels before they are compared: at those of a
     model without it, what an effect mends of a channel that was given up hardly counts.
     """
-    fits: list[Fit] = in_parallel(problem.jobs, [(_begun, problem, w) for w in ways])
+    fits: list[Fit] = in_parallel(problem.jobs, [(_begun, problem, w, _sifting()) for w in ways])
 
     def gains() -> list[float]:
         first, *likely = likelihoods([fits[0] if beside is None else beside, *fits], problem.data)
@@ -332,11 +333,15 @@ def believable(v: NominalDirection) -> NominalDirection:
     )
 
 
-def _begun(problem: Problem, way: _Way) -> Fit:
-    """Return the first iterations of everything fitted to one open-loop run, by way of long windows."""
+def _begun(problem: Problem, way: _Way, stages: Stages) -> Fit:
+    """Return the first iterations of everything fitted to one open-loop run."""
     variables, u = _everything(problem, way.keys, way.before, way.crane)
-    windows = staged(problem.crane, way.before.data, variables, u, way.before, joined(6))
-    return staged(problem.crane, way.before.data, variables, windows.u, windows, run(CRITERIA.sifted))
+    return staged(problem.crane, way.before.data, variables, u, way.before, stages)
+
+
+def _sifting() -> Stages:
+    """Return the stages after which ways are compared: by way of long windows, to one open-loop run."""
+    return (*joined(6), *run(CRITERIA.sifted))
 
 
 def _further(problem: Problem, found: Fit) -> Fit:
@@ -356,11 +361,12 @@ def _best_run(problem: Problem, now: Standing, without: str) -> Fit:
     """Return the best of three fits of one open-loop run without an effect: straight from where all of them stand, and
     by way of long windows that begin on that run, or on the machine's: without an effect the run may be far from both.
     """
-    final, data = now.fit, now.fit.data
-    crane, keys = final.crane.without_effect(without), [k for k in now.keys if k != without]
-    straight = staged(problem.crane, data, *_everything(problem, keys, final, crane), final, run(8))
-    begun = [_begun(problem, _Way(now, keys, crane, start)) for start in (final, _as_measured(final, crane))]
-    return max((straight, *(_further(problem, found) for found in begun)), key=log_evidence)
+    crane, keys = now.fit.crane.without_effect(without), [k for k in now.keys if k != without]
+    ways = [_Way(now, keys, crane, start) for start in (now.fit, _as_measured(now.fit, crane))]
+    begun = [_begun(problem, way, _sifting()) for way in ways]
+    straight = _begun(problem, ways[0], run(CRITERIA.sifted))
+    best = max((straight, *begun), key=log_evidence)
+    return best if best.converged else _further(problem, best)
 
 
 def _deviations(final: Fit, keys: Sequence[str]) -> dict[str, float]:
