@@ -78,8 +78,8 @@ def assemble(path: Path, table: RawTable, mapping: Mapping[str, Column], layout:
         if len(channel) < len(stamps):
             repeated.setdefault((len(stamps) - len(channel), _where_repeated(stamps)), []).append(name)
     notes += [
-        f"channel{'s' * (len(names) > 1)} {', '.join(names)}: {again} samples whose time stands there already are left "
-        f"out, {where}"
+        f"channel{'s' * (len(names) > 1)} {', '.join(names)}: {again} samples with a repeated time are left out, "
+        f"{where}"
         for (again, where), names in repeated.items()
     ]
     if max((len(c) for c in channels.values()), default=0) < 2:
@@ -123,7 +123,7 @@ def _name_columns(
             raise _twice(path, name, named[name][0].header, column.header)
         named[name] = (column, unit)
     aside = [header for header, (name, _) in left.items() if name in mapping]
-    notes = [f"column {h!r} was put aside for {mapping[left[h][0]].header!r}" for h in aside]
+    notes = [f"column {h!r} was replaced by column {mapping[left[h][0]].header!r}" for h in aside]
     others = {header: own for header, own in left.items() if header not in aside}
     like = {header: _like(name, unit, named, layout) for header, (name, unit) in others.items()}
     told = [h for h in others if like[h] and (len(others) <= _SHOWN or _plain(others[h][0]) in map(_plain, like[h]))]
@@ -137,7 +137,7 @@ def _twice(path: Path, name: str, first: str, second: str) -> CraneError:
     """Return the error on two columns of one channel, which `--map` can only choose from where their headers differ."""
     choose = f", or choose, as with --map {_quoted(f'{name}={first}')}" if first != second else ""
     return CraneError(
-        f"{path}: channel {name} stands twice, as columns {first!r} and {second!r}. Delete or rename one{choose}."
+        f"{path}: channel {name} occurs twice, as columns {first!r} and {second!r}. Delete or rename one{choose}."
     )
 
 
@@ -191,7 +191,7 @@ def _refuse_without_unit(path: Path, named: Mapping[str, tuple[RawColumn, str | 
         typed = " ".join(f"--map {n}={header}[{unit}]" for n, (header, unit) in without.items())
         raise CraneError(
             f"{path}, column{s} {', '.join(header for header, _ in without.values())}: no unit is given. Write it into "
-            f"the name{s}, as {written}, or give {typed}; a table that was written in SI has rad, m and Pa."
+            f"the name{s}, as {written}, or give {typed}. Files in SI units have rad, m and Pa."
         )
 
 
@@ -201,7 +201,7 @@ def _refuse_referenced(path: Path, named: Mapping[str, tuple[RawColumn, str | No
     for unit in found.values():
         names = [n for n, own in found.items() if own == unit]
         raise CraneError(
-            f"{path}: {', '.join(names)} in [{unit}]: the crane file says what pressures count from, not a unit. "
+            f"{path}: {', '.join(names)} in [{unit}]: the crane file states the reference of pressures, not the unit. "
             f"{reference_mend(unit)}, below {' and again below '.join(f'[{n}]' for n in names)}."
         )
 
@@ -209,7 +209,7 @@ def _refuse_referenced(path: Path, named: Mapping[str, tuple[RawColumn, str | No
 def _where_repeated(stamps: np.ndarray) -> str:
     """Return where times (n,) stand there once more, in words."""
     at = np.unique(stamps[1:][np.diff(stamps) == 0.0])
-    return f"where the clock stands at {at[0]:.6g} s" if len(at) == 1 else f"the first at {at[0]:.6g} s"
+    return f"where the time stays at {at[0]:.6g} s" if len(at) == 1 else f"the first at {at[0]:.6g} s"
 
 
 def _remark(header: str, name: str, unit: str | None, like: Sequence[str], layout: Layout) -> str:
@@ -229,7 +229,7 @@ def _find(path: Path, table: RawTable, wanted: str, said: str) -> RawColumn:
     if len(found) == 1:
         return found[0]
     if found:
-        raise CraneError(f"{path}: column {wanted!r} of {said} stands there {len(found)} times. Rename one.")
+        raise CraneError(f"{path}: column {wanted!r} of {said} occurs {len(found)} times. Rename one.")
     headers = [split_header(c.header)[0] for c in table.columns]
     why = _left_out(table, name)
     raise CraneError(f"{path}: there is no column {name!r}, as {said} says.{why or nearest(name, headers)}")
@@ -247,7 +247,7 @@ def _mapped_unit(path: Path, header: str, own: str | None, column: Column) -> st
     if own is not None and given is not None and own != given:
         overrule = (
             f'Leave the unit out there; or, if the file is wrong, write unit = "{given}" into a map file (--map-file), '
-            "which goes before the file"
+            "which takes precedence over the file"
         )
         raise CraneError(
             f"{path}, column {header}: the file says [{own}], {column.said} says [{given}]. "
@@ -294,7 +294,7 @@ def _seconds(path: Path, clock: tuple[RawColumn, str | None] | RawColumn, table:
         raise CraneError(
             f"{path}, {table.place(row)}, column {column.header}: time leaps from {time[row - 1]:.6g} s to "
             f"{time[row]:.6g} s, "
-            "expected a clock that goes on. Mend the clock or its unit, or delete the lines on one side of the leap."
+            "expected a continuous clock. Correct the clock or its unit, or delete the lines before or after the leap."
         )
     time.setflags(write=False)
     return np.asarray(time)
@@ -317,7 +317,7 @@ def _longest_stretch(channels: dict[str, Channel]) -> tuple[dict[str, Channel], 
     return chosen, [
         f"pauses of more than {_SPLIT:g} s split the recording into {len(stretches)} stretches: the one from "
         f"{kept[0]:.6g} to {kept[-1]:.6g} s "
-        f"is used, not {words}. Cut the file there to use them as recordings of their own"
+        f"is used, not {words}. Cut the file there to use them as separate recordings"
     ]
 
 
@@ -342,7 +342,7 @@ def _factor(path: Path, name: str, header: str, unit: str | None, si_unit: str) 
         return factor_to_si(unit or "", si_unit)
     except CraneError as problem:
         raise CraneError(
-            f"{path}, column {header}: {problem}, such as {name}[{_written(si_unit)}]. Mend the unit."
+            f"{path}, column {header}: {problem}, such as {name}[{_written(si_unit)}]. Correct the unit."
         ) from None
 
 
@@ -358,8 +358,8 @@ def _channel(
     (raw, unit), si_unit = column, channel_names.of(layout)[name]
     if raw.values.shape != time.shape:
         raise CraneError(
-            f"{path}, column {raw.header}: found {raw.values.size} samples, expected {time.size} as its time has. "
-            f"Give it a time of its own, or export it again."
+            f"{path}, column {raw.header}: found {raw.values.size} samples, expected {time.size} as in its time. "
+            f"Give it its own time column, or export it again."
         )
     with np.errstate(over="ignore"):  # what is infinite in SI is refused below
         values = raw.values * _factor(path, name, raw.header, unit, si_unit)

@@ -50,7 +50,7 @@ def refuse_beyond(where: str, name: str, value: float, unit: str, written: str =
     if unit in _BEYOND_IN_WORDS and abs(value) > BEYOND[unit]:
         si, meant, mend = _BEYOND_IN_WORDS[unit]
         raise CraneError(
-            f"{where}: {name} = {value:g} is in {si}, and no crane goes beyond {BEYOND[unit]:.3g}. If these are "
+            f"{where}: {name} = {value:g} is in {si}, and no crane exceeds {BEYOND[unit]:.3g}. If these are "
             f"{meant}, write {mend.format(written or f'{value:g}')}."
         )
 

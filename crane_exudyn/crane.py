@@ -44,7 +44,7 @@ class _Adding:
         except Exception as problem:
             name = getattr(self.function, "__name__", repr(self.function))
             raise CraneError(
-                f"{plant.crane.name}: the function {name} of with_objects, which adds objects of one's own, fails for "
+                f"{plant.crane.name}: the function {name} of with_objects, which adds user-defined objects, fails for "
                 f"machine {number}: {type(problem).__name__}: {problem}"
             ) from problem
 
@@ -107,8 +107,8 @@ class Crane(Description):
 
         if self.objects:
             raise CraneError(
-                f"{self.name} has {self._own}, and a crane file holds no functions. Save crane.without_objects(), and "
-                "add them again with with_objects after loading."
+                f"{self.name} has {self._own}, and a crane file cannot contain functions. Save "
+                "crane.without_objects(), and add them again with with_objects after loading."
             )
         return to_text(self)
 
@@ -146,7 +146,7 @@ class Crane(Description):
         missing = [c for c in self.layout.cylinders if c not in self.voltage]
         if missing:
             raise CraneError(
-                f"{self.name}: the recording holds valve voltages, but the crane has no calibration for the "
+                f"{self.name}: the recording contains valve voltages, but the crane has no calibration for the "
                 f"{missing[0]} valve. Add [valves.{missing[0]}.voltage] with neutral, extend and retract, or "
                 f"record {' and '.join(self.layout.commands)}."
             )
@@ -214,7 +214,7 @@ class Crane(Description):
 
     @property
     def _own(self) -> str:
-        return f"{len(self.objects)} object{'s' * (len(self.objects) > 1)} of one's own"
+        return f"{len(self.objects)} user-defined object{'s' * (len(self.objects) > 1)}"
 
     def __repr__(self) -> str:
         effects = ", ".join(e.key for e in self.effects) or "no effects"

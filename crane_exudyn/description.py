@@ -204,7 +204,7 @@ def check(where: str, machine: Machine, values: Mapping[str, float], effects: Se
     keys = [e.key for e in effects]
     for key in keys:
         if keys.count(key) > 1:
-            raise CraneError(f"{where}: effect {key!r} stands twice. Remove one of them.")
+            raise CraneError(f"{where}: effect {key!r} occurs twice. Remove one of them.")
 
 
 def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> None:
@@ -227,7 +227,7 @@ def check_values(where: str, machine: Machine, values: Mapping[str, float]) -> N
     if values["supply.pump_pressure"] <= values["supply.tank_pressure"]:
         raise CraneError(
             f"{where}: supply.pump_pressure = {values['supply.pump_pressure']:g} Pa is not above the tank's "
-            f"{values['supply.tank_pressure']:g} Pa. Nothing could move; mend one of them."
+            f"{values['supply.tank_pressure']:g} Pa, so nothing could move. Correct one of them."
         )
 
 
@@ -261,8 +261,8 @@ def check_rod(where: str, cylinder: str, bore: float, rod: float) -> None:
     """Raise CraneError for a rod that is not thinner than its bore, both in m; `where` begins the message."""
     if not rod < bore:
         raise CraneError(
-            f"{where}: cylinders.{cylinder}.rod = {rod:g} m is not thinner than the bore of {bore:g} m. Swap or mend "
-            "them."
+            f"{where}: cylinders.{cylinder}.rod = {rod:g} m is not thinner than the bore of {bore:g} m. Swap or "
+            "correct them."
         )
 
 

@@ -258,7 +258,7 @@ class ExudynEngine:
     def _stroke_end(self, state: np.ndarray, time: float) -> CraneError:
         return CraneError(
             f"{self.crane.name}: {statics.stroke_message(self.crane, state)} at t = {time:.6g} s, {self._told(state)}. "
-            "Add the effect end_stop to this cylinder, shorten the command, or mend the cylinder's lengths."
+            "Add the effect end_stop to this cylinder, shorten the command, or correct the cylinder's lengths."
         )
 
     def _failure(self, status: int, state: np.ndarray, w: np.ndarray, time: float, h: float, halved: int) -> CraneError:
@@ -275,17 +275,17 @@ class ExudynEngine:
         what, mend = {
             trapezoidal.SINGULAR: (
                 "the equations of motion are singular",
-                "Look for the two dependent bodies of a loop in one line, or a body without inertia.",
+                "Check for two dependent bodies of a loop that are in line, or a body without inertia.",
             ),
             trapezoidal.COARSE: (
                 "the step is not accurate",
-                "Look for values that make the equations stiff or impossible, such as a spring far too hard.",
+                "Check for values that make the equations stiff or impossible, such as a far too stiff spring.",
             ),
         }.get(
             status,
             (
                 "Newton's method does not converge",
-                "Look for values that make the equations stiff or impossible, such as a spring far too hard.",
+                "Check for values that make the equations stiff or impossible, such as a far too stiff spring.",
             ),
         )
         return CraneError(
@@ -329,9 +329,9 @@ def _refuse_coordinates(mbs: Any, plant: mechanism.Plant) -> None:
     ):
         if len(found) != own:
             raise CraneError(
-                f"{plant.crane.name}: objects of one's own add {len(found) - own} {what}. In the engine's systems they "
-                "may push and pull the machine by forces that follow from its state, such as a spring's, also by a "
-                "user function. Use `build` and Exudyn's own solver for such a model."
+                f"{plant.crane.name}: user-defined objects add {len(found) - own} {what}. In the engine's systems they "
+                "may only apply forces that follow from the state of the machine, such as a spring or a user "
+                "function. Use `build` and Exudyn's own solver for such a model."
             )
 
 
@@ -344,7 +344,7 @@ def _objects_told(crane: Crane) -> Iterator[None]:
         raise
     except Exception as problem:
         said = " ".join(str(problem).split())
-        raise CraneError(f"{crane.name}: Exudyn refuses the objects of one's own: {said[:500]}") from problem
+        raise CraneError(f"{crane.name}: Exudyn refuses the user-defined objects: {said[:500]}") from problem
 
 
 class System:
@@ -455,8 +455,8 @@ class System:
         except ValueError as problem:  # of Exudyn's range checks: limits hold one by one, what effects make of them not
             self.spoilt = True  # some items were changed already, and others not
             raise CraneError(
-                f"{plant.crane.name}: the parameters and effects of a row make a body or a cylinder that cannot be at "
-                f"t = {end:g} s ({str(problem).partition(' (range')[0]}). Mend payload.mass, payload_change or the "
+                f"{plant.crane.name}: the parameters and effects of a row make a body or a cylinder impossible at "
+                f"t = {end:g} s ({str(problem).partition(' (range')[0]}). Correct payload.mass, payload_change or the "
                 "cylinders."
             ) from problem
         if not self._varied and plant.payload_mass[0] < 0.0:  # a sigma point's may be, beside an effect

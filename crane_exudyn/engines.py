@@ -46,7 +46,7 @@ def of_this_crane(engine: Any, crane: Crane) -> Any:
     if own is not crane and isinstance(own, Crane) and (apart := _apart(own, crane)):
         kind = type(engine).__name__
         raise CraneError(
-            f"The {kind} holds another crane than the {crane.name} given: {apart}. Make one of this crane, "
+            f"The {kind} contains another crane than the given {crane.name}: {apart}. Make one of this crane, "
             f"{kind}(crane), or give the engine's name."
         )
     return engine
@@ -65,5 +65,5 @@ def _apart(own: Crane, crane: Crane) -> str:
     if effects:
         return f"the effect {effects[0]} is not the same"
     if own.objects != crane.objects:
-        return f"it has {len(own.objects)} objects of one's own, this one {len(crane.objects)}"
+        return f"it has {len(own.objects)} user-defined objects, this one {len(crane.objects)}"
     return ""

@@ -84,7 +84,7 @@ def refusal(crane: Crane, keys: list[str], where: str) -> CraneError:
     named = " and ".join(f"{key!r}{_file_of(key)}" for key in keys)
     return CraneError(
         f"{crane.name}: effect {named} gives no finite number (NaN or infinite) at {where}. "
-        "Mend its law so that it gives a number at every state, or its parameters in the crane file."
+        "Correct its law so that it gives a number at every state, or its parameters in the crane file."
     )
 
 

@@ -119,7 +119,7 @@ def _hdf5_item(group: Any, name: str, depth: int) -> Any:
         return Unread("is a link that leads nowhere")
     if isinstance(item, h5py.Group):
         return _hdf5_group(item, depth + 1) if depth < _DEEPEST else Unread("lies too deep in other groups")
-    return _hdf5_dataset(item) if isinstance(item, h5py.Dataset) else Unread("is no data set")
+    return _hdf5_dataset(item) if isinstance(item, h5py.Dataset) else Unread("is not a data set")
 
 
 def _hdf5_dataset(item: Any) -> Any:
@@ -238,7 +238,7 @@ def _read_parquet(path: Path, _: Collection[str]) -> RawTable:
         for entry, column in zip(file.schema_arrow, file.read().columns, strict=True):
             values, own_unit = _arrow_numbers(column)
             if values is None:
-                strange.setdefault(f"holds {entry.type}, no numbers,", []).append(entry.name)
+                strange.setdefault(f"contains {entry.type}, not numbers,", []).append(entry.name)
             else:
                 columns.append(RawColumn(entry.name, values, own_unit or _arrow_unit(entry.metadata or {})))
     except (pa.ArrowException, OSError) as problem:

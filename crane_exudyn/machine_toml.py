@@ -37,7 +37,7 @@ def machine_of(document: Mapping[str, Any], where: str) -> Machine:
         raise CraneError(f"{where}: joint = {str(tables)[:60]} should be tables, each headed by [[joint]].")
     bodies = tuple(_section(document, "bodies", where))
     if GROUND in bodies:
-        raise CraneError(f"{where}: a body is named {GROUND!r}, which stands for the ground itself. Name it otherwise.")
+        raise CraneError(f"{where}: a body is named {GROUND!r}, which is reserved for the ground. Choose another name.")
     joints = [_joint(table, bodies, where) for table in tables]
     _refuse_repeated(where, "joint", [j.name for j in joints])
     _refuse_repeated(where, "coordinate", [j.coordinate for j in joints if not j.closes])
@@ -67,7 +67,7 @@ def _described_by_none(document: Mapping[str, Any], where: str) -> Machine:
     bodies = document.get("bodies", {})
     if isinstance(bodies, Mapping) and not (bodies and set(bodies) <= set(_earlier().bodies)):
         raise CraneError(
-            f"{where}: there is no [[joint]], so nothing says how a machine hangs together. Give one for each body, "
+            f"{where}: there is no [[joint]], so the structure of the machine is unknown. Give one for each body, "
             "with its name, bodies and coordinate."
         )
     return _earlier()
@@ -163,7 +163,7 @@ def _carriers(bodies: Sequence[str], joints: Sequence[Joint], where: str) -> dic
         seen, at = {body}, found[body].carrier
         while at != GROUND:
             if at in seen or at not in found:
-                raise CraneError(f"{where}: body {body!r} is carried by itself. Mend the bodies of its joints.")
+                raise CraneError(f"{where}: body {body!r} is carried by itself. Correct the bodies of its joints.")
             seen.add(at)
             at = found[at].carrier
     if not bodies:
@@ -229,7 +229,7 @@ def _turned(joint: Joint, carriers: Mapping[str, Joint], independent: Sequence[s
         return joint
     if ends(joint.body):
         return Joint(joint.name, joint.kind, joint.body, joint.carrier, joint.own_pin, joint.pin, "", -joint.side)
-    mend = f"State other independent coordinates than {', '.join(independent)}, or put the loop together so."
+    mend = f"State other independent coordinates than {', '.join(independent)}, or build the loop that way."
     if follows(joint.carrier) and follows(joint.body):
         other = carriers[joint.carrier].name
         mend = (
@@ -339,9 +339,9 @@ def _check_points(document: Mapping[str, Any], joints: Sequence[Joint], points: 
         raise CraneError(f"{where}: {_asks_for(name, joints)}, but [joints] has no point {name!r}.{like}")
     if idle:
         raise CraneError(
-            f"{where}: joints.{idle[0]} is a point that nothing is at, so nobody knows which body it is on. A point is "
-            "the pin of a joint (of its name, or its at or on), the end of a cylinder or the payload's at. Leave it "
-            "out, or name it there."
+            f"{where}: joints.{idle[0]} is not used by anything, so its body is unknown. A point is "
+            "the pin of a joint (of its name, or its at or on), the end of a cylinder or the payload's at. Remove "
+            "the point, or name it in one of these."
         )
 
 
@@ -360,7 +360,7 @@ def _check_drives(machine: Machine, where: str) -> None:
         if not machine.moved_by(cylinder):
             raise CraneError(
                 f"{where}: cylinders.{cylinder.name} joins {' and '.join(cylinder.bodies)}, which do not move against "
-                "each other. Mend its bodies."
+                "each other. Correct its bodies."
             )
     driven = machine.driven
     for cylinder, coordinate in zip(machine.cylinders, driven, strict=True):
@@ -372,7 +372,7 @@ def _check_drives(machine: Machine, where: str) -> None:
             raise CraneError(
                 f"{where}: cylinders.{cylinder.name} drives {moved}, which {' and '.join(others)} drives already: two "
                 "drives for one freedom. "
-                "Remove one of them, or mend its bodies."
+                "Remove one of them, or correct its bodies."
             )
     free = [name for name in machine.independent if name not in driven]
     if free:

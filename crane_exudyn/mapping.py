@@ -84,7 +84,7 @@ def columns_of(mapping: MappingLike, layout: Layout) -> dict[str, Column]:
                 "Map each column once."
             )
         if name == "time" and replace(column, header="", unit=None, said="") != Column("", said=""):
-            raise CraneError(f"{column.said}: a time can have another name and unit, nothing else.")
+            raise CraneError(f"{column.said}: only the name and unit of a time can be mapped.")
         first[column.header] = name
     return found
 
@@ -163,7 +163,7 @@ def _column(where: str, name: str, table: Any, layout: Layout) -> Column:
     if sign not in (1, -1) or isinstance(sign, bool):
         raise CraneError(f"{where}: sign = {sign!r}, expected 1 or -1. Write another factor as scale.")
     if scale == 0.0:
-        raise CraneError(f"{where}: scale = 0 leaves nothing of the column. Give another factor, or leave it out.")
+        raise CraneError(f"{where}: scale = 0 removes the whole signal. Give another factor, or leave it out.")
     offset, late = (to_si(table.get(key, 0.0), u, f"{where}: {key}") for key, u in (("offset", si), ("late", "s")))
     drift = to_si(table.get("drift", 0.0), "", f"{where}: drift")
     if not abs(drift) < 0.5:
@@ -181,7 +181,7 @@ def _check_unit(where: str, unit: str, si: str) -> None:
     try:
         factor_to_si(unit, si)
     except CraneError as problem:
-        raise CraneError(f"{where}: {problem}. Mend the unit.") from None
+        raise CraneError(f"{where}: {problem}. Correct the unit.") from None
 
 
 def map_text(mapping: Mapping[str, Column], layout: Layout) -> str:

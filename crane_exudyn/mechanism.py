@@ -455,7 +455,7 @@ def user_functions(plant: Plant, first_node: int, first_pressure_node: int) -> t
         if beyond >= 0:
             raise CraneError(
                 f"{plant.crane.name}: a cylinder is at the end of its stroke at t = {t:.6g} s (machine {beyond}). Add "
-                "the effect end_stop to it, shorten the command, or mend the cylinder's lengths."
+                "the effect end_stop to it, shorten the command, or correct the cylinder's lengths."
             )
         return rate.ravel()
 

@@ -75,7 +75,7 @@ def implausible(crane: Description) -> list[str]:
         if value and not quantity.least <= abs(value) <= quantity.most
     ]
     more = len(found) - _TOLD
-    return [*found[:_TOLD], f"{more} more numbers are as far from what machines have."] if more > 1 else found
+    return [*found[:_TOLD], f"{more} more numbers are as implausible."] if more > 1 else found
 
 
 def _numbers(crane: Description) -> Iterator[tuple[str, float, str, Quantity]]:
@@ -96,7 +96,7 @@ def _remark(name: str, value: float, unit: str, quantity: Quantity) -> str:
     least = f"{quantity.least:.3g} to" if quantity.least else "at most"
     units = {u: abs(value) * factor_to_si(u, unit) for u in quantity.units}
     fitting = [u for u, size in units.items() if quantity.least <= size <= quantity.most]
-    mend = "Mend it, or its unit."
+    mend = "Correct the value or its unit."
     if fitting:
         meant = min(fitting, key=lambda u: abs(math.log(units[u] / quantity.usual)))
         mend = f'Give it with its unit, such as "{value:.6g} {meant}".'

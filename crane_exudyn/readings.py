@@ -102,7 +102,7 @@ def _signs(machine: Figures, ch: Channels) -> Iterator[Reading]:
     lay = machine.layout
     signed = [n for n in ch if n in (*lay.commands, *lay.coordinates) or _unit(machine, n) in ("rad", "rad/s", "m/s")]
     for n in (*signed, *(n for n in ch if _unit(machine, n) == "Pa")):
-        yield Reading("sign", (n,), "with the other sign", {n: Source(n, -1.0)})
+        yield Reading("sign", (n,), "with the opposite sign", {n: Source(n, -1.0)})
 
 
 def _exchanged(machine: Figures, ch: Channels) -> Iterator[Reading]:
@@ -120,10 +120,10 @@ def _other_lines(machine: Figures, ch: Channels) -> Iterator[Reading]:
     for n in (n for n in ch if n in sums):
         own = sums[n][-1]
         if own not in ch:
-            yield Reading("absolute", (n,), "as an angle against its parent", {own: Source(n)}, (n,))
+            yield Reading("absolute", (n,), "as an angle relative to its parent", {own: Source(n)}, (n,))
     for name, (*carriers, own) in sums.items():
         if own in ch and name not in ch and all(c in ch for c in carriers):
-            yield Reading("absolute", (own,), "as an angle against the horizontal", {name: Source(own)}, (own,))
+            yield Reading("absolute", (own,), "as an angle relative to the horizontal", {name: Source(own)}, (own,))
     for n in (n for n in ch if _unit(machine, n) == "rad"):
         for sign, turn in (
             (1.0, 90),
@@ -135,7 +135,7 @@ def _other_lines(machine: Figures, ch: Channels) -> Iterator[Reading]:
             (1.0, -180),
             (-1.0, -180),
         ):
-            words = f"as {turn} deg {'plus' if sign > 0 else 'minus'} what it shows"
+            words = f"as {turn} deg {'plus' if sign > 0 else 'minus'} the recorded value"
             yield Reading("offset", (n,), words, {n: Source(n, sign, math.radians(turn))})
 
 
@@ -155,7 +155,7 @@ def _other_units(machine: Figures, ch: Channels) -> Iterator[Reading]:
             for other, size in others.items():
                 for factor, was, given in ((size, other, usual), (1.0 / size, usual, other)):
                     made = {n: Source(n, factor) for n in channels}
-                    yield Reading("scale", channels, f"as {was} that was given as {given}", made)
+                    yield Reading("scale", channels, f"as {was} recorded as {given}", made)
 
 
 def _unit(machine: Figures, name: str) -> str | None:

@@ -226,7 +226,7 @@ class Recording:
             return with_steps(time, np.clip(values, -1.0, 1.0), self.held)
         if crane is None:
             raise CraneError(
-                f"{self.source or self.name}: holds valve voltages; a crane's calibration makes commands of them."
+                f"{self.source or self.name}: contains valve voltages; give the crane whose calibration converts them."
             )
         return with_steps(time, crane.commands_from_voltages(values), self.held)
 
@@ -273,8 +273,8 @@ class Recording:
     def with_gaps_told(self) -> Recording:
         """Return the recording with a note on each command that is not known all the time, and on sensors with gaps."""
         told = [
-            f"command {name} is missing in {_spans_told(spans)}: the nearest value before is held there, as an unknown "
-            "input that fits leave out"
+            f"command {name} is missing in {_spans_told(spans)}: the last value before is held there, and fits leave "
+            "these times out"
             for name, spans in self.unknown_commands().items()
         ]
         alike: dict[str, list[str]] = {}
@@ -367,7 +367,7 @@ class Recording:
             if name in free and name in changed:
                 changed[name] = replace(self[name], values=signals.with_noise(self[name].values, stated.get(name), k))
         kept = [n for n in self.sensors if n in stated and n not in free]
-        told = [f"{', '.join(kept)}: no noise was added, as the samples show some already"] if kept else []
+        told = [f"{', '.join(kept)}: no noise was added, because the samples contain noise already"] if kept else []
         return replace(self, channels=changed, notes=(*self.notes, *told), exact=False)
 
     def first_values(self, span: float = 0.1) -> dict[str, float]:
@@ -495,7 +495,7 @@ def _deviation(given: Any, what: str, unit: str) -> float:
     """Return a standard deviation that was given as `what`. Raises CraneError for one that is none."""
     found = number(given, what, unit)
     if not 0.0 <= found < np.inf:
-        raise CraneError(f"{what} = {found:g} is no standard deviation. Give a finite one of at least 0 in {unit}.")
+        raise CraneError(f"{what} = {found:g} is not a standard deviation. Give a finite one of at least 0 in {unit}.")
     return found
 
 

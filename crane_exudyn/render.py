@@ -195,7 +195,7 @@ class Scene:
             except Exception as problem:
                 raise CraneError(
                     f"Scene: the function `own` failed: {type(problem).__name__}: {problem}. It is called with the "
-                    "Exudyn main system; mend it there."
+                    "Exudyn main system; correct the function."
                 ) from problem
         self.mbs.Assemble()
 
@@ -575,7 +575,7 @@ class Scene:
         if outside:
             raise CraneError(
                 f"There is no picture at {outside[0]:g} s: the run goes from {self.start:g} s to {self.end:g} s. "
-                "Give a time within."
+                "Give a time in this range."
             )
 
     # -- Exudyn's own viewer and file ----------------------------------------------------------------------------------
@@ -711,7 +711,7 @@ def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajector
     twice = next((name for name in labels if labels.count(name) > 1), None)
     if twice is not None:
         raise CraneError(
-            f"Two runs are called {twice!r}, and nobody could tell them apart. Give one another name, in the command "
+            f"Two runs are called {twice!r}, so they cannot be told apart. Give one another name, in the command "
             "--label NAME or --ghost NAME=FILE."
         )
     if colour == "residual" and len(trajectories) < 2:
@@ -746,8 +746,8 @@ def _scales(layout: Layout, trajectories: Sequence[Trajectory], colour: Colour |
     if not times.size:
         raise CraneError(
             f"Colours by residual need a time that both runs cover, but {main.label!r} goes from {main.time[0]:g} to "
-            f"{main.time[-1]:g} s and {other.label!r} from {other.time[0]:g} to {other.time[-1]:g} s. Give runs of one "
-            "time."
+            f"{main.time[-1]:g} s and {other.label!r} from {other.time[0]:g} to {other.time[-1]:g} s. Give runs that "
+            "overlap in time."
         )
     for name, mine, its in (*pairs, *((p, main.pressures[p], other.pressures[p]) for p in both)):
         difference = np.abs(np.interp(times, main.time, mine) - np.interp(times, other.time, its))

@@ -131,7 +131,7 @@ def weightless(crane: Crane, mass: float, time: float) -> CraneError:
     """Return the error that refuses a payload of a mass in kg, at a time in s."""
     return CraneError(
         f"{crane.name}: the payload has a mass of {mass:g} kg at t = {time:g} s. A mass cannot be negative, and one "
-        "that swings cannot be zero: mend payload.mass or the effect payload_change, or remove payload_swing."
+        "that swings cannot be zero: correct payload.mass or the effect payload_change, or remove payload_swing."
     )
 
 
@@ -208,7 +208,7 @@ def check_start(crane: Crane) -> None:
         raise CraneError(
             f"{crane.name}: [initial] {geo.told(crane.layout, state)}: the {cylinder} cylinder would be {length:.4f} m "
             f"long; cylinders.{cylinder}.empty_length and chamber_range let it be {shortest:.4f} to {longest:.4f} "
-            "m. Choose another pose in [initial], or mend these lengths or the cylinder's pins."
+            "m. Choose another pose in [initial], or correct these lengths or the cylinder's pins."
         )
 
 

@@ -140,7 +140,7 @@ def read_text(path: Path, file: BinaryIO, wanted: Collection[str]) -> RawTable:
         raise CraneError(f"{path}: the file ends after its header line. Expected one line per sample; record again.")
     columns = [_column(name, found[:, i], form) for i, name in enumerate(form.names) if name and name not in form.texts]
     notes = [f"column {split_header(n)[0]!r} counts from {t}" for n, t in form.stamps.items() if n not in form.texts]
-    notes += remarks("column", sorted(form.texts, key=form.names.index), "holds text, no numbers, and was ignored")
+    notes += remarks("column", sorted(form.texts, key=form.names.index), "contains text, not numbers, and was ignored")
     return RawTable(columns, lambda row: f"line {np.concatenate(lines)[row]}", notes)
 
 
@@ -210,11 +210,11 @@ def _decode(path: Path, data: bytes) -> bytes:
 def _plain(path: Path, data: bytes) -> bytes:
     if b"\x00" in data:
         raise CraneError(
-            f"{path}: holds zero bytes, so it is a binary file and no text, or one that was cut off while being "
+            f"{path}: contains zero bytes, so it is a binary file, or a text file that was cut off while being "
             "written. Export it as CSV."
         )
     if len(data.translate(None, _CONTROL)) < len(data):
-        raise CraneError(f"{path}: holds bytes that no text has, so it is a binary file. Export it as CSV.")
+        raise CraneError(f"{path}: contains bytes that do not occur in text, so it is a binary file. Export it as CSV.")
     return data
 
 
@@ -390,8 +390,8 @@ def _check_length(fields: list[str], form: Form, line: int, last: bool) -> None:
     if found < expected and last:
         raise CraneError(f"{what} The file was cut off in its last line. Delete that line, or export the file again.")
     if found > expected and form.delimiter == ",":
-        raise CraneError(f"{what} If decimals are commas, separate the fields by semicolons. Otherwise mend that line.")
-    raise CraneError(f"{what} Mend that line; an empty field is a missing sample.")
+        raise CraneError(f"{what} If decimals are commas, separate the fields by semicolons. Otherwise correct it.")
+    raise CraneError(f"{what} Correct that line; an empty field is a missing sample.")
 
 
 def _number(field: str, name: str, form: Form, line: int) -> float:
@@ -422,11 +422,11 @@ def _no_number(text: str, name: str, form: Form, line: int) -> str:
     """Return what to say of a field that is neither a number nor a date as the first of its column."""
     where = f"{form.path}, line {line}, column {name[:40]}: found {text[:40]!r}"
     if name in form.stamps:
-        return f"{where}, expected a time such as {form.stamps[name]} in the column's first line. Mend it."
+        return f"{where}, expected a time such as {form.stamps[name]} in the column's first line. Correct it."
     if _MAYBE_TIME.search(text):
         return (
             f"{where}, expected a number. It looks like a date or a time: export seconds, or in every line "
             "2024-03-01 10:00:00.000 or 10:00:00.000, which are read as seconds from the first."
         )
     hint = " If this line holds units, put them into the header, as name[unit]." if line <= form.skipped + 2 else ""
-    return f"{where}, expected a number. Mend it, or leave the field empty for a missing sample.{hint}"
+    return f"{where}, expected a number. Correct it, or leave the field empty for a missing sample.{hint}"

@@ -26,11 +26,11 @@ def why_no_toml(problem: tomllib.TOMLDecodeError, text: str) -> str:
     table = next((kept for above in reversed(lines[:-1]) if (kept := above.strip()).startswith("[")), "")
     where = f"line {place[1]}"
     if said.startswith("Cannot declare"):
-        return f"{where}: the table {line} stands twice. Give one of them another name, or put both together."
+        return f"{where}: the table {line} occurs twice. Give one of them another name, or merge them."
     key, _, value = (part.strip() for part in line.partition("="))
     if said == "Cannot overwrite a value":
         within = f" in {_bare(table)}" if table and not line.startswith("[") else ""
-        return f"{where}: {key} stands twice{within}. Remove one."
+        return f"{where}: {key} occurs twice{within}. Remove one."
     shown = textwrap.shorten(line, 60, placeholder=" …")
     return f"{where}, {shown}: {said}.{_mend(key, value)}"
 

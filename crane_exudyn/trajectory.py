@@ -59,8 +59,8 @@ class Trajectory:
             bad = ~np.isfinite(getattr(self, name)).reshape(count, -1).all(axis=1)
             if bad.any():
                 raise CraneError(
-                    f"{where}: found a number that is not finite in {name}, sample {bad.argmax()}; a machine has to "
-                    "stand somewhere at every time. Leave such samples out."
+                    f"{where}: found a number that is not finite in {name}, sample {bad.argmax()}; every time "
+                    "needs a position. Leave such samples out."
                 )
         if not (np.diff(self.time) > 0.0).all():
             raise CraneError(f"{where}: its time does not increase. Sort the samples, and keep one of each time.")
@@ -101,7 +101,7 @@ class Trajectory:
         if not time.size:
             raise CraneError(
                 f"{recording.source or recording.name}: {' and '.join(shown)} have no time in common, and a picture "
-                "needs all of them at once. Give a recording that holds them together."
+                "needs all of them at once. Give a recording that contains them together."
             )
         held = relative(layout, {channel: recording[channel].held(time) for channel in shown})
         known = [p for p in layout.chambers if recording.has(p)]

@@ -103,7 +103,7 @@ def _known_signs(text: str) -> str:
     """Return the text itself; a sign that is none of a number or unit is refused."""
     for sign in text:
         if not (sign.isalnum() or sign.isspace() or sign in _SIGNS):
-            raise CraneError(f"{sign!r} is no sign of a number or unit. Write one number and one unit")
+            raise CraneError(f"{sign!r} cannot occur in a number or unit. Write one number and one unit")
     return text
 
 
@@ -116,11 +116,11 @@ def _with_points(text: str) -> str:
             return number
         if _DECIMAL_COMMA.fullmatch(number) and not _THOUSANDS.fullmatch(number):
             return number.replace(",", ".")
-        raise CraneError(f"{number!r} is not one plain number. Write a decimal point, and nothing between thousands")
+        raise CraneError(f"{number!r} is not one plain number. Write a decimal point and no thousands separator")
 
     plain = _DIGITS.sub(mended, text)
     if "," in plain or _BROKEN_EXPONENT.search(text):
-        raise CraneError("a comma or point stands outside a number. Write one number and one unit")
+        raise CraneError("a comma or point is outside a number. Write one number and one unit")
     return plain
 
 
@@ -133,7 +133,7 @@ def _refuse_towers(text: str) -> None:
     except SyntaxError:
         raise CraneError("it cannot be read. Write one number and one unit") from None
     if any(_is_power(inner) for p in powers for inner in ast.walk(p.left)) or not all(map(_is_modest, powers)):
-        raise CraneError("a power of a power, or an exponent that no unit has. Write the number itself")
+        raise CraneError("a power of a power, or an exponent too large for a unit. Write the number itself")
 
 
 def _is_power(node: ast.AST) -> TypeGuard[ast.BinOp]:
@@ -156,7 +156,7 @@ def _refuse_great_angles(quantity: Any) -> None:
         for prefix, base, _ in known.parse_unit_name(name):
             great = prefix and known.Quantity(1.0, f"{prefix}meter").to("meter").magnitude > 1.0
             if great and known.Quantity(1.0, base).is_compatible_with("radian"):
-                raise CraneError(f"the unit is a {prefix}{base} as it stands. Write deg for degrees")
+                raise CraneError(f"the unit is read as {prefix}{base}. Write deg for degrees")
 
 
 #: units that files usually carry, with what one of them is in SI; only other ones need pint, which takes long to load
@@ -188,7 +188,7 @@ def factor_to_si(unit: str, si_unit: str) -> float:
     expected = si_unit or "a pure number"
     if si_unit == "Pa" and reference_of(unit):
         raise CraneError(
-            f"unit [{unit}]: the crane file says what pressures count from, not a unit. {reference_mend(unit)}"
+            f"unit [{unit}]: the crane file states the reference of pressures, not the unit. {reference_mend(unit)}"
         )
     try:
         quantity = 1.0 * _quantity(unit)

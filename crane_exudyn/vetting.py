@@ -235,16 +235,16 @@ def _of_reading(
     ][:2]
     text = (
         f"{' and '.join(names)} agree{'s' * (len(names) == 1)} with the other channels only {reading.words}: "
-        f"{_BALANCES[balance].format(of)} is then off by {after:.2g} instead of {before:.2g} (0: closes, 1: knows "
-        "nothing of the rest)"
+        f"{_BALANCES[balance].format(of)} is then {after:.2g} instead of {before:.2g} (0: perfect agreement, 1: no "
+        "relation)"
     )
     if others:
         rival = [f"{' and '.join(_recorded(recording, crane, r.channels))} {r.words}" for r in others]
-        text += f"; nearly as well {' or '.join(rival)}"
+        text += f"; almost as likely: {' or '.join(rival)}"
     severity: Severity = "error" if rivals[0].gain > _DECISIVE else "warning"
     fix = _columns_of(crane, reading, columns)
     if not fix:
-        mend = "Mend the valves' calibration in the crane file, or the columns of the voltages."
+        mend = "Correct the valves' calibration in the crane file, or the columns of the voltages."
         return Finding(reading.kind, names, severity, text, mend)
     tried = (fix, *(_columns_of(crane, r, columns) for r in others))
     mend = " Or: ".join(_typed(crane, columns, c) for c in tried if c)
@@ -275,14 +275,14 @@ def _rescaled(column: Column, factor: float, offset: float, si: str) -> Column:
 
 
 _BALANCES = {
-    "flow": "what flows into {} against its piston's motion",
-    "trapped": "{} against its piston's motion while the valve is closed",
-    "held": "the change of the {} cylinder's force against that of its load",
-    "moment": "the {} cylinder's force against the weights",
-    "length": "{} against the pose",
-    "rate": "{} against the change of its angle",
-    "sum": "{} against the angles that carry it",
-    "reach": "the share of poses that the {} cylinder does not reach",
+    "flow": "the mismatch between the flow into {} and the motion of its piston",
+    "trapped": "the mismatch between {} and the motion of its piston while the valve is closed",
+    "held": "the mismatch between the changes of the {} cylinder's force and of its load",
+    "moment": "the mismatch between the {} cylinder's force and the weights",
+    "length": "the mismatch between {} and the pose",
+    "rate": "the mismatch between {} and the change of its angle",
+    "sum": "the mismatch between {} and the sum of its angles",
+    "reach": "the share of poses that the {} cylinder cannot reach",
 }
 
 
@@ -299,7 +299,7 @@ def _of_clock(
         names, gone = _recorded(recording, crane, commands), clock.drift * min(recording.duration, LONGEST)
         text = (
             f"the clock of {' and '.join(names)} and that of the sensors drift apart by {1e3 * abs(clock.drift):.2g} "
-            f"ms a second, {abs(gone):.2g} s in all"
+            f"ms per second, {abs(gone):.2g} s in total"
         )
         late = -float(np.nanmean(clock.late)) + 0.5 * gone
         fix = _shifted(columns, names, late, -clock.drift)
@@ -309,11 +309,11 @@ def _of_clock(
     shift = float(told.min())  # a valve may delay, but nothing moves before its command
     if shift < -_EARLY or shift > (_DELAYED if len(told) > 1 else _LONG):
         names = _recorded(recording, crane, commands)
-        words = "before they command it" if shift < 0.0 else "after they command it"
+        words = "before the commands" if shift < 0.0 else "after the commands"
         severity: Severity = "error" if shift < -2.0 * _EARLY or shift > _LONG else "warning"
         text = f"{' and '.join(names)}: the machine moves {abs(shift):.2g} s {words}"
         fix = _shifted(columns, names, -shift)
-        delay = "" if shift < 0.0 else " Or the valves delay: see the effect command_delay."
+        delay = "" if shift < 0.0 else " Or the valves have a delay: see the effect command_delay."
         yield Finding("clock", names, severity, text, _typed(crane, columns, fix) + delay, fix)
 
 
@@ -336,7 +336,7 @@ def _of_dead_commands(recording: Recording, crane: Crane, travelled: Mapping[str
             f"{'their valves are' if several else 'its valve is'} never commanded: {' and '.join(dead)} "
             f"{'are' if several else 'is'} dead (not connected, or not logged)"
         )
-        yield Finding("motion", dead, "error", text, "Record the commands, or mend their columns.")
+        yield Finding("motion", dead, "error", text, "Record the commands, or correct their columns.")
 
 
 def _recorded(recording: Recording, crane: Crane, names: Iterable[str]) -> tuple[str, ...]:
@@ -421,7 +421,7 @@ def _of_outliers(recording: Recording, name: str, outliers: list[Stray], usual: 
     beside = [channel.values[k] for k in (worst.first - 1, worst.after) if 0 <= k < len(channel)]
     text = (
         f"{name} has {count} outlier{'s' * (count > 1)} at t = {', '.join(when[:_TOLD])} s{more}: "
-        f"{_as_written(recording, name, channel.values[worst.first])} beside "
+        f"{_as_written(recording, name, channel.values[worst.first])} next to "
         f"{' and '.join(_as_written(recording, name, v) for v in beside)}"
     )
     added = sum((s.after - s.first) * (s.height / usual) ** 2 for s in outliers)
@@ -454,10 +454,10 @@ def _of_another_crane(recording: Recording, crane: Crane) -> Iterator[Finding]:
     if len(ignored) > len(recording.channels) and not any(map(recording.has, poses)):
         named = ", ".join(ignored[:_NAMED]) + ", …" * (len(ignored) > _NAMED)
         text = (
-            f"{len(ignored)} of {len(ignored) + len(recording.channels)} columns ({named}) are no channels of "
+            f"{len(ignored)} of {len(ignored) + len(recording.channels)} columns ({named}) are not channels of "
             f"{crane.name}, and none of {', '.join(lay.coordinates)} is there"
         )
-        yield Finding("pose", (), "warning", text, "Is it another crane? Then give its file with --crane.")
+        yield Finding("pose", (), "warning", text, "If it is another crane, give its file with --crane.")
 
 
 def _mistaken(recording: Recording, name: str, value: float, low: float, high: float) -> str:
@@ -470,8 +470,8 @@ def _mistaken(recording: Recording, name: str, value: float, low: float, high: f
     for given in [stated] if stated != unit else dict.fromkeys([unit, *_WRITTEN[unit]]):
         for was in _WRITTEN[unit]:
             if was != given and low < factor_to_si(was, unit) / factor_to_si(given, unit) * value < high:
-                return f"The values look like {was} given as {given}: write the unit as {name}[{was}]."
-    return "Mend its unit, or leave the channel out."
+                return f"The values look like {was} recorded as {given}: write the unit as {name}[{was}]."
+    return "Correct its unit, or leave the channel out."
 
 
 def _people(unit: str) -> tuple[float, str]:
@@ -498,7 +498,7 @@ def _pressures(recording: Recording, crane: Crane) -> Iterator[Finding]:
             text = f"{name} falls to {low / 1e5:.3g} bar, expected {expected}"
             severity: Severity = "error" if np.median(recording[name].values) < floor else "warning"
             yield Finding(
-                "offset", (name,), severity, text, "Mend its zero point or its sign; add 1 bar to a gauge pressure."
+                "offset", (name,), severity, text, "Correct its zero point or its sign; add 1 bar to a gauge pressure."
             )
         elif not floor + _LOW < high < _HIGH:
             limit = "never exceeds" if high <= floor + _LOW else "reaches"
@@ -518,8 +518,8 @@ def _supply(recording: Recording, crane: Crane) -> Iterator[Finding]:
     )
     if any(map(recording.has, names)) and pump <= tank:
         told = [f"the {word} ({p / 1e5:.3g} bar)" for word, p in (("pump", pump), ("tank", tank))]
-        mend = f"Swap {' and '.join(names)}, or mend their units."
-        yield Finding("swapped", names, "error", f"{told[0]} stands below {told[1]}, so nothing could move", mend)
+        mend = f"Swap {' and '.join(names)}, or correct their units."
+        yield Finding("swapped", names, "error", f"{told[0]} is below {told[1]}, so nothing could move", mend)
 
 
 def _motion(recording: Recording, crane: Crane) -> Iterator[Finding]:
@@ -547,7 +547,7 @@ def _lengths(recording: Recording, crane: Crane) -> Iterator[Finding]:
                 f"the {crane.layout.cylinders[c]} cylinder from pin to pin"
             )
             if low > -PLAY and high < longest - shortest + PLAY:
-                mend = f"Is it the stroke? Then add the empty length, {shortest:.4g} m."
+                mend = f"If it is the stroke, add the empty length of {shortest:.4g} m."
             else:
                 mend = _mistaken(recording, name, 0.5 * (low + high), shortest, longest)
             yield Finding("scale", (name,), "error", text, mend)
@@ -563,7 +563,7 @@ def _poses(recording: Recording, crane: Crane) -> Iterator[Finding]:
             low, high = factor * np.array(_usual(recording[name]))
             text = (
                 f"{name} goes from {low:.4g} to {high:.4g} {people}; in {100 * share:.0f} % of the samples this is "
-                f"beyond what the {cylinder} cylinder's stroke and linkage reach"
+                f"beyond the reach of the {cylinder} cylinder's stroke and linkage"
             )
             severity: Severity = "error" if share > 0.5 else "warning"
             yield Finding("pose", (name,), severity, text, _other_coordinate(machine, grid, name, cylinder))
@@ -591,17 +591,17 @@ def _other_coordinate(machine: Figures, grid: Grid, name: str, cylinder: str) ->
     """
     lay, shown = machine.layout, grid.channels[name]
     sizes = {unit: factor_to_si(unit, lay.unit_of(name)) for unit in _WRITTEN[lay.unit_of(name)][:2]}
-    others = {"with the other sign": -shown} | {
-        f"in {was} where {given} is given": sizes[was] / sizes[given] * shown for was, given in permutations(sizes, 2)
+    others = {"with the opposite sign": -shown} | {
+        f"in {was} instead of {given}": sizes[was] / sizes[given] * shown for was, given in permutations(sizes, 2)
     }
     for words, values in others.items():
         if _beyond(machine, replace(grid, channels={**grid.channels, name: values}), cylinder) <= _SHARE:
-            return f"It would fit {words}. Mend the column, or is it another crane? Then give its file with --crane."
+            return f"It would fit {words}. Correct the column. If it is another crane, give its file with --crane."
     absolute = {n: values for n, values in grid.channels.items() if n != name} | {f"{name}_abs": shown}
     carried = lay.carriers(name) and absolute.keys() >= set(lay.carriers(name))
     if carried and _beyond(machine, replace(grid, channels=absolute), cylinder) <= _SHARE:
-        return f"It would fit as the angle against the horizontal: name the column {name}_abs."
-    return f"Mend the zero point of {name}, or is it another crane? Then give its file with --crane."
+        return f"It would fit as the angle relative to the horizontal: name the column {name}_abs."
+    return f"Correct the zero point of {name}. If it is another crane, give its file with --crane."
 
 
 def _clock(recording: Recording, crane: Crane) -> Iterator[Finding]:
@@ -612,7 +612,8 @@ def _clock(recording: Recording, crane: Crane) -> Iterator[Finding]:
         text = (
             f"the sensors are read {rate:.3g} times a second, expected {_SLOWEST_CLOCK:g} to {_FASTEST_CLOCK:g} times"
         )
-        mend = "Is the time in ms? Write time[ms]." if rate < _SLOWEST_CLOCK else "Is the time in s? Write time[s]."
+        unit = "ms" if rate < _SLOWEST_CLOCK else "s"
+        mend = f"If the time is in {unit}, write time[{unit}]."
         yield Finding("clock", ("time",), "error", text, mend)
 
 
@@ -630,11 +631,11 @@ def _saturation(recording: Recording, crane: Crane) -> Iterator[Finding]:
             cut = (kept & there).mean() > _CUT and (there.all() or kept[~there].mean() < _KEPT)
             if cut and not (unit == "Pa" and limit <= vapour_pressure(crane)):
                 text = (
-                    f"{name} stands at its {word} value {limit:.4g} {unit} in {100 * there.mean():.0f} % of its "
+                    f"{name} is at its {word} value {limit:.4g} {unit} in {100 * there.mean():.0f} % of its "
                     "samples: "
                     "it is cut off, frozen or not connected"
                 )
-                yield Finding("saturation", (name,), "warning", text, "Mend its range, or leave the channel out.")
+                yield Finding("saturation", (name,), "warning", text, "Correct its range, or leave the channel out.")
 
 
 def _steps(recording: Recording, crane: Crane) -> Iterator[Finding]:
@@ -643,11 +644,8 @@ def _steps(recording: Recording, crane: Crane) -> Iterator[Finding]:
         values = recording[name].values
         step, span = quantisation(values), float(np.ptp(values))
         if span > 0.0 and step > _COARSE * span and len(values) > 1.0 / _COARSE:
-            text = (
-                f"{name} comes in steps of {step:.3g} {recording[name].unit}, {100 * step / span:.2g} % of all that it "
-                "shows"
-            )
-            yield Finding("noise", (name,), "note", text, "Record it with more digits, or a range that fits.")
+            text = f"{name} comes in steps of {step:.3g} {recording[name].unit}, {100 * step / span:.2g} % of its range"
+            yield Finding("noise", (name,), "note", text, "Record it with more digits, or with a suitable range.")
 
 
 def _noise(recording: Recording, crane: Crane) -> Iterator[Finding]:
@@ -663,7 +661,7 @@ def _noise(recording: Recording, crane: Crane) -> Iterator[Finding]:
         alike = _alike(channel.values, wide)
         if alike > _ALIKE and _falls(channel.values, sampling_rate(channel.time)) > _FALLS:
             text = f"the noise of {name} is not white: neighbouring samples are correlated by {alike:.2g}"
-            mend = "Switch smoothing in the logger off, or write the sensor's noise into [sensors] of the crane file."
+            mend = "Switch off smoothing in the logger, or write the sensor's noise into [sensors] of the crane file."
             yield Finding("noise", (name,), "note", text, mend)
 
 
@@ -698,14 +696,14 @@ def _falls(values: np.ndarray, rate: float) -> float:
 
 def _start(recording: Recording, crane: Crane) -> Iterator[Finding]:
     """Find a recording that begins in motion, whose start can hardly be told."""
-    mend = "Cut the recording where the machine stands still, or record a second of rest first."
+    mend = "Cut the recording so that it starts at rest, or record a second of rest first."
     opened = [n for n in (*crane.layout.commands,) if recording.has(n) and abs(recording[n].values[0]) > OPEN]
     if opened:
-        text = f"{' and '.join(opened)}: the recording begins with an open valve"
+        text = f"{' and '.join(opened)}: the recording starts with an open valve"
         yield Finding("motion", tuple(opened), "warning", text, mend)
     moving = tuple(n for n in crane.layout.coordinates if recording.has(n) and _begins_moving(recording[n]))
     if moving and not opened:
-        yield Finding("motion", moving, "warning", f"{' and '.join(moving)} move from the first sample on", mend)
+        yield Finding("motion", moving, "warning", f"{' and '.join(moving)} in motion from the first sample on", mend)
 
 
 def _begins_moving(channel: Channel) -> bool:

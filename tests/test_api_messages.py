@@ -83,7 +83,7 @@ def test_effects_machine_and_objects_tell_engines_apart(engines):
     ours = engines[SemiRecursiveEngine]
     for crane, message in (
         (LEAKING, "effect internal_leakage@lift is not the same"),
-        (CRANE.with_objects(push), "0 objects of one's own, this one 1"),
+        (CRANE.with_objects(push), "0 user-defined objects, this one 1"),
         (Crane.load("loader"), "of another machine"),
     ):
         with pytest.raises(CraneError, match=message):
@@ -248,7 +248,7 @@ def test_what_exudyn_refuses_is_told_in_the_cranes_terms(start):
     """Each number is possible, both together are no mass; what was set of it before that was found is forgotten."""
     refused, fresh = (ExudynEngine(CRANE, 2, accuracy=math.inf) for _ in range(2))  # no step goes to another system
     given, name = (start[None].repeat(2, 0), step(0.1), 1e-3, 0.5), "payload_change@.dm"
-    with pytest.raises(CraneError, match=r"a body or a cylinder that cannot be at t = 0\.501 s .*Mend payload\.mass"):
+    with pytest.raises(CraneError, match=r"a body or a cylinder impossible at t = 0\.501 s .*Correct payload\.mass"):
         refused.propagate(*given, {name: np.array([-300.0, 50.0])})
     after, expected = (engine.propagate(*given, {name: np.array([0.0, 50.0])}) for engine in (refused, fresh))
     assert np.array_equal(after, expected) and not np.array_equal(after[0], after[1])
@@ -408,7 +408,7 @@ MOVING = Recording.from_arrays("moving", TIME, {"u1": 0.0 * TIME, "u2": 0.0 * TI
         (lambda: MOVING.select(5), "found 5, expected names"),
         (lambda: MOVING.with_noise(1e-3), "found 0.001, expected values by name"),
         (lambda: MOVING.with_noise({"z11": 1e-3}), "unknown sensor 'z11'"),
-        (lambda: MOVING.with_noise({"z1": math.nan}), "z1 = nan is no standard deviation"),
+        (lambda: MOVING.with_noise({"z1": math.nan}), "z1 = nan is not a standard deviation"),
         (
             lambda: Recording.from_arrays("r", TIME[None], {"z1": TIME}),
             r"time has the shape \(1, 20\), expected \(n,\)",
@@ -565,9 +565,9 @@ def test_a_cross_check_of_nothing_is_refused(options, message):
 
 def test_objects_of_ones_own_are_shown_and_not_lost(tmp_path):
     own = CRANE.with_objects(push)
-    assert "1 object of one's own" in repr(own) and "2 objects of" in repr(own.with_objects(push))
-    assert "own" not in repr(CRANE)
-    with pytest.raises(CraneError, match=r"has 1 object of one's own.*crane\.without_objects\(\)"):
+    assert "1 user-defined object;" in repr(own) and "2 user-defined objects" in repr(own.with_objects(push))
+    assert "user-defined" not in repr(CRANE)
+    with pytest.raises(CraneError, match=r"has 1 user-defined object,.*crane\.without_objects\(\)"):
         own.save(tmp_path / "crane.toml")
     assert not list(tmp_path.iterdir())
     own.without_objects().save(tmp_path / "crane.toml")

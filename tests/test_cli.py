@@ -112,7 +112,7 @@ def test_effects_are_listed_with_the_places_of_the_crane(tmp_path: Path, patu: C
         (("simulte",), ["'simulte'", '"simulate"']),
         (("effects", "dead_bnd"), ["'dead_bnd'", '"dead_band"']),
         (("effects", "--effects", "nowhere.py"), ["nowhere.py", "no such file"]),
-        (("effects", "--effects", "{good}"), ["good.csv", "no Python file"]),
+        (("effects", "--effects", "{good}"), ["good.csv", "not a Python file"]),
         (("simulate", "--crane", "patu66"), ["'patu66'", "patu655"]),
         (("simulate", "--inputs", "nowhere.csv"), ["nowhere.csv", "no such file"]),
         (("simulate", "--inputs", "{folder}"), ["is a folder"]),

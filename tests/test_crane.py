@@ -153,9 +153,9 @@ def _text(name="patu655"):
         ('mass = "25 kg"', "mass = 25,5", ["Write a decimal point: mass = 25.5."]),
         ('bore = "100 mm"', "bore = [100 mm, 0]", ["Unclosed array", "a value with a unit, or a name, in quotes"]),
         ('mass = "25 kg"', "mass = 25 == 3", ["mass = 25 == 3", "Expected newline"]),
-        ("[supply]", "[fluid]", ["the table [fluid] stands twice"]),
-        ('z1 = "10 deg"', 'z1 = "10 deg"\nz1 = "11 deg"', ["z1 stands twice in [initial]"]),
-        ('name = "patu655"', 'name = "patu655"\nname = "b"', ["name stands twice. Remove one."]),
+        ("[supply]", "[fluid]", ["the table [fluid] occurs twice"]),
+        ('z1 = "10 deg"', 'z1 = "10 deg"\nz1 = "11 deg"', ["z1 occurs twice in [initial]"]),
+        ('name = "patu655"', 'name = "patu655"\nname = "b"', ["name occurs twice. Remove one."]),
     ],
 )
 def test_what_is_no_toml_is_told_with_line_and_mend(tmp_path, old, new, words):
@@ -210,7 +210,7 @@ def test_of_many_implausible_numbers_the_first_are_told(tmp_path, caplog):
     points = re.sub(r'"(-?[\d.]+) m"', lambda m: str(1e3 * float(m[1])), _text("loader"))  # everything in mm
     (tmp_path / "own.toml").write_text(points, encoding="utf-8")
     Crane.load(tmp_path / "own.toml")
-    assert len(caplog.records) == 4 and re.search(r"\d+ more numbers are as far", caplog.messages[-1])
+    assert len(caplog.records) == 4 and re.search(r"\d+ more numbers are as implausible", caplog.messages[-1])
 
 
 @pytest.mark.parametrize("name", built_in())

@@ -309,4 +309,4 @@ def test_an_effect_that_stands_in_no_file_is_refused():
     """Compiled code, which is kept by the text of effects, could not be told from that of other ones."""
     code = f"from crane_exudyn.effects import registry\n{CREEP}\nregistry.register(SlowSpool)\n"
     told = subprocess.run([sys.executable, "-"], input=code, capture_output=True, text=True, check=False).stderr
-    assert "CraneError: Effect 'slow_spool' stands in no file" in told and "load_effects(FILE)" in told
+    assert "CraneError: Effect 'slow_spool' is not defined in a file" in told and "load_effects(FILE)" in told

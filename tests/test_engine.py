@@ -551,7 +551,7 @@ def failing(mbs, plant, number):
         (loose, "add 2 coordinates of motion"),
         (rope, "add 1 algebraic coordinates"),
         (stop, "add 1 data coordinates"),
-        (failing, "Exudyn refuses the objects of one's own: .*division by zero"),
+        (failing, "Exudyn refuses the user-defined objects: .*division by zero"),
     ],
 )
 def test_objects_that_are_more_than_forces_are_refused(objects, said):

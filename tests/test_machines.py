@@ -117,7 +117,7 @@ REFUSED = {
     ),
     "payload nowhere": (lambda f: f["payload"].update(body="bukcet"), "payload.body = 'bukcet' is not known.*bucket"),
     "a body like the ground": (lambda f: f["bodies"].update(ground=f["bodies"]["boom"]), "a body is named 'ground'"),
-    "no joint": (lambda f: f.pop("joint"), r"there is no \[\[joint\]\], so nothing says how"),
+    "no joint": (lambda f: f.pop("joint"), r"there is no \[\[joint\]\], so the structure of the machine"),
     "loop not closed": (
         _drop("K"),
         "rocker and link form an open chain: rocker, link are not independent .*no joint closes a loop",
@@ -138,7 +138,7 @@ REFUSED = {
     ),
     "point of nothing": (
         lambda f: f["joints"].update(tooth=[0.1, 0.2]),
-        r"joints\.tooth is a point that nothing is at.*end of a cylinder or the payload's at",
+        r"joints\.tooth is not used by anything.*end of a cylinder or the payload's at",
     ),
     "same channel twice": (lambda f: f["cylinders"]["arm"].update(length="s1"), "two things are named channel 's1'"),
 }

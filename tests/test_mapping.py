@@ -100,7 +100,7 @@ def test_a_minus_turns_the_sign(logged: Path) -> None:
         ("[z1]\nscale = 0", ["scale = 0"]),
         ("[z1]\ndrift = 2", ["drift = 2"]),
         ('[z1]\noffset = "2 bar"', ["offset = '2 bar'", "wrong unit"]),
-        ("[time]\nsign = -1", ["[time]", "another name and unit, nothing else"]),
+        ("[time]\nsign = -1", ["[time]", "only the name and unit of a time"]),
         ('[z1]\ncolumn = "Boom"\n[z4]\ncolumn = "Boom"', ["'Boom'", "z1 and z4"]),
         ('[time]\ncolumn = "Zeit"\n[z1]\ncolumn = "Bom"', ["no column 'Bom'", "map.toml, [z1]", '"Boom"']),
     ],

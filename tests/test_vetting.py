@@ -57,13 +57,13 @@ def test_a_sound_recording_has_no_findings() -> None:
     ("changed", "kind", "channels", "text", "mend"),
     [
         ({"p1": of(10, 60)}, "scale", ("p1",), "never exceeds 0.0007 bar", "p1[bar]"),
-        ({"p1": of(10e10, 60e10)}, "scale", ("p1",), "reaches", "look like Pa given as bar"),
+        ({"p1": of(10e10, 60e10)}, "scale", ("p1",), "reaches", "look like Pa recorded as bar"),
         ({"p3": of(5 * BAR, -20 * BAR)}, "offset", ("p3",), "never negative", "sign"),
-        ({"pp": of(0.1 * BAR, BAR), "pt": of(BAR, 100 * BAR)}, "swapped", ("pp", "pt"), "bar) stands below the tank "
+        ({"pp": of(0.1 * BAR, BAR), "pt": of(BAR, 100 * BAR)}, "swapped", ("pp", "pt"), "bar) is below the tank "
                                                                                         "(100 bar)", "Swap"),
         ({"z1": of(100 * DEG, 900 * DEG)}, "scale", ("z1",), "1e+03 deg", "z1[deg]"),
-        ({"z1": of(5 * DEG, 122 * DEG)}, "pose", ("z1",), "beyond what the lift cylinder's stroke", "other sign"),
-        ({"z4": of(5 * DEG, 118 * DEG)}, "pose", ("z4",), "the tilt cylinder's stroke", "other sign"),
+        ({"z1": of(5 * DEG, 122 * DEG)}, "pose", ("z1",), "reach of the lift cylinder's stroke", "opposite sign"),
+        ({"z4": of(5 * DEG, 118 * DEG)}, "pose", ("z4",), "the tilt cylinder's stroke", "opposite sign"),
         ({"dz1": of(30.0, 0.0)}, "scale", ("dz1",), "30 rad/s", "dz1[deg/s]"),
         ({"s1": of(100.0, 900.0)}, "scale", ("s1",), "expected 0.535 to 1.355 m", "s1[mm]"),
         ({"s1": of(0.1, 0.3)}, "scale", ("s1",), "from pin to pin", "stroke"),
@@ -93,7 +93,7 @@ def test_a_cylinder_that_spans_two_joints_is_judged_by_both_angles() -> None:
     crane = crane.with_parameters({f"cylinders.tilt.{n}": x for n, x in stroke.items()})
     assert contents(recording, crane) == []
     (found,) = contents(recorded(z1=of(15 * DEG, 45 * DEG), z4=of(10 * DEG, 60 * DEG)), crane)
-    assert found.channels == ("z4",) and "It would fit with the other sign" in found.mend
+    assert found.channels == ("z4",) and "It would fit with the opposite sign" in found.mend
 
 
 def test_a_unit_is_told_as_the_file_has_it(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_unit_is_told_as_the_file_has_it(tmp_path: Path) -> None:
     (tmp_path / "r.csv").write_text(text)
     found = contents(Recording.load(tmp_path / "r.csv"), Crane.load("patu655"))
     assert [(f.kind, f.severity, f.mend) for f in found] == [
-        ("scale", "error", f"The values look like Pa given as kPa: write the unit as {n}[Pa].") for n in ("p1", "p3")
+        ("scale", "error", f"The values look like Pa recorded as kPa: write the unit as {n}[Pa].") for n in ("p1", "p3")
     ]
 
 

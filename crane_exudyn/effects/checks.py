@@ -85,7 +85,7 @@ def _check_description(effect: type[Effect], where: str) -> None:
     for probe in effect.probes:
         unknown = set(probe) - {p.name for p in effect.parameters}
         if unknown:
-            raise CraneError(f"{where}: a probe gives {sorted(unknown)[0]!r}, which is no parameter of it.")
+            raise CraneError(f"{where}: a probe gives {sorted(unknown)[0]!r}, which is not one of its parameters.")
 
 
 def _kind_of(effect: type[Effect]) -> str:
@@ -159,7 +159,7 @@ def _check_hook(effect: type[Effect], where: str, name: str, function: Callable[
             raise CraneError(
                 f"{where}: hook {name} returns {_shown(result)} at {at}, expected {_shown(wanted)}: at the neutral "
                 "values "
-                "an effect changes nothing. Mend the law, or the parameters' neutral values."
+                "an effect must change nothing. Correct the law, or the parameters' neutral values."
             )
 
 
@@ -175,7 +175,7 @@ def _check_signature(function: Callable[..., Any], where: str, name: str, expect
     plain = all(p.kind == p.POSITIONAL_OR_KEYWORD and p.default is p.empty for p in parameters)
     if not plain or len(parameters) != count:
         found = f"{name}({', '.join(map(str, parameters))})"
-        raise CraneError(f"{where}: hook {found} does not have the arguments it is given. Expected {expected}.")
+        raise CraneError(f"{where}: hook {found} has the wrong arguments. Expected {expected}.")
 
 
 def _results(
@@ -218,7 +218,7 @@ def _results(
     if thread.is_alive():
         left.set()
         at = _at(function, tried[len(found)])
-        raise CraneError(f"{where}: hook {name} has not returned after {_LONGEST:g} s, at {at}. Mend its loop.")
+        raise CraneError(f"{where}: hook {name} has not returned after {_LONGEST:g} s, at {at}. Correct its loop.")
     if failed:
         at = _at(function, tried[len(found)])
         raise CraneError(f"{where}: hook {name} fails at {at}: {_reason(failed[0])}. Expected {expected}.")
@@ -227,7 +227,7 @@ def _results(
         if not (isinstance(result, tuple) == (count > 1) and len(_numbers(result)) == count):
             raise CraneError(f"{where}: hook {name} returns {result!r}. Expected {expected}.")
         if not all(isinstance(v, int | float) for v in _numbers(result)):
-            raise CraneError(f"{where}: hook {name} returns {result!r}, which is no number. Expected {expected}.")
+            raise CraneError(f"{where}: hook {name} returns {result!r}, which is not a number. Expected {expected}.")
     return [_numbers(result) for result in found]
 
 

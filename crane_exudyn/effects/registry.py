@@ -58,8 +58,8 @@ def find(name: str) -> type[Effect]:
         if effect.name == name:
             return effect
     raise CraneError(
-        f"There is no effect {name!r}.{nearest(name, [e.name for e in known()])} `patu effects` lists all; one of your "
-        "own is read from its file, by --effects or crane_exudyn.load_effects."
+        f"There is no effect {name!r}.{nearest(name, [e.name for e in known()])} `patu effects` lists all. Read "
+        "your own effects from their file with --effects or crane_exudyn.load_effects."
     )
 
 
@@ -178,14 +178,14 @@ def register(effect: type[Effect]) -> type[Effect]:
         _source(effect)
     except (OSError, TypeError) as problem:
         raise CraneError(
-            f"Effect {effect.name!r} stands in no file, by which compiled code would know it again. Write it into a "
+            f"Effect {effect.name!r} is not defined in a file, which compiled code needs to identify it. Write it to a "
             "Python file, and read that with crane_exudyn.load_effects(FILE)."
         ) from problem
     if any(e.name == effect.name for e in known()):
         raise CraneError(f"There is an effect {effect.name!r} already. Give yours another name.")
     if _frozen:
         raise CraneError(
-            f"Effect {effect.name!r} comes too late: modules that are compiled with all effects have been imported. "
+            f"Effect {effect.name!r} is loaded too late: modules that are compiled with all effects are already there. "
             "Call crane_exudyn.load_effects(FILE) before other imports of crane_exudyn, ukf and validation; in a "
             "notebook, restart it."
         )
@@ -208,9 +208,9 @@ def load_effects(path: str | Path) -> list[type[Effect]]:
     if file in _user_files:
         return []
     if not file.is_file():
-        raise CraneError(f"{file}: there is no such file. --effects wants a Python file that defines an Effect.")
+        raise CraneError(f"{file}: there is no such file. --effects needs a Python file that defines an Effect.")
     if file.suffix != ".py":
-        raise CraneError(f"{file}: this is no Python file. --effects wants one, NAME.py, that defines an Effect.")
+        raise CraneError(f"{file}: this is not a Python file. --effects needs a file NAME.py that defines an Effect.")
     # the folder is in the name: files of one name in two folders are two modules, and compiled code refers to them by
     # name
     folder = hashlib.sha256(str(file.parent).encode()).hexdigest()[:8]
