@@ -221,7 +221,7 @@ def test_demo_follows_finds_improves_and_draws_on_one_page(shown: Shown) -> None
     assert all(f'href="{name}"' in files["report.html"].read_text() for name in pictures)
     assert Crane.load(files["improved.toml"]).effect("internal_leakage@lift") is not None
     assert "+ internal_leakage@lift: error 0." in shown.out or "+ internal_leakage@lift: error 1." in shown.out
-    assert "— nothing but noise is left." in shown.out
+    assert "— only noise is left." in shown.out
     last = shown.out.splitlines()[-2:]
     assert "Internal leakage (lift), 2.4" in last[0] and "is missing (`internal_leakage@lift`)" in last[0]
     assert last[1] == f"Report: {files['report.html']}"

@@ -57,7 +57,7 @@ def test_a_stretch_that_nothing_explains_spoils_one_run_but_not_what_lies_beside
     found = diagnose(Crane.load("patu655"), learn, jobs=1)
     assert found.verdict == "effect" and found.effects == ("pump_droop",)
     assert found.error_after > 2.0 and found.between < 1.1
-    assert "but for 7.5-8.8 s" in found.notes[0]
+    assert "except 7.5-8.8 s" in found.notes[0]
 
 
 def test_commands_that_a_controller_held_between_samples_are_found_out():
@@ -109,7 +109,7 @@ def test_a_recording_of_another_machine_is_unknown_and_no_name_is_forced_on_it()
     (nearest,), (alone,) = found.nearest, [c for c in found.candidates if not c.effects]
     assert alone.error_after < 0.7 * found.error_before == 0.7 * found.error_after
     assert found.parameters and all(nearest[n] == p["value"] != crane[n] for n, p in found.parameters.items())
-    assert f"{alone.error_after:.3g} with parameters moved" in sentence(found)
+    assert f"{alone.error_after:.3g} with the parameters fitted" in sentence(found)
     assert compare(nearest, case.learn.window(0.0, 3.0)).where[0].text == found.where[0]["text"]
 
 
@@ -231,7 +231,7 @@ def test_parameters_moved_far_are_tied_with_one_effect_that_explains_at_once():
         found = verdict_of(path(model(**WRONG), far, bias))
         assert found.kind == kind
         assert [t.keys for t in found.ties] == ([()] if kind == "tied" else [])
-        assert ("would need 3 nominal parameters beyond twice" in " ".join(found.notes)) == (kind == "tied")
+        assert ("would need 3 nominal parameters at more than twice" in " ".join(found.notes)) == (kind == "tied")
 
 
 def test_several_weak_effects_are_justified_together_where_none_of_them_is_alone():
@@ -394,7 +394,7 @@ def test_what_leaves_much_in_one_run_is_no_explanation_though_short_windows_forg
     assert found.error_after == 50.0 and "leaves 2.7 times the noise in one run" in found.notes[0]
     assert held_to_runs(replace(given, error_after=1.3)).verdict == verdict
     between = replace(given, between=1.1)  # it goes astray in a stretch that is told
-    assert held_to_runs(between) is between and "1.1 beside" in sentence(replace(between, verdict="effect"))
+    assert held_to_runs(between) is between and "1.1 outside" in sentence(replace(between, verdict="effect"))
 
 
 def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):
@@ -405,7 +405,7 @@ def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):
     for check, words in (
         (learn.window(0.0, 0.5), "at least 1 s is needed"),
         (Recording("bad", {**learn.channels, "p1": bar_as_pascal}), "p1 never exceeds"),
-        (learn.select(["u1", "u2", "p4"]), "no sensor of"),
+        (learn.select(["u1", "u2", "p4"]), "none of the sensors of"),
     ):
         with pytest.raises(CraneError, match=words):
             diagnose(crane, learn.select(["u1", "u2", "z1", "z4", "p1"]), check)

@@ -55,7 +55,7 @@ def test_estimate_writes_table_picture_and_json(lift, tmp_path, capsys):
         "--engine", "semi-recursive", "--augment", "payload.mass", "--model-error", "off",
     )  # fmt: skip
     assert status == 0
-    assert "payload.mass / kg" in said and "p4: leapt away" in said and "whose time stands there already" in said
+    assert "payload.mass / kg" in said and "p4: leapt away" in said and "with a repeated time" in said
     table = np.genfromtxt(out, delimiter=",", names=True, deletechars="")
     assert table.size == 201 and {"p2[Pa]", "p2_low95[Pa]", "innovation_z1[rad]"} <= set(table.dtype.names)
     assert {"U_lift[-]", "nis[-]"} <= set(table.dtype.names)  # as recordings and runs write pure numbers

@@ -119,8 +119,8 @@ def test_two_effects_are_taken_in_one_by_one_with_what_each_brought(crane, rubbi
     assert found.after["p1"] < 0.3 * found.nominal["p1"]
     assert found.predicted["p1"] < found.nominal["p1"]
     texts = explained(found)
-    assert sum(t.startswith("Demanded: ") for t in texts) == len(found.needed)
-    assert any(t.startswith("Left, in %") for t in texts)
+    assert sum(t.startswith("Needed: ") for t in texts) == len(found.needed)
+    assert any(t.startswith("Remaining error, %") for t in texts)
 
 
 def test_what_no_round_took_in_is_where_everything_is_fitted_together(crane, rubbing):
@@ -190,14 +190,14 @@ def test_effects_are_kept_only_if_what_was_not_fitted_is_predicted_better_by_a_t
 
 def test_plain_words_say_what_is_demanded_what_is_not_separated_and_what_is_left(crane):
     text = "\n".join(explained(grown(crane, 5.0)))
-    assert "Demanded: dead_band@lift" in text
+    assert "Needed: dead_band@lift" in text
     assert "upper = 0.1 ± 0.01" in text
     assert "p1 25 -> 5 %" in text
-    assert "command_delay@lift would have brought half" in text and "sensor_lag@p1" not in text
+    assert "command_delay@lift would have gained half" in text and "sensor_lag@p1" not in text
     assert "dead_band@lift:upper and valves.lift.time_constant (correlation -0.95)" in text
     assert "fluid.oil_bulk_modulus = 1.65e+09 ± 5e+06 Pa" in text and "payload" not in text
     assert "Hardly plausible" in text and "fluid.oil_bulk_modulus by 3.6" in text
-    assert "Left, in % of each channel's range, open loop over the whole recording: p1 5" in text
+    assert "Remaining error, % of each channel's range, open loop over the whole recording: p1 5" in text
 
 
 def test_the_last_fit_keeps_parameters_within_what_can_be_believed():

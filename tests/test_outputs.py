@@ -354,7 +354,7 @@ def test_a_hint_carries_the_options_of_the_run(
     done = patu("diagnose", "l.csv", *options.split(), "--report", "r")
     assert f"Next step: patu learn l.csv {options}   looks for a law" in done.out, done.err
     page = Path("r/report.html").read_text()
-    assert f"<code>patu improve l.csv {options} -o new.toml</code> takes effects in" in page
+    assert f"<code>patu improve l.csv {options} -o new.toml</code> adds effects one" in page
 
 
 def test_samples_of_a_crane_are_tried_with_that_crane(

@@ -110,7 +110,7 @@ def test_pictures_are_whole_and_said_in_words(text):
 
 
 def test_report_says_how_to_repeat_it(text):
-    end = text[text.index("To repeat it") :]
+    end = text[text.index("How to repeat this run") :]
     assert "patu compare &#39;a b.csv&#39;" in end and "numbers: 7" in end and "payload.mass" in end
     assert f"crane-exudyn {report.versions()['crane-exudyn']}" in end
 
@@ -145,7 +145,7 @@ def test_bytes_that_are_no_picture_are_refused():
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(CraneError, match="no folder can be made"):
+    with pytest.raises(CraneError, match="no folder can be created"):
         report.write_report(tmp_path / "file" / "x", "T", "V", [])
 
 
@@ -381,7 +381,7 @@ def test_a_diagnosis_is_told_and_drawn_in_words(tmp_path):
     found = "Internal leakage (lift), 12.00 ± 0.12 l/min at 100 bar, is missing (<code>internal_leakage@lift</code>)."
     assert f"{found} The open-loop error falls from 22 to 0.99 times the sensors' noise" in text
     assert "Law: Flow k (pa - pb) from the piston side to the rod side" in text
-    assert "How it shows: with its valve closed a loaded cylinder creeps" in text
+    assert "Signature: with its valve closed a loaded cylinder creeps" in text
     order = ["What to do next", "<h2>Where", "<h2>What is missing", "<h2>How sure"]
     assert [text.index(part) for part in order] == sorted(text.index(part) for part in order)
     assert "marked: lift" in text
@@ -391,9 +391,9 @@ def test_a_diagnosis_is_told_and_drawn_in_words(tmp_path):
 
 def test_a_start_away_from_what_was_measured_is_told():
     off = example_comparison()
-    assert off.started.startswith("The run starts away from what was measured: z1 57 deg above; the start")  # 1 rad
+    assert off.started.startswith("The run starts away from the measured values: z1 57 deg above; the start")  # 1 rad
     near = replace(off, simulated=off.measured)
-    assert near.started.startswith("The run starts as was measured;")
+    assert near.started.startswith("The run starts at the measured values;")
 
 
 def test_where_everything_is_violated_no_single_place_is_named():
@@ -436,7 +436,7 @@ def test_a_number_reads_the_same_wherever_it_stands(tmp_path, capsys):
     page = re.sub(r"data:image/[^\"]*", "", report_diagnosis(d, tmp_path).read_text())
     tell(Printer(), d)
     printed = capsys.readouterr().out
-    assert "behind by 1499 in" in page and ">−1499<" in page and "-1499 " in printed
+    assert "is 1499 lower in" in page and ">−1499<" in page and "-1499 " in printed
     assert [t.get_text() for t in d.plot().axes[0].texts] == ["1499", "0"]
     for text in (page, printed, d._repr_html_()):
         assert "0.99" in text and "1.01" in text
@@ -469,9 +469,9 @@ def test_where_only_what_differs_moved_nothing_is_to_be_written():
     load = {"payload.mass": {"value": 80.0, "nominal": 25.0, "unit": "kg"}}
     entry = {"recording": "lift", "error_before": 8.0, "error_after": 1.0, "parameters": load}
     d = replace(example_diagnosis(), verdict="parameters", effects=(), recordings=(entry, entry))
-    assert after_diagnosis(d, None)[0].startswith("Nothing has to be added to the crane file: what differs")
+    assert after_diagnosis(d, None)[0].startswith("Nothing has to be added to the crane file: the parameters that")
     moved = replace(d, parameters={"gravity": {"value": 9.9, "std": 0.1, "nominal": 9.81, "unit": "m/s^2"}})
-    assert "writes the moved parameters" in after_diagnosis(moved, None)[0]
+    assert "writes the fitted parameters" in after_diagnosis(moved, None)[0]
 
 
 @pytest.mark.parametrize("name", list(report.TAKEN))

@@ -150,7 +150,7 @@ def _left_behind(data: FitData, time: float) -> CraneError:
     """Return what is said of a model that cannot be run along a recording."""
     return CraneError(
         f"{data.name}: the model cannot follow this recording at t = {time:.3f} s (a pose or pressure out of its "
-        "reach). Is it another machine, or a channel with another sign or unit?"
+        "reach). It may be another machine, or a channel with a wrong sign or unit."
     )
 
 

@@ -135,7 +135,7 @@ class Comparison:
             return size + " No channel and no balance of the model is clearly off in any phase of work."
         if self.everywhere:
             return (
-                f"{size} Every balance of the model is violated, worst the {balance_words(self.violated[0])}: no "
+                f"{size} Every balance of the model is violated, worst the {balance_words(self.violated[0])}, so no "
                 "single place stands out. "
                 "Several parameters, or the recording itself, may be wrong."
             )
@@ -161,8 +161,8 @@ class Comparison:
             by = float(np.mean((self.simulated[name][1] - values)[first]))
             if abs(by) > _OFF * self.channels[name].noise_std * people_unit(name, self.layout)[1]:
                 off.append(f"{name} {told(name, abs(by), self.layout)} {'above' if by > 0.0 else 'below'}")
-        where = f"away from what was measured: {', '.join(off)}" if off else "as was measured"
-        return f"The run starts {where}; the start was fitted. From there it sees only the commands."
+        where = f"away from the measured values: {', '.join(off)}" if off else "at the measured values"
+        return f"The run starts {where}; the start was fitted. From there it gets only the commands."
 
     @property
     def fitted(self) -> str:
@@ -274,7 +274,7 @@ def compare(
     crane = given_crane(crane, "compare")
     if crane.objects and engine != "exudyn":
         raise CraneError(
-            f'{crane.name}: objects of one\'s own are known to the Exudyn engine only. Compare with engine="exudyn".'
+            f'{crane.name}: only the Exudyn engine knows user-defined objects. Compare with engine="exudyn".'
         )
     recording = given_recording(recording, crane.layout, "compare")
     done = progress or (lambda fraction: None)
@@ -295,8 +295,8 @@ def compare(
     done(1.0)
     for begin, end in balances.unsettled:
         notes.append(
-            f"the residual balances from {begin:.1f} to {end:.1f} s were still moving when the smoother stopped: "
-            + ("their ± is too small" if scores.badly_predicted.any() else "nothing is said of them")
+            f"the residual balances from {begin:.1f} to {end:.1f} s had not converged when the smoother stopped: "
+            + ("their ± is too small" if scores.badly_predicted.any() else "they are not judged")
         )
     found = Comparison(
         recording.name, crane.name, engine, channels, estimate, balances, scores, scores.findings(), measured,
@@ -316,10 +316,10 @@ def lateness_words(late: float) -> list[str]:
     """
     if abs(late) < _LATE:
         return []
-    way, pace = ("after", "slower") if late > 0.0 else ("before", "quicker")
+    way, pace = ("after", "slower") if late > 0.0 else ("before", "faster")
     return [
-        f"the commands are taken to act {1e3 * abs(late):.1f} ms {way} their stamps: clocks differ by as much, or the "
-        f"valves are {pace} than the crane file says"
+        f"the commands are assumed to act {1e3 * abs(late):.1f} ms {way} their time stamps: clocks differ by "
+        f"this, or the valves are {pace} than the crane file says"
     ]
 
 

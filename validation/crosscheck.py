@@ -392,10 +392,10 @@ def _order_below_two(steps: np.ndarray, sizes: np.ndarray, floors: np.ndarray) -
     what is no more than its floor (n,) says nothing.
     """
     if not (sizes > 0.0).all():
-        return math.nan, "there is no difference, as if it were one engine"
+        return math.nan, "there is no difference, as if both were the same engine"
     clear = np.flatnonzero(~(sizes <= floors))
     if clear.size < 2:
-        return 0.0, f"{sizes[0]:.1e} to {sizes[-1]:.1e} is about what Newton's methods leave"
+        return 0.0, f"{sizes[0]:.1e} to {sizes[-1]:.1e} is about the remaining error of Newton's methods"
     first, last = clear[0], clear[-1]
     order = math.log(sizes[first] / sizes[last]) / math.log(steps[first] / steps[last])
     between = f"from {1e3 * steps[first]:g} to {1e3 * steps[last]:g} ms"

@@ -88,7 +88,7 @@ def random_states(crane: Crane, count: int, rng: np.random.Generator) -> States:
             break
     else:
         raise CraneError(
-            f"{crane.name}: only {len(found)} of {800 * count} random poses are feasible. Mend joints or strokes."
+            f"{crane.name}: only {len(found)} of {800 * count} random poses are feasible. Correct joints or strokes."
         )
     lay = crane.layout
     w = np.tile(lay.closed, (count, 1))
@@ -248,7 +248,7 @@ def kept_off_ends(crane: Crane, time: np.ndarray, commands: np.ndarray) -> np.nd
     """
     fitted = within_strokes(crane, time, commands, initial_state(crane, SemiRecursiveEngine(crane)))
     if fitted is None:
-        raise CraneError(f"{crane.name}: whatever lever is let go, the run ends early. Start elsewhere.")
+        raise CraneError(f"{crane.name}: the run ends early, whichever lever is released. Start elsewhere.")
     return fitted
 
 
@@ -272,7 +272,7 @@ def joystick(crane: Crane, x0: np.ndarray, seconds: float, rng: np.random.Genera
             if after is not None:
                 break
         else:
-            raise CraneError(f"{crane.name}: whatever the driver does, a cylinder comes to its end. Start elsewhere.")
+            raise CraneError(f"{crane.name}: with any commands a cylinder reaches its end. Start elsewhere.")
         at, x, level = end, after, wanted
     return time[:n], commands[:n]
 

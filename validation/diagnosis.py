@@ -136,9 +136,9 @@ class Diagnosis:
         least = alone.evidence if alone is not None else math.inf
         gains = {c.name: max(c.evidence - least, 0.0) for c in self.candidates[:_DRAWN]}
         before, after = (self.error_before, self.check_error_before), [(self.error_after, self.check_error_after)]
-        found, chosen = "with what was found", " + ".join(self.effects) or "parameters"
+        found, chosen = "with the result", " + ".join(self.effects) or "parameters"
         if self.verdict == "unknown" and self.parameters and alone is not None:
-            found, chosen, after = "with parameters moved", "", [(alone.error_after, alone.check_error_after)]
+            found, chosen, after = "with parameters fitted", "", [(alone.error_after, alone.check_error_after)]
         elif self.crane is self.given:
             after = []
         errors = dict(zip(("learned from", "only predicted"), zip(before, *after, strict=True), strict=True))
@@ -167,7 +167,7 @@ def sentence(d: Diagnosis) -> str:
     """Return the verdict in one sentence."""
     fall = f"error {d.error_before:.3g} -> {d.error_after:.3g} noise units"
     if math.isfinite(d.between):
-        fall += f", {d.between:.3g} beside what it leaves unexplained"
+        fall += f", {d.between:.3g} outside the stretches that it leaves unexplained"
     if d.verdict == "adequate":
         return f"the model explains the recording (error {d.error_before:.3g} noise units)"
     if d.verdict == "parameters":
@@ -176,11 +176,11 @@ def sentence(d: Diagnosis) -> str:
         return d.notes[0].removesuffix("?")
     if d.verdict == "unknown":
         moved = next((c.error_after for c in d.candidates if not c.effects), math.nan)
-        nearest = f", {moved:.3g} with parameters moved" if d.parameters else ""
+        nearest = f", {moved:.3g} with the parameters fitted" if d.parameters else ""
         return f"something is missing that no known effect explains (error {d.error_before:.3g} noise units{nearest})"
     missing = f"{' and '.join(d.effects)} {'is' if len(d.effects) == 1 else 'are'} missing"
     if d.verdict == "tied":
-        return f"{missing}, or {', or '.join(d.tied_with)}: this recording cannot tell ({fall})"
+        return f"{missing}, or {', or '.join(d.tied_with)}: this recording cannot separate them ({fall})"
     return f"{missing} ({fall})"
 
 
@@ -258,7 +258,7 @@ def searched(
     if held is None:
         return path, notes
     progress("searching again, with commands that keep their value until the next sample", 0.3)
-    note = "commands act as if they kept their value until the next sample: say so by held = true in a map file"
+    note = "commands seem to keep their value until the next sample: set held = true in a map file"
     return search(WHITE, held, most, progress), [*notes, note]
 
 
@@ -317,7 +317,7 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
         return d
     found = _choice(d)
     note = (
-        f"{found} explains short stretches of the recording, but leaves {d.error_after:.3g} times the noise in one run"
+        f"{found} explains short parts of the recording, but leaves {d.error_after:.3g} times the noise in one run"
         if drifts
         else f"{found} explains the recording, but does not predict the check recording (error {before:.3g} -> "
         f"{after:.3g} noise units). Is it of the same machine, with the same load and the same units?"
@@ -336,7 +336,7 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
 
 def _choice(d: Diagnosis) -> str:
     """Return in words what was chosen."""
-    return " and ".join(d.effects) or "the model" + " with moved parameters" * (d.verdict == "parameters")
+    return " and ".join(d.effects) or "the model" + " with fitted parameters" * (d.verdict == "parameters")
 
 
 def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
@@ -357,7 +357,7 @@ def _between_stretches(d: Diagnosis, problem: Problem, w: Fitted) -> Diagnosis:
     of = [f" of {r.name}" * (len(problem.recordings) > 1) for r in problem.recordings]
     where = [f"{a:.1f}-{b:.1f} s{name}" for name, own in zip(of, left, strict=True) for a, b, _ in own]
     note = (
-        f"{_choice(d)} explains the recording but for {', '.join(where)}, where one run goes astray: runs between "
+        f"{_choice(d)} explains the recording except {', '.join(where)}, where a single run diverges: runs between "
         f"leave {between:.3g} times the noise"
     )
     return replace(d, between=between, notes=(note, *d.notes))

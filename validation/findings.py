@@ -94,8 +94,8 @@ class Scores:
         for i, j in np.argwhere(self.badly_predicted):
             phase, name, score = self.phases[i], self.channel_names[j], float(self.channels[i, j])
             text = (
-                f"{phase.words}, {name} is {told(name, self.errors[i, j], self.layout)} (RMS) off what the filter "
-                "expects"
+                f"{phase.words}, {name} is {told(name, self.errors[i, j], self.layout)} (RMS) off the filter's "
+                "prediction"
             )
             text += f", {score:.1f} times what noise explains"
             found.append(
@@ -186,14 +186,14 @@ def violation(equation: str, mean: float, std: float, layout: Layout, rate: floa
     if equation.startswith("flow."):
         return (
             f"chamber {place} ({layout.side_of(place)}) receives {amount} {'more' if mean > 0 else 'less'} than the "
-            "model says"
+            "model predicts"
         )
     motion = ""
     if abs(rate) > _TURNING:
-        motion = ", against its motion" if rate * mean < 0 else ", along with its motion"
+        motion = ", against its motion" if rate * mean < 0 else ", in the direction of its motion"
     body = layout.bodies[layout.joints.index(place)].replace("_", " ")
     if unit == "N":
         way = "out" if mean > 0 else "in"
-        return f"joint {place} pushes the {body} {way} with {amount} more than the model says{motion}"
+        return f"joint {place} pushes the {body} {way} with {amount} more than the model predicts{motion}"
     way = "upwards" if mean > 0 else "downwards"
-    return f"joint {place} turns the {body} {way} with {amount} more than the model says{motion}"
+    return f"joint {place} turns the {body} {way} with {amount} more than the model predicts{motion}"

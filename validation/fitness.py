@@ -74,7 +74,7 @@ def unfit(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> l
     for name in recording.sensors if not found else ():
         found += _saturated(name, recording[name], time, commands[:, crane.layout.sensors[name].cylinder])
     if purpose == "diagnose" and not _moves(recording, crane, commands):
-        text = f"nothing moves: no valve is opened by more than {OPEN:g} and no angle leaves its noise"
+        text = f"nothing moves: no valve opens by more than {OPEN:g} and no angle changes by more than its noise"
         mend = "A diagnosis needs motion; record a run in which every cylinder extends and retracts."
         found.append(Finding("motion", crane.layout.coordinates, "error", text, mend))
     return found
@@ -111,7 +111,7 @@ def check_all(recordings: Sequence[Recording], check: Recording | None, crane: C
     notes = [f"{r.name}: {n}" if len(each) > 1 else n for r, own in zip(recordings, each, strict=True) for n in own]
     where = [r.source or r.name for r in recordings]
     notes += [
-        f"{where[j]} is {where[i]} once more: it proves nothing further"
+        f"{where[j]} is the same recording as {where[i]} and adds no information"
         for i, j in combinations(range(len(recordings)), 2)
         if same(recordings[i], recordings[j])
     ]
@@ -129,12 +129,12 @@ def check_check(check: Recording, learned: Sequence[Recording], crane: Crane) ->
     sensors = list(dict.fromkeys(c for r in learned for c in r.sensors))
     if not set(check.sensors) & set(sensors):
         raise CraneError(
-            f"{where}: has {', '.join(check.sensors)}, but no sensor of {', '.join(r.name for r in learned)} "
+            f"{where}: has {', '.join(check.sensors)}, but none of the sensors of {', '.join(r.name for r in learned)} "
             f"({', '.join(sensors)}). "
-            "A check recording is of the same machine, with the same sensors."
+            "A check recording must be of the same machine, with the same sensors."
         )
     if any(same(check, r) for r in learned):
-        return [f"{where} is the recording that is learned from: as a check it confirms nothing"]
+        return [f"{where} is the recording that is learned from, so it is no independent check"]
     return [f"check recording: {note}" for note in notes]
 
 
@@ -183,14 +183,14 @@ def _short(recording: Recording, command_time: np.ndarray) -> Iterator[Finding]:
 
 
 def _left_out(name: str) -> str:
-    return f"{name} shows one value throughout and is left out"
+    return f"{name} has a constant value and is left out"
 
 
 def _dead(recording: Recording) -> Iterator[Finding]:
     constant = constant_sensors(recording)
     if len(constant) == len(recording.sensors):
         shown = ", ".join(constant)
-        text = f"every sensor ({shown}) shows one value from beginning to end, so there is nothing to compare"
+        text = f"every sensor ({shown}) has a constant value, so there is nothing to compare"
         mend = "Check that the sensors were connected and the logger was running."
         yield Finding("saturation", tuple(constant), "error", text, mend)
 
@@ -207,10 +207,10 @@ def _saturated(name: str, channel: Channel, time: np.ndarray, command: np.ndarra
         share, through = float(stuck.mean()), float((stuck & valve).sum()) * step
         if share > _STUCK_SHARE and through > _STUCK_SECONDS:
             text = (
-                f"sensor {name} stands exactly at its {word} value ({value:g} SI) for {share:.0%} of the time, and for "
+                f"sensor {name} is exactly at its {word} value ({value:g} SI) for {share:.0%} of the time, and for "
                 f"{through:.1f} s of it while its valve is open: it is saturated, frozen or not connected"
             )
-            yield Finding("saturation", (name,), "error", text, "Mend its range, or leave the channel out.")
+            yield Finding("saturation", (name,), "error", text, "Correct its range, or leave the channel out.")
 
 
 def _moves(recording: Recording, crane: Crane, commands: np.ndarray) -> bool:
@@ -235,17 +235,17 @@ def _notes(
     notes += [f"the {name} valve is never opened" for name, command in valves if not _opened(command)]
     if free := recording.noise_free():
         notes.append(
-            f"{', '.join(free)} show{'s' * (len(free) == 1)} no noise, as simulations do: noise is added as [sensors] "
-            "of the crane file says, "
+            f"{', '.join(free)} show{'s' * (len(free) == 1)} no noise, like simulations: noise is added as in "
+            "[sensors] of the crane file, "
             f"or {USUAL_SENSOR:g} of the channel's range"
         )
     if not moves:
-        notes.append("the crane does not move: only its state at rest is compared")
+        notes.append("the crane does not move, so only its state at rest is compared")
     if recording.duration < 5.0:
-        notes.append(f"the recording is short ({recording.duration:.1f} s): small errors will not show")
+        notes.append(f"the recording is short ({recording.duration:.1f} s): small errors will not be visible")
     count = len(recording.sensors) - len(constant)
     if count < 4:
-        notes.append(f"only {count} sensor{'s' * (count > 1)}: which equation fails can hardly be told apart")
+        notes.append(f"only {count} sensor{'s' * (count > 1)}: the failing equation can hardly be identified")
     late = max(recording[n].time[-1] for n in recording.sensors) - time[-1]
     if late > 0.1:
         notes.append(f"the last command is held for {late:.1f} s, because sensors go on after the commands end")
@@ -274,9 +274,9 @@ def _wavering(
     if not found:
         return []
     return [
-        f"at rest sensors waver by more than neighbouring samples differ: {', '.join(found)}. Unless the machine "
-        "itself rings there, this is "
-        "their noise: write it into [sensors] of the crane file, or what is only hum will look like something missing"
+        f"at rest sensors vary by more than neighbouring samples differ: {', '.join(found)}. Unless the machine "
+        "itself oscillates there, this is "
+        "their noise: write it into [sensors] of the crane file, or it will look like an effect that the model lacks"
     ]
 
 

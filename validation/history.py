@@ -109,7 +109,7 @@ def moved_in_words(before: Crane, after: Crane) -> str:
             moves[name] = moved / size if size else math.inf
     names = sorted(moves, key=lambda n: -moves[n])
     told = [f"{n} {amount(before[n], unit_of(n))} -> {amount(after[n], unit_of(n))}" for n in names[:_TOLD]]
-    return ", ".join(told) + f", and {len(names) - _TOLD} more by less" * (len(names) > _TOLD)
+    return ", ".join(told) + f", and {len(names) - _TOLD} more by smaller amounts" * (len(names) > _TOLD)
 
 
 def refuse_curve(key: str) -> NoReturn:
@@ -125,7 +125,7 @@ def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
     """
     effect, _ = registry.split_key(key)
     if crane.effect(key) is not None:
-        raise CraneError(f"{crane.name} has {key!r} already. Remove it first, or fit it anew with `patu improve`.")
+        raise CraneError(f"{crane.name} has {key!r} already. Remove it first, or fit it again with `patu improve`.")
     if effect.curve is not None:
         refuse_curve(key)
     typical = dict(effect.probes[0]) if effect.probes else {effect.parameters[0].name: effect.parameters[0].typical}

@@ -127,7 +127,7 @@ class Improvement:
         from crane_exudyn.display import table_html
 
         rows = [(s.added or "as given", s.error, s.check_error, s.nis_mean, s.text) for s in self.steps]
-        columns = ("added", "error / noise", "on check", "NIS", "what was found")
+        columns = ("added", "error / noise", "on check", "NIS", "result")
         return table_html(columns, rows, title=repr(self).strip("<>"))
 
 
@@ -251,8 +251,8 @@ def _named(
         proven = proven if proven is not None and proven.predicts_better else None
     if proven is not None:
         name, improved, evidence = " + ".join(proven.needed), proven.crane, sum(proven.needed.values())
-        text = "no effect alone explains the recording, nor do two; these together do"
-        text += "" if proven.explains else " what can be done"
+        text = "no single effect and no pair explains the recording; these together do"
+        text += "" if proven.explains else ", as far as possible"
     elif chosen is not None:
         name, improved, evidence, text = chosen.name, chosen.crane, _gain(chosen, d), ""
     else:
@@ -264,7 +264,7 @@ def _named(
     best = added(crane, replace(improved, history=crane.history), **entry)
     step = judge.step(name, best, d.verdict)
     good = step.search_error < judge.level or (proven is None and chosen is not None and chosen.level < judge.level)
-    text = text or ("nothing but noise is left" if good else "more than noise is left")
+    text = text or ("only noise is left" if good else "more than noise is left")
     if replaced:
         text += f"; it replaces {' and '.join(replaced)}"
     step, left = replace(step, text=text + step.text), "adequate" if good else "unknown"
@@ -278,8 +278,8 @@ def _with_laws(result: Improvement, found: Learned, judge: Judge) -> Improvement
         return replace(result, learned=found)
     name, text = " + ".join((*found.effects, *(law.effect for law in found.laws))), learned_sentence(found)
     if found.given is not result.crane:
-        text += f"; {result.steps[-1].added}, which leaves more, goes again"
-    step = judge.step(name, found.crane, "unknown", f"learned, as no named effect explains it: {text}")
+        text += f"; {result.steps[-1].added}, which leaves a larger error, is removed again"
+    step = judge.step(name, found.crane, "unknown", f"learned, because no named effect explains it: {text}")
     left = "adequate" if step.search_error < judge.level else "unknown"
     return replace(result, steps=(*result.steps, step), crane=found.crane, verdict=left, learned=found)
 
@@ -380,16 +380,16 @@ def explained(found: Proven) -> list[str]:
         near = sorted(serious, key=lambda k: -step.rivals[k])[:3]
         if near:
             texts.append(
-                f"Not separated: when {step.key} was taken in, {', '.join(near)} would have brought half its evidence "
+                f"Not separated: when {step.key} was added, {', '.join(near)} would have gained half its evidence "
                 "or more"
             )
     for (first, other), r in sorted(found.alike.items(), key=lambda p: -abs(p[1]))[:5]:
-        texts.append(f"Not separated: {first} and {other} (correlation {r:+.2f}); only what they do together is known")
+        texts.append(f"Not separated: {first} and {other} (correlation {r:+.2f}); only their combination is known")
     texts += _identified(found)
     texts.append(
-        f"Left, in % of each channel's range, open loop over the whole recording: {percent(found, found.after)}"
+        f"Remaining error, % of each channel's range, open loop over the whole recording: {percent(found, found.after)}"
     )
-    texts.append(f"Of what was not fitted when the effects were chosen: {percent(found, found.predicted)}")
+    texts.append(f"The same for data not fitted when the effects were chosen: {percent(found, found.predicted)}")
     return texts
 
 
@@ -401,13 +401,13 @@ def _identified(found: Proven) -> list[str]:
     values = [
         f"{n} = {found.crane[n]:.4g} ± {found.deviations.get(n, math.inf):.2g} {unit_of(n)}".strip() for n in furthest
     ]
-    texts = [f"Parameters that moved with them: {', '.join(values)}"] if values else []
+    texts = [f"Parameters that changed with them: {', '.join(values)}"] if values else []
     known = found.crane.uncertainty
     doubted = [n for n in furthest if abs(found.moved[n]) > CRITERIA.doubted and math.isfinite(known[n].std)]
     if doubted:
         far = ", ".join(f"{n} by {abs(found.moved[n]):.1f}" for n in doubted)
         texts.append(
-            f"Hardly plausible, as many standard uncertainties from the crane file: {far}. They do the work of "
+            f"Hardly plausible, in standard uncertainties from the crane file: {far}. They stand in for "
             "something that is not in the model, or that this recording does not separate from them"
         )
     return texts
@@ -426,7 +426,7 @@ def _demanded(found: Proven, key: str) -> str:
         f"{n} = {x:.3g} ± {found.deviations.get(f'{key}:{n}', math.inf):.2g}"
         for n, x in parameters_of(found.crane, key).items()
     )
-    return f"Demanded: {key} ({values}); log evidence lost without it {found.needed[key]:.0f}" + (
+    return f"Needed: {key} ({values}); log evidence lost without it {found.needed[key]:.0f}" + (
         f"; with it {errors} of the range" if errors else ""
     )
 
@@ -438,8 +438,8 @@ def _told_error(crane: Crane) -> list[str]:
         return []
     sizes = ", ".join(f"{n} ± {e.std:.3g} {crane.layout.unit_of(n)}" for n, e in moments.items())
     return [
-        f"The crane file keeps how far the model is still off ([model_error]: {sizes} and more), and `patu estimate` "
-        "expects as much"
+        f"The crane file records the remaining model error ([model_error]: {sizes} and more), which `patu estimate` "
+        "takes into account"
     ]
 
 

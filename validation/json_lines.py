@@ -40,5 +40,5 @@ def add_line(path: Path, result: Mapping[str, Any]) -> None:
             stream.write(json.dumps(result) + "\n")
     except OSError as problem:
         raise CraneError(
-            f"{path}: a result cannot be added: {problem.strerror}. Make room; the series goes on from there."
+            f"{path}: a result cannot be added: {problem.strerror}. Free some space; the series then continues."
         ) from problem

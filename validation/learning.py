@@ -179,13 +179,13 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
         if formed.keys:
             names, (errors,) = ", ".join(formed.keys), problem.errors([formed.fit])
             notes.append(
-                f"effects of the library do as well: {names}. Go on with `patu diagnose`"
+                f"effects of the library explain it equally well: {names}. Continue with `patu diagnose`"
                 if (left := together(problem.recordings, errors)) < CRITERIA.misled
-                else f"no law does more than {names}, with which one run is left at {left:.3g} times the noise: "
+                else f"no law explains more than {names}, which leaves {left:.3g} times the noise in a single run: "
                 "neither the library nor a law over a state explains it"
             )
         elif best.good and unchanged.error_before > noise_level(problem.data):
-            notes.append("nominal parameters within their uncertainty explain it. Go on with `patu diagnose`")
+            notes.append("nominal parameters within their uncertainty explain it. Continue with `patu diagnose`")
         return replace(unchanged, notes=tuple(notes))
     lean = leaner(problem.crane, problem.data, formed)
     evidence, laws = lean.evidence - nothing.evidence, laws_of(lean)
@@ -206,7 +206,7 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
     learned = replace(learned, crane=told)
     moved = moved_in_words(problem.crane, found)
     if moved:
-        notes.append(f"with it moved {moved}, which a file of --write does not hold")
+        notes.append(f"changed with it: {moved}; a file of --write does not contain this")
     ties = [w for w in path.rivals if w.evidence > best.evidence - CRITERIA.tie and sound(w)]
     telling = problem.telling(best.fit.crane, ties[0].fit.crane) if ties else ""
     return replace(

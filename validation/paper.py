@@ -88,7 +88,7 @@ class Tuning:
 TUNINGS = {
     "paper": Tuning("the paper's tuning"),
     "paper-0.15-bar": Tuning("the paper's tuning, gauges of 0.15 bar", gauges=0.15e5),
-    "own": Tuning("own means: what is unknown is estimated too", widths=(1.0, 2.0, 4.0), method=_OWN),
+    "own": Tuning("own means: unknown parameters are estimated too", widths=(1.0, 2.0, 4.0), method=_OWN),
     "own-file": Tuning("own means, priors as in the crane file", widths=(1.0,), method=_OWN),
     "own-half": Tuning("own means, priors half as wide as in the crane file", widths=(0.5,), method=_OWN),
     "own-twice": Tuning("own means, priors twice as wide as in the crane file", widths=(2.0,), method=_OWN),
@@ -183,7 +183,7 @@ def unknowns(crane: Crane, width: float = 1.0) -> tuple[Augment, ...]:
     unstated = [n for n in ("supply.pump_pressure", "payload.mass", *masses, *joints) if n not in crane.uncertainty]
     if unstated:
         raise CraneError(
-            f"{crane.name} states no uncertainty of {', '.join(unstated)}, with which the estimator's own means begin. "
+            f"{crane.name} states no uncertainty of {', '.join(unstated)}, which the own means need. "
             "Add it to [uncertainty]."
         )
     std = {n: width * crane.uncertainty[n].std for n in ("supply.pump_pressure", *masses, *joints)}

@@ -242,7 +242,7 @@ def _directory(directory: str | Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         raise CraneError(
-            f"{path}: no folder can be made there ({problem.strerror}). Give --report another."
+            f"{path}: no folder can be created there ({problem.strerror}). Give --report another."
         ) from problem
     return path
 

@@ -40,9 +40,7 @@ from .report import (
 Parameters = Mapping[str, Mapping[str, Any]]
 
 _MOODS: Mapping[str, Mood] = {"adequate": "good", "unknown": "bad"}
-_ERRORS = (
-    "Errors are open-loop RMS over all channels in units of the sensors' noise; 1 means that nothing is left but noise."
-)
+_ERRORS = "Errors are open-loop RMS over all channels in units of the sensors' noise; 1 means that only noise is left."
 #: rows of the tables of what was weighed, and of where a model fails
 _WEIGHED, _WORST = 12, 10
 
@@ -122,7 +120,9 @@ def comparison_sections(c: Comparison, crane: Crane) -> list[Section]:
             "Details: what the balances lack",
             [
                 Table(
-                    [balance_words(h) for h in headings], by_work, note="± 95 %; a star marks what is clearly not zero."
+                    [balance_words(h) for h in headings],
+                    by_work,
+                    note="± 95 %; a star marks values that are clearly not zero.",
                 ),
                 *(Picture(found[n], _CAPTIONS[n]) for n in ("balances_by_work", "balances")),
             ],
@@ -184,7 +184,7 @@ def balance_table(c: Comparison) -> tuple[tuple[str, ...], list[tuple[str, ...]]
 
 
 _CAPTIONS = {
-    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom, "
+    "where": "What fails when: time from left to right, channels (filter) and balances (smoother) from top to bottom; "
     "dark is bad.",
     "balances": "Flow and moment that each balance lacks, with 95 % interval from the sensors' noise.",
     "balances_by_work": "The same, averaged over each kind of work.",
@@ -195,13 +195,10 @@ def _after_comparisons(comparisons: Sequence[Comparison], examined: Examined) ->
     if not any(c.where for c in comparisons):
         these = "this recording" if len(comparisons) == 1 else "these recordings"
         return [
-            f"Nothing has to be done for {these}. Another one, with other loads and speeds, tells whether the model "
+            f"Nothing has to be done for {these}. A recording with other loads and speeds shows whether the model "
             "holds there."
         ]
-    check = (
-        f"`{examined.command('check')}` tells whether the recording is what it says it is: signs, exchanged channels, "
-        "units."
-    )
+    check = f"`{examined.command('check')}` checks the recording: signs, exchanged channels, units."
     find = (
         f"`{examined.command('diagnose')}` finds which physical effect is missing; give a second recording with "
         "`--check`."
@@ -241,7 +238,7 @@ def verdict(d: Diagnosis) -> str:
     keys = ", ".join(f"`{e}`" for e in d.effects)
     text = f"{named} {'is' if len(d.effects) == 1 else 'are'} missing ({keys})"
     if d.verdict == "tied":
-        text += f", or {' or '.join(in_words(e) for e in d.tied_with)}: this recording cannot tell"
+        text += f", or {' or '.join(in_words(e) for e in d.tied_with)}: this recording cannot separate them"
     check = f", of the check recording from {d.check_error_before:.3g} to {d.check_error_after:.3g}"
     return (
         f"{text[0].upper()}{text[1:]}. The open-loop error falls from {d.error_before:.3g} to {d.error_after:.3g} "
@@ -295,8 +292,8 @@ def what_is_left(d: Diagnosis, examined: Examined | None) -> list[Section]:
     """
     sections: list[Section] = []
     if d.nearest and examined is not None:
-        label = "with parameters moved" if d.parameters else "as given"
-        caption = f"What was measured, and what the crane file does {label}, seeing only the commands."
+        label = "with parameters fitted" if d.parameters else "as given"
+        caption = f"Measured, and simulated from the commands alone with the crane file {label}."
         traces: list[Part] = [
             Picture(traces_figure(from_one_start(r, {label: crane}), crane.layout), f"{r.name}: {caption}")
             for r, crane in zip(examined.recordings, d.nearest, strict=True)
@@ -307,11 +304,11 @@ def what_is_left(d: Diagnosis, examined: Examined | None) -> list[Section]:
     violated = list(dict.fromkeys(w["equation"] for w in d.where if "equation" in w))
     told: list[Part] = []
     if len(violated) == len(d.given.layout.equations):
-        told.append("Every balance of the model is violated: no single place stands out.")
+        told.append("Every balance of the model is violated, so no single place stands out.")
     elif violated:
         told += where_parts(d.given, [violated[0].rpartition(".")[2]])
     table = _worst_of([(w["score"], w["text"]) for w in d.where])
-    return [*sections, ("Where something is left", [*told, table])]
+    return [*sections, ("What remains unexplained", [*told, table])]
 
 
 def cranes_of(d: Diagnosis) -> list[Crane]:
@@ -331,24 +328,24 @@ def after_diagnosis(d: Diagnosis, examined: Examined | None) -> list[Part]:
         for name, more in (("improve", " -o new.toml"), ("learn", ""))
     )
     unchecked = "" if not math.isnan(d.check_error_before) else (
-        "A second recording, given with `--check`, is only predicted: an effect that predicts it too is to be believed."
+        "Give a second recording with `--check`. An effect that also predicts it is confirmed."
     )  # fmt: skip
     todo = {
-        "adequate": "Nothing has to be added for this recording. Another one, with other loads and speeds, tells "
+        "adequate": "Nothing has to be added for this recording. A recording with other loads and speeds shows "
                     "whether the model holds there.",
-        "parameters": f"`{improve}` writes the moved parameters into a crane file. Those that moved most are worth "
-                      "measuring.",
-        "effect": f"`{improve}` adds what was found to the crane file, and looks whether anything is left.",
-        "tied": "The explanations differ in another manoeuvre: "
-                f"{d.next_manoeuvre or 'one with other loads and speeds'}",
-        "unknown": f"`{learn}` looks for a law that is not in the library; `{improve}` takes effects in one after the "
-                   "other where none alone explains the recording.",
+        "parameters": f"`{improve}` writes the fitted parameters into a crane file. Measure those that changed "
+                      "most.",
+        "effect": f"`{improve}` adds the effect to the crane file and checks whether anything else is missing.",
+        "tied": "To separate the explanations: "
+                f"{d.next_manoeuvre or 'record other loads and speeds'}",
+        "unknown": f"`{learn}` looks for a law that is not in the library; `{improve}` adds effects one after the "
+                   "other if none alone explains the recording.",
     }[d.verdict]  # fmt: skip
     if d.verdict == "parameters" and not d.parameters and any(e.get("parameters") for e in d.recordings):
-        todo = "Nothing has to be added to the crane file: what differs from one recording to another explains them."
+        todo = "Nothing has to be added to the crane file: the parameters that differ between recordings explain them."
     if d.misses_check and examined is not None and examined.check is not None:
         everything = replace(examined, recordings=(*examined.recordings, examined.check), check=None)
-        todo = f"`{everything.command('check')}` tells whether all are what they say they are."
+        todo = f"`{everything.command('check')}` checks all recordings: signs, exchanged channels, units."
     return list(filter(None, (todo, unchecked)))
 
 
@@ -360,10 +357,9 @@ def sureness(d: Diagnosis) -> list[Part]:
         for c in d.candidates[:_WEIGHED]
     ]
     columns = ("explanation", "log evidence", "probability", "error / noise", "on check")
-    note = f"Log evidence is relative to the best: 5 less is a hundred times less likely. {_ERRORS}"
+    note = f"Log evidence is relative to the best; 5 less is about a hundred times less likely. {_ERRORS}"
     caption = (
-        "How much likelier than moved parameters alone each explanation makes the recording (in full colour what was "
-        "chosen), "
+        "Gain in log evidence of each explanation over fitted parameters alone (the chosen one in full colour), "
         "and the error."
     )
     return [*_rivals(d), Picture(d.plot(), caption), Table(columns, rows, note=note)]
@@ -372,13 +368,13 @@ def sureness(d: Diagnosis) -> list[Part]:
 def _rivals(d: Diagnosis) -> list[str]:
     """Return what comes next after the chosen explanation, and by how much it is less likely."""
     if d.verdict == "tied":
-        return [f"As likely as that: {', '.join(in_words(e) for e in d.tied_with)}."]
+        return [f"Equally likely: {', '.join(in_words(e) for e in d.tied_with)}."]
     chosen = next((c for c in d.candidates if c.effects == d.effects), None)
     others = [c for c in d.candidates if c is not chosen]
     if d.verdict == "unknown" or chosen is None or not others:
         return []
     behind = evidence_difference(chosen.evidence, others[0].evidence)
-    return [f"The next best explanation, {in_words(others[0].name)}, is behind by {behind:g} in log evidence."]
+    return [f"The next best explanation, {in_words(others[0].name)}, is {behind:g} lower in log evidence."]
 
 
 def _share(probability: float) -> str:
@@ -390,12 +386,15 @@ def _details(d: Diagnosis) -> list[Section]:
     rivals = [row for c in d.candidates[:3] if c.effects != d.effects for row in _parameter_rows(c)]
     if rivals:
         sections.append(
-            ("Details: the rivals' parameters", [Table(("parameter", "value", "unit"), rivals, note="± 95 %.")])
+            (
+                "Details: parameters of the other explanations",
+                [Table(("parameter", "value", "unit"), rivals, note="± 95 %.")],
+            )
         )
     if d.parameters:
         rows = [(n, *_beside(p), engineering(p["unit"])[0]) for n, p in d.parameters.items()]
         wide = ("parameter", "value", "nominal", "unit")
-        sections.append(("Details: nominal parameters that moved", [Table(wide, rows, note="± 95 %.")]))
+        sections.append(("Details: nominal parameters that changed", [Table(wide, rows, note="± 95 %.")]))
     if d.notes:
         sections.append(("Details: remarks", [f"{r[0].upper()}{r[1:].rstrip('.')}." for r in d.notes]))
     return sections
@@ -432,8 +431,8 @@ def before_and_after(
         entries: of each, as `Diagnosis.recordings` has them, where parameters differ from one to another.
     """
     caption = (
-        "What was measured, and what the crane file as given and the improved one do from the same start, seeing only "
-        "the commands."
+        "Measured, and simulated from the same start and the commands alone with the crane file as given and as "
+        "improved."
     )
     own = [f" ({own_values(e)})" if e.get("parameters") else "" for e in entries] or [""] * len(recordings)
     return [
@@ -449,7 +448,7 @@ def _by_recording(entries: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of entries as `Diagnosis.recordings` has them; those of other results know fewer errors."""
     columns = {"error": "error / noise", "error_before": "error before", "error_after": "after"}
     known = [key for key in columns if key in entries[0]]
-    own = ["its own"] if any(e.get("parameters") for e in entries) else []
+    own = ["own values"] if any(e.get("parameters") for e in entries) else []
     rows = [(e["recording"], *(three_digits(e[key]) for key in known), *(own_values(e) for _ in own)) for e in entries]
     return Table(("recording", *(columns[key] for key in known), *own), rows)
 
@@ -479,7 +478,7 @@ def law_parts(keys: Sequence[str], parameters: Parameters) -> list[Part]:
             rows.append((name, texts.get(name, ""), rounded(value, half), unit or "–", p["value"], p["unit"] or "–"))
         signature = effect.signature()
         parts += [f"{in_words(key)[0].upper()}{in_words(key)[1:]}, `{key}`. Law: {effect.law()}"]
-        parts += [f"How it shows: {signature}"] if signature else []
+        parts += [f"Signature: {signature}"] if signature else []
         if rows:
             parts.append(Table(("parameter", "meaning", "value", "unit", "in SI", "SI unit"), rows, note="± 95 %."))
     return parts
@@ -508,10 +507,10 @@ def report_improvement(
         for s in result.steps
     ]
     expected = (
-        "NIS is that of a filter that trusts the model, as in a comparison; expected is the number of sensors. "
+        "NIS is that of a filter that trusts the model, as in a comparison; it should equal the number of sensors. "
         f"{_ERRORS}"
     )
-    table = Table(("step", "error / noise", "on check", "filter's NIS", "what was found"), rows, note=expected)
+    table = Table(("step", "error / noise", "on check", "filter's NIS", "result"), rows, note=expected)
     sections: list[Section] = [("What to do next", _after_improvement(result, examined))]
     traces: list[Part] = []
     if examined is not None and len(result.steps) > 1:
@@ -530,7 +529,7 @@ def report_improvement(
         if named:
             sections.append(("What was missing", law_parts(named, _complete(result.crane, named, parameters))))
     if result.learned is not None and result.learned.laws:
-        sections.append(("Learned, as no named effect explains it", curve_parts(result.learned)))
+        sections.append(("Learned, because no named effect explains it", curve_parts(result.learned)))
     sections.append(("How sure", [verdict(first), *sureness(first)]))
     sections += _details(first)
     about = {"crane": first.given.name, "recording": result.recording} | dict(given or {})
@@ -607,9 +606,7 @@ def outcome(result: Improvement) -> str:
     """Return in one or two sentences what was added, what that did, and what is left."""
     first, last = result.steps[0], result.steps[-1]
     added = [in_words(s.added) for s in result.steps if s.added]
-    left = (
-        "Nothing is left that noise does not explain." if result.verdict == "adequate" else f"Left: {result.verdict}."
-    )
+    left = "Only noise is left." if result.verdict == "adequate" else f"Left: {result.verdict}."
     if not added:
         return f"Nothing was added; the open-loop error is {first.error:.3g} times the sensors' noise. {left}"
     check = "" if math.isnan(last.check_error) else f", on the check recording to {last.check_error:.3g}"

@@ -102,10 +102,10 @@ def samples(crane: Crane) -> list[Sample]:
         Sample("hidden_learn.csv", "a machine with a hidden effect",
                learn.save, "diagnose", "hidden_learn.csv", checked),
         Sample("hidden_check.csv", "the same machine, another manoeuvre", check.save, "compare", "hidden_check.csv"),
-        Sample("logger.csv", "the sound machine, by a logger with names and units of its own",
+        Sample("logger.csv", "the sound machine, recorded by a logger with its own names and units",
                partial(write_table, columns=table), "check", "logger.csv", mapped),
-        Sample("logger.toml", "what that logger's columns are", write_map, "compare", "logger.csv", mapped),
-        Sample("mistaken.csv", "the sound machine, columns named wrongly", wrong.save, "check", "mistaken.csv"),
+        Sample("logger.toml", "the map file for that logger's columns", write_map, "compare", "logger.csv", mapped),
+        Sample("mistaken.csv", "the sound machine, with wrong column names", wrong.save, "check", "mistaken.csv"),
     ]  # fmt: skip
 
 

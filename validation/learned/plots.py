@@ -41,6 +41,6 @@ def _panel(axes: Any, law: LearnedLaw) -> None:
         axes.plot(at / fx, law.form.at(at) / fy, "--", color=OTHERS[0].color, linewidth=1, label=law.form.name)
     went = law.law.visited[:: max(1, len(law.law.visited) // 400)] / fx
     axes.plot(went, np.full(len(went), 0.02), "|", color="0.4", markersize=6, transform=axes.get_xaxis_transform())
-    axes.set_xlabel(f"{law.over.replace('_', ' ')}{f' [{x_unit}]' if x_unit else ''}; marks: where the recording went")
+    axes.set_xlabel(f"{law.over.replace('_', ' ')}{f' [{x_unit}]' if x_unit else ''}; marks: where the recording was")
     axes.set_ylabel(f"{in_words(law.effect)}{f' [{y_unit}]' if y_unit else ''}")
     axes.legend()

@@ -162,7 +162,7 @@ def _failing(before: Fitted, after: Fitted) -> str:
         return ""
     return (
         f"{after.keys[-1]} would gain {inside:.0f} units of log-likelihood where it was fitted, but {outside:.0f} on "
-        "blocks left out: it does not predict"
+        "blocks left out, so it does not predict"
     )
 
 
@@ -175,7 +175,7 @@ def _finished(path: LearningPath, most: int, progress: Progress) -> LearningPath
     best, nothing = path.best, path.parameters
     if not best.model.curves or (repairs(best, nothing) and best.plausible):
         return path
-    note = f"{named(best)} would be the best, but leaves too much, or moves parameters too far"
+    note = f"{named(best)} would be the best, but leaves too large an error, or changes parameters too much"
     return replace(path, best=nothing, rivals=(), notes=(*path.notes, note))
 
 

@@ -11,8 +11,8 @@ from ..report import Mood, Part, Picture, Section, Table, three_digits, write_re
 from .learned_law import LearnedLaw
 
 _CAPTION = (
-    "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom are the "
-    "places that carry it. Outside it is not known; the model goes on along the simple form that is named, or straight."
+    "Each curve over the range that the recording visited, with its 95 % interval; the marks at the bottom show "
+    "where it was. Outside this range the curve is not known; the model goes on with the named form, or straight."
 )
 
 
@@ -23,7 +23,7 @@ def report_learned(found: Learned, directory: str | Path, given: Mapping[str, ob
     if found.laws:
         sections.append(("The curves", curve_parts(found)))
     tied = [
-        f"{law.effect}: the recording cannot tell it from {', or '.join(law.tied_with)}."
+        f"{law.effect}: the recording cannot separate it from {', or '.join(law.tied_with)}."
         for law in found.laws
         if law.tied_with
     ]

@@ -41,7 +41,7 @@ def fitted_effect(
         raise CraneError(f"{key!r} is a curve, which has no typical size to be fitted from. Find it with `patu learn`.")
     if crane.effect(key) is not None:
         raise CraneError(
-            f"{crane.name} has {key!r} already. Remove it first, or fit everything anew with `patu improve`."
+            f"{crane.name} has {key!r} already. Remove it first, or fit everything again with `patu improve`."
         )
     recording = vetted(recording, crane)
     problem = Problem.of(crane, [recording], (), jobs=1)
@@ -50,7 +50,7 @@ def fitted_effect(
     begins = [dict(values)] if values else begins
     loose = [fitted(crane, problem.data, Model(problem.shared, {key: b}), problem.base, (LOOSE,)) for b in begins]
     if not loose:
-        raise CraneError(f"{recording.name} says nothing about {key!r}: no channel shows it.")
+        raise CraneError(f"{recording.name} contains no information on {key!r}: no channel responds to it.")
     best = max(loose, key=lambda w: w.evidence)
     done = fitted(crane, problem.data, best.model, best.fit, (TIGHT, STIFF))
     plain = fitted(crane, problem.data, Model(problem.shared), problem.base, (TIGHT, STIFF))

@@ -85,7 +85,7 @@ def best_manoeuvre(first: Crane, second: Crane, noise: Mapping[str, float], chan
                     f"{manoeuvre.text}, starting at {', '.join(at)}: the explanations then differ by {found[0]:.1f} "
                     f"times the noise in {found[1]}"
                 )
-    return text or "none of the manoeuvres that were simulated tells them apart; another sensor would be needed"
+    return text or "none of the simulated manoeuvres separates them; another sensor would be needed"
 
 
 def _difference(

@@ -19,7 +19,7 @@ _HATCH = "///"
 
 
 def diagnosis_figure(
-    gains: Mapping[str, float], chosen: str, errors: Mapping[str, Sequence[float]], found: str = "with what was found"
+    gains: Mapping[str, float], chosen: str, errors: Mapping[str, Sequence[float]], found: str = "with the result"
 ) -> Figure:
     """Return a figure: what explanations gain in evidence over the parameters alone, and the errors.
 

@@ -49,7 +49,7 @@ def verdict_of(path: WhitePath) -> Verdict:
         w for w in path.weighed[1:]
         if w.evidence > best.evidence - CRITERIA.tie and len(w.keys) <= len(best.keys)
     )  # fmt: skip
-    nearly = "what comes first predicts what it was not fitted to, but its law is not quite the machine's"
+    nearly = "the best explanation predicts data outside its fit, but its law differs slightly from the machine's"
     notes = () if best.good or _repairs(path, best) else (nearly,)
     return Verdict("tied" if ties else "effect", best, ties, (*notes, *_bounds(best)))
 
@@ -89,8 +89,8 @@ def _far_moves(w: Fitted, at_once: Fitted) -> str:
     gap = at_once.evidence - w.evidence
     less = f", and is less likely by {gap:.0f} units of log evidence" if gap > CRITERIA.tie else ""
     return (
-        f"{' and '.join(w.keys) or 'no effect'} alone would need {len(w.far)} nominal parameters beyond twice their "
-        f"stated uncertainty{less}"
+        f"{' and '.join(w.keys) or 'no effect'} alone would need {len(w.far)} nominal parameters at more than twice "
+        f"their stated uncertainty{less}"
     )
 
 

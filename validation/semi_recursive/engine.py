@@ -87,8 +87,7 @@ class SemiRecursiveEngine:
     def __init__(self, crane: Crane, *, step: float = 1e-3, accuracy: float = 1.0):
         if checked_crane(crane, "SemiRecursiveEngine").objects:
             raise CraneError(
-                f"{crane.name}: objects of one's own are known to the Exudyn engine only. Use that, or a crane without "
-                "them."
+                f"{crane.name}: only the Exudyn engine knows user-defined objects. Use it, or a crane without them."
             )
         self.crane, self.step, self.accuracy = crane, float(step), float(accuracy)
         self._P, self._E = crane.parameter_vector(), crane.effect_vector()
@@ -317,7 +316,7 @@ class SemiRecursiveEngine:
                     f"Semi-recursive engine: the loop {_around(machine, joint)} of {self.crane.name} cannot be closed "
                     f"at {self._pose(x)}: "
                     f"{joint.name} is out of reach of {inner.body} and {outer.body}. "
-                    f"Mend the pose or the joints {inner.name}, {outer.name}, {joint.name}."
+                    f"Correct the pose or the joints {inner.name}, {outer.name}, {joint.name}."
                 )
         return f"Semi-recursive engine: the forces of {self.crane.name} at {self._pose(x)} are not finite."
 
