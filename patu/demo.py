@@ -87,9 +87,10 @@ def command(
 ) -> None:
     """Run the main steps on the recordings that come with the package.
 
-    1. A crane runs the paper's working cycle, and a filter estimates its states. The filter's model has wrong masses,
-    joints, payload and pump. 2. A recording of a crane with a hidden effect is compared and diagnosed, and the crane
-    file is improved; the Exudyn engine confirms the result. 3. A picture of that crane is drawn. One report shows all.
+    First a crane runs the paper's working cycle, and a filter estimates its states; the filter's model has wrong masses,
+    joints, payload and pump. Then a recording of a crane with a hidden effect is compared and diagnosed, and the crane
+    file is improved; the Exudyn engine confirms the result. Finally a picture of that crane is drawn. One report shows
+    all three.
     """
     printer = Printer(json)
     begin = perf_counter()
