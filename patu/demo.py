@@ -87,8 +87,8 @@ def command(
 ) -> None:
     """Run the main steps on the recordings that come with the package.
 
-    First a crane runs the paper's working cycle, and a filter estimates its states; the filter's model has wrong masses,
-    joints, payload and pump. Then a recording of a crane with a hidden effect is compared and diagnosed, and the crane
+    First a crane runs the paper's working cycle, and a filter estimates its states; the filter's model has wrong
+    masses, joints, payload and pump. Then a recording of a crane with a hidden effect is compared and diagnosed, and the crane
     file is improved; the Exudyn engine confirms the result. Finally a picture of that crane is drawn. One report shows
     all three.
     """

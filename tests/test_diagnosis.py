@@ -427,4 +427,6 @@ def test_the_same_recording_twice_is_told():
     learn = Recording.load(DATA / "open_leak_lift_learn.csv.gz").window(0.0, 3.0)
     copy = Recording("copy", learn.channels, "copy.csv")
     assert "copy.csv is the recording that is learned from" in check_check(copy, [learn], Crane.load("patu655"))[0]
-    assert not any("no independent check" in n for n in check_check(learn.window(0.0, 2.9), [learn], Crane.load("patu655")))
+    assert not any(
+        "no independent check" in n for n in check_check(learn.window(0.0, 2.9), [learn], Crane.load("patu655"))
+    )

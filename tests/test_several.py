@@ -112,7 +112,7 @@ def test_each_recording_is_drawn_and_told_with_its_own_load(found, recordings, t
         assert left(lines, "improved") == pytest.approx(entry["error_after"], rel=0.02)
         assert left(lines, "as given") > 2.0
         own = f"payload.mass = {entry['parameters']['payload.mass']['value']:.4g} kg"
-        assert f">{own}</td>" in text and f"{entry['recording']} ({own}): What was measured" in text
+        assert f">{own}</td>" in text and f"{entry['recording']} ({own}): Measured, and simulated" in text
     assert "<h2>By recording</h2>" in text
 
 
