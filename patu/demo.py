@@ -88,9 +88,9 @@ def command(
     """Run the main steps on the recordings that come with the package.
 
     First a crane runs the paper's working cycle, and a filter estimates its states; the filter's model has wrong
-    masses, joints, payload and pump. Then a recording of a crane with a hidden effect is compared and diagnosed, and the crane
-    file is improved; the Exudyn engine confirms the result. Finally a picture of that crane is drawn. One report shows
-    all three.
+    masses, joints, payload and pump. Then a recording of a crane with a hidden effect is compared and diagnosed, and
+    the crane file is improved; the Exudyn engine confirms the result. Finally a picture of that crane is drawn. One
+    report shows all three.
     """
     printer = Printer(json)
     begin = perf_counter()
