@@ -6,10 +6,11 @@ follows it. So the filter estimates along with the state what may act so, each u
 noise; "When the model is wrong" in docs/estimator.md has the table of them.
 
 How large each is follows from the recording: the sizes, and the white noise beside them, are those under which the
-innovations are most likely (`replay`), held back from leaving what is expected by a prior of half a power of ten. Then
-each size is widened by a quarter of a power of ten, or as much less as leaves the innovations nearly as likely: they
-tell of an unknown what it does to the sensors, and what is not measured may suffer more. With a model that is right all
-sizes fall, and the intervals are those of the filter without them.
+innovations are most likely (`replay`), held back from leaving what is expected by a prior: of one and a half powers of
+ten for a model, of half a one for sensors and what the crane file calls unknown. Then each size is widened by a quarter
+of a power of ten, or as much less as leaves the innovations nearly as likely: they tell of an unknown what it does to
+the sensors, and what is not measured may suffer more. With a model that is right all sizes fall, and the intervals are
+those of the filter without them.
 
 Where all pressures were measured once, more is known than that: `lasting` finds sizes and memories from all sensors,
 a crane file keeps them under [model_error], and these are then what is expected.
@@ -49,9 +50,11 @@ _GAUGE, _OTHER = (1.0 / 3.0, 10.0), (1.0 / 3.0, 0.2)
 #: the same of how the bulk modulus of the oil walks away from a constant error, which the crane file states: by how
 #: fast a boom rings the filter weighs its load
 _OIL, _SOFT = "fluid.oil_bulk_modulus", (0.05, 3.0)
-#: standard deviation of the prior of a size, and of that of the white noise, powers of ten; by how much sizes are
-#: widened afterwards
-_PRIOR, _PRIOR_NOISE, _WIDENED = 0.5, 3.0, 0.25
+#: standard deviations of priors, powers of ten: of how wrong a model is; of what a sensor errs by, which its noise
+#: states, of what the crane file calls unknown, and of a memory; and of the white noise; by how much sizes are widened
+#: afterwards. Most of a wrong model is right, so that sizes scatter widely: by 1.5, found with a prior of 1.5; by 1.1
+#: with 0.5, by 1.7 with 3
+_MODEL, _ELSE, _PRIOR_NOISE, _WIDENED = 1.5, 0.5, 3.0, 0.25
 #: shares of that that are tried, the widest first
 _SHARES = (1.0, 0.75, 0.5, 0.25)
 #: largest offset of a sensor in parts of its noise; and of a gauge where a crane file is to tell of the model: what is
@@ -71,8 +74,9 @@ _ADAPT = 4.0
 #: shortest memory of a moment that is searched, s: inertia swings within it; friction that reverses does so sooner, but
 #: then stays as long as a motion
 _QUICK = 1.0
-#: least share of what is expected of any model that a crane file keeps: the next run finds the model wrong elsewhere
-_LEAST = 0.1
+#: least share of what is expected of any model that a crane file keeps, one standard deviation of the prior: the next
+#: run finds the model wrong elsewhere
+_LEAST = 10.0**-_MODEL
 #: how much of a recording the search uses, around its busiest part, s: before an estimate, and for a crane file
 _SECONDS, _LONG = 10.0, 60.0
 #: what `patu estimate --model-error` may say
@@ -88,8 +92,8 @@ _PRESSURE = 0.3
 class Unknown:
     """Quantities that share a size: their names, the size that is expected (SI), how long they last (s), the largest
     size, a part that stays, of which the size says nothing, the shortest memory that is searched (s; infinite: none
-    is), whether it is left out where the innovations are as likely without it, and where it begins (None: as the crane
-    file says).
+    is), whether it is left out where the innovations are as likely without it, where it begins (None: as the crane file
+    says), and by how many powers of ten the expected size may be off.
 
     With a part that stays it is a random walk from there, as fast as noise of that size and memory is at first.
     """
@@ -102,6 +106,7 @@ class Unknown:
     least: float = np.inf
     spared: bool = False
     begins: float | None = None
+    prior: float = _MODEL
 
     def augments(self, size: float) -> tuple[Augment, ...]:
         """Return the quantities as states of the filter, of a given size."""
@@ -172,11 +177,12 @@ def unknowns(
     found = [_as_filed(u, crane) for u in found]
     if np.isfinite(soft := _filed(crane, _OIL)) and soft > 0.0:
         found.append(Unknown((_OIL,), *_share(crane[_OIL], _SOFT), crane[_OIL] / 2.0, soft))
-    found += [Unknown((f"bias.{n}",), *_share(sensors[n], _GAUGE), drift * sensors[n]) for n in gauges]
+    found += [Unknown((f"bias.{n}",), *_share(sensors[n], _GAUGE), drift * sensors[n], prior=_ELSE) for n in gauges]
     others = [n for n in sensors if n not in gauges]
-    found += [Unknown((f"bias.{n}",), *_share(sensors[n], _OTHER), _DRIFT * sensors[n]) for n in others]
+    found += [Unknown((f"bias.{n}",), *_share(sensors[n], _OTHER), _DRIFT * sensors[n], prior=_ELSE) for n in others]
     found += [
-        Unknown((e.name,), e.std, np.inf, 10.0 * e.std, spared=True) for e in resolve(crane, _openly_unknown(crane))
+        Unknown((e.name,), e.std, np.inf, 10.0 * e.std, spared=True, prior=_ELSE)
+        for e in resolve(crane, _openly_unknown(crane))
     ]
     return tuple(u for u in found if u.size > 0.0 and not set(u.names) & set(without))  # machines without hoses
 
@@ -303,7 +309,7 @@ def lasting(
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, GaussMarkov]:
     """Return the sizes and memories of what is wrong about the model itself, as a crane file keeps them: those under
-    which the innovations of a recording are most likely, but a tenth of what is expected at least; of several
+    which the innovations of a recording are most likely, but a thirtieth of what is expected at least; of several
     recordings the geometric mean.
 
     Of use where pressures are measured that an estimate later does without. What the sensors err by, and what the file
@@ -368,9 +374,10 @@ class _Search:
         self.start, self.count = start, len(start.unknowns)
         self._fading = [k for k, u in enumerate(start.unknowns) if u.least < u.memory < np.inf]
         noise = logs_of(start.noise)
-        near = self.count + len(self._fading)
-        self.first = np.concatenate([np.zeros(near), noise])
-        self._width = np.concatenate([np.full(near, _PRIOR), np.full(noise.size, _PRIOR_NOISE)])
+        self.first = np.concatenate([np.zeros(self.count + len(self._fading)), noise])
+        self._width = np.array(
+            [*(u.prior for u in start.unknowns), *[_ELSE] * len(self._fading), *[_PRIOR_NOISE] * noise.size]
+        )
         self._most = np.log10([u.most / u.size for u in start.unknowns])
         sizes = [(_BELOW, float(most)) for most in self._most]
         memories = [(float(np.log10(u.least / u.memory)), 0.0) for u in (start.unknowns[k] for k in self._fading)]
