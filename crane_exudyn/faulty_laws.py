@@ -17,7 +17,7 @@ import numpy as np
 from .crane import Crane
 from .effects import registry
 from .errors import CraneError, listed
-from .geometry import told
+from .geometry import pose_text
 from .plausible import implausible
 from .statics import size_of_state, terms
 
@@ -48,7 +48,7 @@ def _law(crane: Crane, state: np.ndarray, w: np.ndarray, time: float, h: float) 
         if found:
             lay = crane.layout
             pressures = listed(lay.chambers, x[lay.pressures] / 1e5, "{:.4g} bar")
-            return refusal(crane, found, f"t = {t:.6g} s, {told(lay, x)}, {pressures}")
+            return refusal(crane, found, f"t = {t:.6g} s, {pose_text(lay, x)}, {pressures}")
     return None
 
 

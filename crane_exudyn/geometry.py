@@ -472,7 +472,7 @@ def unclosed(crane: Crane, z: np.ndarray) -> int:
     return int(fill_frames(crane.machine.topology, crane.parameter_vector(), np.asarray(z, float), arms))
 
 
-def told(layout: Layout, z: np.ndarray) -> str:
+def pose_text(layout: Layout, z: np.ndarray) -> str:
     """Return coordinates as people say them, such as "z1 = 10.00 deg"."""
     return ", ".join(
         f"{n} = {v:.4f} m" if layout.unit_of(n) == "m" else f"{n} = {math.degrees(v):.2f} deg"
@@ -487,8 +487,8 @@ def unreachable(crane: Crane, z: np.ndarray, where: str = "") -> CraneError:
     first, second = machine.carriers[machine.carriers[closing.carrier].carrier], machine.carriers[closing.carrier]
     pins = "-".join((first.name, second.name, closing.name))
     return CraneError(
-        f"{crane.name}{where}: the pose {told(crane.layout, z)} cannot be reached: {first.body} and {second.body} are "
-        "too short or too long "
+        f"{crane.name}{where}: the pose {pose_text(crane.layout, z)} cannot be reached: {first.body} and {second.body} "
+        "are too short or too long "
         f"to close the loop over the joints {pins}. Choose a pose nearer to the middle of its range, or correct the "
         "points of these joints in the crane file."
     )

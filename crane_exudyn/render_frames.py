@@ -12,7 +12,7 @@ import numpy as np
 from . import render_labels as labels
 from . import render_shapes as shapes
 from .crane import Crane
-from .geometry import pose, told
+from .geometry import pose, pose_text
 from .machine import GROUND, PRISMATIC
 from .plots import empty_figure, style
 from .render import coordinates
@@ -79,7 +79,7 @@ def overview(crane: Crane, marks: Sequence[str] = ()) -> Figure:
 
 
 def _start_words(crane: Crane) -> str:
-    started = told(crane.layout, np.array(crane.initial.pose)).replace("-", "−")
+    started = pose_text(crane.layout, np.array(crane.initial.pose)).replace("-", "−")
     return f"{crane.name} at its start: {started}"
 
 

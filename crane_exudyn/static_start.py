@@ -67,7 +67,7 @@ def static_start(crane: Crane, *pose: float | np.ndarray, less_loaded: Any = Non
         state[lay.pressures_of(c)] = _pressures(P, E, c, r.lines[c, LENGTH], force, low[c])
     if not np.isfinite(state).all():
         raise faulty_laws.where_start_failed(crane, state) or CraneError(
-            f"{crane.name}: there is no static start at {geo.told(lay, state)}: "
+            f"{crane.name}: there is no static start at {geo.pose_text(lay, state)}: "
             "the forces there are not finite. Look for numbers of the crane that are out of proportion."
         )
     return state
@@ -81,7 +81,7 @@ def _check_lengths(crane: Crane, state: np.ndarray, lengths: np.ndarray) -> None
         shortest, longest = crane.stroke(cylinder)
         if not 2.0 * shortest - longest <= length <= 2.0 * longest - shortest:
             raise CraneError(
-                f"{crane.name}: static_start: at {geo.told(crane.layout, state)} the {cylinder} cylinder would be "
+                f"{crane.name}: static_start: at {geo.pose_text(crane.layout, state)} the {cylinder} cylinder would be "
                 f"{length:.4g} m long, and it can be {shortest:.4g} to {longest:.4g} m. Coordinates are in rad and m."
             )
 
@@ -103,8 +103,8 @@ def beyond_pump(crane: Crane, state: np.ndarray) -> str:
     if not found:
         return ""
     return (
-        f"at {geo.told(lay, state)}: {' and '.join(found)} to lift the load, and the pump gives {pump / 1e5:.4g} bar: "
-        "look at masses, com, payload, bore and pump_pressure, and at the lever arm that the pins leave there."
+        f"at {geo.pose_text(lay, state)}: {' and '.join(found)} to lift the load, and the pump gives {pump / 1e5:.4g} "
+        "bar: look at masses, com, payload, bore and pump_pressure, and at the lever arm that the pins leave there."
     )
 
 
@@ -118,8 +118,8 @@ def _holding_forces(crane: Crane, r: Reduction, state: np.ndarray) -> np.ndarray
     if np.abs(leverage).max(axis=1).min() < 1e-6 or abs(np.linalg.det(leverage)) < 1e-9:
         name = lay.cylinders[int(np.abs(leverage).max(axis=1).argmin())]
         raise CraneError(
-            f"{crane.name}: the {name} cylinder has no leverage at {geo.told(lay, state)}, so no pressure balances the "
-            "load. Start at another pose."
+            f"{crane.name}: the {name} cylinder has no leverage at {geo.pose_text(lay, state)}, so no pressure "
+            "balances the load. Start at another pose."
         )
     return np.linalg.solve(leverage.T, -(r.N @ f)[lay.positions])
 

@@ -206,9 +206,10 @@ def check_start(crane: Crane) -> None:
     if cylinder:
         shortest, longest = crane.stroke(cylinder)
         raise CraneError(
-            f"{crane.name}: [initial] {geo.told(crane.layout, state)}: the {cylinder} cylinder would be {length:.4f} m "
-            f"long; cylinders.{cylinder}.empty_length and chamber_range let it be {shortest:.4f} to {longest:.4f} "
-            "m. Choose another pose in [initial], or correct these lengths or the cylinder's pins."
+            f"{crane.name}: [initial] {geo.pose_text(crane.layout, state)}: the {cylinder} cylinder would be "
+            f"{length:.4f} m long; cylinders.{cylinder}.empty_length and chamber_range let it be "
+            f"{shortest:.4f} to {longest:.4f} m. Choose another pose in [initial], or correct these lengths or the "
+            "cylinder's pins."
         )
 
 

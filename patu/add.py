@@ -133,7 +133,7 @@ def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]
     from crane_exudyn.crane_toml import unit_at
     from crane_exudyn.effects import registry
     from validation.history import moved_in_words
-    from validation.reports import told
+    from validation.reports import interval_text
 
     (effect, place), found = registry.split_key(key, before.layout), []
     for p in effect.parameters:
@@ -141,7 +141,7 @@ def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]
             fitted = document["parameters"][p.name]
             spread = math.inf if fitted["std"] is None else fitted["std"]
             unit = unit_at(p.unit, place, before.layout)
-            found.append(f"{p.name} = {told({**fitted, 'std': spread, 'unit': unit})}")
+            found.append(f"{p.name} = {interval_text({**fitted, 'std': spread, 'unit': unit})}")
     moved = moved_in_words(before, after)
     return (
         f"{key}: {', '.join(found)}; open-loop error {document['error_before']:.3g} -> {document['error_after']:.3g} "

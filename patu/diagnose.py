@@ -87,7 +87,7 @@ def tell(printer: Printer, d: Diagnosis) -> None:
     """Print verdict, candidates, parameters that moved, and what to do next."""
     from validation.diagnosis import own_values, sentence
     from validation.report import three_digits
-    from validation.reports import told
+    from validation.reports import interval_text
 
     printer.line(f"Verdict: {d.verdict} — {sentence(d)}.")
     printer.table(
@@ -99,7 +99,7 @@ def tell(printer: Printer, d: Diagnosis) -> None:
         chosen = next((c for c in d.candidates if c.effects == d.effects), d.candidates[0])
         for name, p in chosen.parameters.items():
             in_si = f"{p['value']:.4g} {p['unit']}".strip()
-            printer.line(f"  {name} = {told(p)} (95 %; {in_si})")
+            printer.line(f"  {name} = {interval_text(p)} (95 %; {in_si})")
     moved = list(d.parameters.items())[:6]
     if moved:
         printer.table(

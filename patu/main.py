@@ -101,7 +101,7 @@ def run(arguments: Sequence[str] | None = None) -> None:
             status = _dispatch(words)
             sys.stdout.flush()
         except BaseException as problem:
-            status = _told(endings.cause_of(problem), words)
+            status = _failed(endings.cause_of(problem), words)
     if endings.came and any(not t.daemon for t in threading.enumerate() if t is not threading.main_thread()):
         os._exit(status)  # a thread is in compiled code, or compiling; Python would wait for it
     sys.exit(status)
@@ -172,7 +172,7 @@ class _Endings:
             self._complain(what)
 
 
-def _told(problem: BaseException, words: Sequence[str]) -> int:
+def _failed(problem: BaseException, words: Sequence[str]) -> int:
     """Say in one message why a command ended, and return its exit status."""
     from crane_exudyn.errors import CraneError
 

@@ -38,8 +38,8 @@ def command(
     with saving(printer) as save:
         for sample in made:
             if save(folder / sample.file, partial(_write, sample)):
-                printer.line(f"  {sample.text[0].upper()}{sample.text[1:]}. Try: {sample.told(folder, given)}")
-        save.json(json, {"files": {s.file: {"text": s.text, "try": s.told(folder, given)} for s in made}})
+                printer.line(f"  {sample.text[0].upper()}{sample.text[1:]}. Try: {sample.command_line(folder, given)}")
+        save.json(json, {"files": {s.file: {"text": s.text, "try": s.command_line(folder, given)} for s in made}})
 
 
 def _write(sample: Sample, path: Path) -> None:

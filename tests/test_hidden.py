@@ -283,7 +283,7 @@ def test_a_hidden_law_that_the_library_lacks_is_not_given_a_name(short: None) ->
     case = hidden.make_case(seed, **(study.planned(seed) | plain))
     line = study.run_one(replace(case, learn=case.learn.window(0.0, 4.0)), f"case_{seed}")
     assert "judged" in line, line.get("trace")
-    assert case.answer["verdict"] == "unknown" and line["judged"]["right"], study.told(line)
+    assert case.answer["verdict"] == "unknown" and line["judged"]["right"], study.summary(line)
 
 
 def _line(name: str, kind: str, effects: list[str], found: dict[str, Any]) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from ukf.noise import ProcessNoise
 from ukf.signals import Signals
 
 from .balances import Balances, balances_of
-from .findings import Finding, Scores, balance_words, people_unit, scores_of, told
+from .findings import Finding, Scores, balance_words, people_unit, scores_of, value_text
 from .fit.data import FINE, FitData, known_parameters
 from .fit.model import model_of, spool_path
 from .fit.objects import with_objects
@@ -160,7 +160,7 @@ class Comparison:
             first = time <= time[0] + _FIRST
             by = float(np.mean((self.simulated[name][1] - values)[first]))
             if abs(by) > _OFF * self.channels[name].noise_std * people_unit(name, self.layout)[1]:
-                off.append(f"{name} {told(name, abs(by), self.layout)} {'above' if by > 0.0 else 'below'}")
+                off.append(f"{name} {value_text(name, abs(by), self.layout)} {'above' if by > 0.0 else 'below'}")
         where = f"away from the measured values: {', '.join(off)}" if off else "at the measured values"
         return f"The run starts {where}; the start was fitted. From there it gets only the commands."
 

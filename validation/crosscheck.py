@@ -20,7 +20,7 @@ import numpy as np
 from crane_exudyn.crane import Crane, checked_crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, names_of, nearest
-from crane_exudyn.geometry import told
+from crane_exudyn.geometry import pose_text
 from crane_exudyn.hydraulics import vapour_pressure
 from crane_exudyn.inputs import paper_cycle
 from crane_exudyn.layout import Layout
@@ -270,7 +270,7 @@ def _judge(layout: Layout, group: Group, name: str, values: np.ndarray, states: 
     size = np.abs(difference)
     worst = int(np.argmax(np.where(np.isnan(size), np.inf, size)))
     scale = max(float(np.nanmax(np.abs(values), initial=0.0)), group.floor, 1e-300)
-    place = told(layout, states.x[worst])
+    place = pose_text(layout, states.x[worst])
     worst_size = float(size[worst])
     return Quantity(name, group.unit, worst_size, worst_size / scale, group.tolerance, group.reason, place)
 

@@ -94,7 +94,7 @@ class Scores:
         for i, j in np.argwhere(self.badly_predicted):
             phase, name, score = self.phases[i], self.channel_names[j], float(self.channels[i, j])
             text = (
-                f"{phase.words}, {name} is {told(name, self.errors[i, j], self.layout)} (RMS) off the filter's "
+                f"{phase.words}, {name} is {value_text(name, self.errors[i, j], self.layout)} (RMS) off the filter's "
                 "prediction"
             )
             text += f", {score:.1f} times what noise explains"
@@ -172,7 +172,7 @@ def balance_words(equation: str) -> str:
     return equation.replace("torque.", "moment at ").replace("flow.", "flow into ")
 
 
-def told(name: str, value: float, layout: Layout) -> str:
+def value_text(name: str, value: float, layout: Layout) -> str:
     """Return a value in SI as people read it, such as "1.2 bar"."""
     unit, factor = people_unit(name, layout)
     return f"{value / factor:.2g} {unit}"

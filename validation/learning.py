@@ -19,7 +19,7 @@ from .criteria import CRITERIA
 from .diagnosis import OneRecording, loaded, looked_at
 from .fit.staged import STIFF, TIGHT
 from .history import added, moved_in_words, with_errors
-from .learned.fits import laws_of, refined, spread, told, with_curves
+from .learned.fits import laws_of, refined, spread, tabulated, with_curves
 from .learned.laws import unit_over
 from .learned.learned_law import LearnedLaw
 from .learned.regime import LEARNING, LearningPath, named, sound
@@ -211,7 +211,7 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
     telling = problem.telling(best.fit.crane, ties[0].fit.crane) if ties else ""
     return replace(
         learned,
-        laws=tuple(_told(problem, lean, key, _others(best, ties), evidence) for key in laws),
+        laws=tuple(_learned_law(problem, lean, key, _others(best, ties), evidence) for key in laws),
         effects=tuple(key for key in lean.keys if key not in laws),
         next_manoeuvre=telling,
         notes=tuple(notes),
@@ -226,11 +226,11 @@ def _others(best: Fitted, ties: Sequence[Fitted]) -> tuple[str, ...]:
     return tuple(" + ".join(n for n in w.names if n not in own) for w in ties)
 
 
-def _told(problem: Problem, w: Fitted, key: str, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
+def _learned_law(problem: Problem, w: Fitted, key: str, tied: tuple[str, ...], evidence: float) -> LearnedLaw:
     law, curve = laws_of(w)[key].law, registry.split_key(key)[0].curve
     assert curve is not None
     knots = law.x, law.physical(*spread(w, key))
-    x, y, cov = told(w, key)
+    x, y, cov = tabulated(w, key)
     std = np.sqrt(np.maximum(np.diag(cov), 0.0))
     y = replace(law, x=x, told=None).physical(y, std)
     form = _form(problem, w, key)
@@ -245,7 +245,7 @@ def _form(problem: Problem, w: Fitted, key: str) -> Resemblance:
     """Return the simple form that a fitted curve resembles."""
     law, curve = laws_of(w)[key].law, registry.split_key(key)[0].curve
     assert curve is not None
-    x, y, cov = told(w, key)
+    x, y, cov = tabulated(w, key)
     known = replace(law, x=x, told=None)
     y = known.physical(y, np.sqrt(np.maximum(np.diag(cov), 0.0)))
     over = replace(law.over, unit=unit_over(law, problem.crane.layout))

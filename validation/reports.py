@@ -250,10 +250,10 @@ def verdict(d: Diagnosis) -> str:
 def _with_size(key: str, parameters: Parameters) -> str:
     """Return an effect in words with its one number, or without where it has several."""
     own = _of_effect(key, parameters)
-    return in_words(key) + (f", {told(*own.values())}," if len(own) == 1 else "")
+    return in_words(key) + (f", {interval_text(*own.values())}," if len(own) == 1 else "")
 
 
-def told(p: Mapping[str, Any]) -> str:
+def interval_text(p: Mapping[str, Any]) -> str:
     """Return a parameter with its 95 % interval in engineers' units, such as "2.40 ± 0.01 l/min at 100 bar"."""
     value, half, unit = interval(p)
     return f"{rounded(value, half) if math.isfinite(half) else f'about {value:.2g}'} {unit}".strip()

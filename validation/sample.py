@@ -74,7 +74,7 @@ class Sample:
     recording: str
     others: Mapping[str, str] = field(default_factory=dict)
 
-    def told(self, folder: Path, given: Options | None = None) -> str:
+    def command_line(self, folder: Path, given: Options | None = None) -> str:
         """Return what to type for the files in a folder; `given` are options of the run that wrote them."""
         others = {flag: folder / name for flag, name in self.others.items()}
         return next_command(self.command, [folder / self.recording], {**(given or {}), **others})

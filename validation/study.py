@@ -189,10 +189,10 @@ def run(
     left = [(f, *a) for name, f, a in tasks if name not in done]
     for line in results_of(left, jobs, "generator_unordered"):
         add_line(results, line)
-        print((say or told)(line), file=sys.stderr, flush=True)
+        print((say or summary)(line), file=sys.stderr, flush=True)
 
 
-def told(line: Mapping[str, Any]) -> str:
+def summary(line: Mapping[str, Any]) -> str:
     """Return a result in one line of text."""
     answer = line["answer"]
     truth = " + ".join(answer["effects"]) or answer["verdict"]

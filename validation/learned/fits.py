@@ -34,7 +34,7 @@ def spread(w: Fitted, key: str) -> tuple[np.ndarray, np.ndarray]:
     return y, np.sqrt(np.maximum(np.diag(cov), 0.0))
 
 
-def told(w: Fitted, key: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def tabulated(w: Fitted, key: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the knots (J,) at which a law is told, its values there and their covariance (J, J), SI."""
     law, (y, cov) = laws_of(w)[key].law, curve(w, key)
     M = law.telling()

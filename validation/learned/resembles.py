@@ -178,7 +178,7 @@ def resembles(
     if math.sqrt(squares / len(X)) > CRITERIA.form_errors and left > CRITERIA.form_share * departure:
         return Resemblance("", "")
     words = form.words(p, y_unit, x_unit).replace("  ", " ").strip()
-    text = _told(form, p, words, over)
+    text = _form_text(form, p, words, over)
     law = lambda s, q: form.law(np.asarray(s) / fx, q) * fy  # noqa: E731
     return Resemblance(form.name, text, tuple(p), _library(form, key, over, against), law)
 
@@ -189,7 +189,7 @@ def _whitener(cov: np.ndarray, y: np.ndarray) -> np.ndarray:
     return vectors.T / np.sqrt(values)[:, None]
 
 
-def _told(form: Form, p: np.ndarray, words: str, over: Argument) -> str:
+def _form_text(form: Form, p: np.ndarray, words: str, over: Argument) -> str:
     if over.name == "spool" and form.name == "power":
         factor = "" if abs(p[0] - 1.0) < 0.05 else f"{p[0]:.3g} "
         return f"opening = {factor}U^{abs(p[1]):.3g}"

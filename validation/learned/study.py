@@ -104,7 +104,7 @@ def _seed_line(seed: int) -> dict[str, Any]:
     return run_one(case, f"case_{seed}")
 
 
-def told(line: Mapping[str, Any]) -> str:
+def summary(line: Mapping[str, Any]) -> str:
     """Return a result in one line of text."""
     answer = line["answer"]
     truth = answer.get("law", {}).get("name") or answer["kind"]
@@ -145,7 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.what == "tables":
         print(tables(read_lines(given.results)))
         return
-    run(given.results, [(f"case_{s}", _seed_line, (s,)) for s in given.seeds], jobs=given.jobs, say=told)
+    run(given.results, [(f"case_{s}", _seed_line, (s,)) for s in given.seeds], jobs=given.jobs, say=summary)
 
 
 if __name__ == "__main__":

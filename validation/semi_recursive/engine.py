@@ -284,13 +284,15 @@ class SemiRecursiveEngine:
         raise CraneError(
             f"Semi-recursive engine: a cylinder reached the end of its stroke at t = {time[k]:.3f} s "
             f"({self._chamber(chamber)} empty, {-1e3 * lengths[k, chamber]:.1f} mm beyond). State: "
-            f"{self._told(states[k])}. "
+            f"{self._state_text(states[k])}. "
             "Shorten the motion, start elsewhere, or add the effect end_stop to the crane."
         )
 
     def _failure(self, status: int, x: np.ndarray, time: float, h: float, where: str) -> str:
         if not np.all(np.isfinite(x)):
-            return f"Semi-recursive engine: at t = {time:.4f} s ({where}) the state is not finite: {self._told(x)}."
+            return (
+                f"Semi-recursive engine: at t = {time:.4f} s ({where}) the state is not finite: {self._state_text(x)}."
+            )
         lengths = _chamber_lengths(x[None], self._P, self._E, self._topology)[0]
         if np.isnan(lengths).any():
             return self._unreachable(x) + f" It was met at t = {time:.4f} s ({where})."
@@ -298,7 +300,7 @@ class SemiRecursiveEngine:
         what = "did not converge" if status == kernel.NOT_CONVERGED else "is not accurate"
         return (
             f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) {what}, neither with {h:g} s nor "
-            f"halved up to {MOST_HALVINGS} times. State: {self._told(x)}. Shortest chamber: "
+            f"halved up to {MOST_HALVINGS} times. State: {self._state_text(x)}. Shortest chamber: "
             f"{self._chamber(chamber)}, {1e3 * lengths[chamber]:.1f} mm. Look for "
             f"{self._near_limits()}a chamber near its end, or parameters out of proportion."
         )
@@ -333,7 +335,7 @@ class SemiRecursiveEngine:
             f"{n} = {v:{form}} m" if slide else f"{n} = {math.degrees(v):{form}} deg" for n, slide, v in values
         )
 
-    def _told(self, x: np.ndarray) -> str:
+    def _state_text(self, x: np.ndarray) -> str:
         lay = self._layout
         rates = zip(lay.rates, x[lay.velocities], strict=True)
         told = ", ".join(f"{name} = {value:.4g} {lay.unit_of(name)}" for name, value in rates)
