@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal
 
 from threadpoolctl import ThreadpoolController
 
@@ -21,7 +21,6 @@ from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, counted
 
 Task = tuple[Any, ...]
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 class WorkerEnded(CraneError):
@@ -105,17 +104,13 @@ def in_parallel(jobs: int, tasks: Sequence[Task]) -> list[Any]:
     return list(results_of(tasks, min(jobs, len(tasks))))
 
 
-def single_threaded(task: F) -> F:
-    """Return a function whose linear algebra works without threads of its own: with small matrices these only wait for
-    each other, forty times as long as the work takes on a busy machine.
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """Let linear algebra work without threads of its own inside: with small matrices these only wait for each other,
+    forty times as long as the work takes on a busy machine. Decorates what fits and screens begin with.
     """
-
-    @functools.wraps(task)
-    def alone(*args: Any, **options: Any) -> Any:
-        with _linear_algebra().limit(limits=1):
-            return task(*args, **options)
-
-    return cast(F, alone)
+    with _linear_algebra().limit(limits=1):
+        yield
 
 
 @functools.cache

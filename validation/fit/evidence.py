@@ -12,9 +12,11 @@ import math
 import numpy as np
 
 from ..criteria import CRITERIA
+from ..workers import single_threaded
 from .solve import Fit, reduce, with_prior
 
 
+@single_threaded()
 def occam(fit: Fit) -> float:
     """Return the log of the share of the prior volume of all variables that the data leave (negative); minus infinity
     for a model that failed.

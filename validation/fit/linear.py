@@ -16,7 +16,6 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.layout import Layout
 
-from ..workers import single_threaded
 from .columns import Columns, Probes, columns_of, join, model_at
 from .data import Data
 from .model import Model
@@ -88,7 +87,6 @@ def robust(squares: float, number: int) -> tuple[float, float]:
     return min(squares, number) + number * float(np.log1p(excess / number)), 1.0 / (1.0 + excess / number)
 
 
-@single_threaded
 def linearised(
     crane: Crane,
     data: Data,
@@ -118,7 +116,6 @@ def linearised(
     return joined(found), knots
 
 
-@single_threaded
 def near(
     crane: Crane,
     data: Data,

@@ -116,7 +116,6 @@ class Fit:
         return float(math.sqrt(max(self.cov[i, i], 0.0)))
 
 
-@single_threaded
 def reduce(linear: Linear, guess: np.ndarray, knots: np.ndarray) -> Reduced | None:
     """Return the normal equations of the variables, the knots eliminated one after the other along time.
 
@@ -176,7 +175,7 @@ def bounded_step(
     return np.asarray(lsq_linear(rows, right, (lower - u, upper - u), method="bvls", tol=1e-12).x)
 
 
-@single_threaded
+@single_threaded()
 def fit(
     crane: Crane,
     data: Data,

@@ -15,6 +15,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 
 from ..criteria import BEGINS, CRITERIA
+from ..workers import single_threaded
 from .data import ACCURACY, ACCURATE, FINE, Data, FitData
 from .knots import begun_anew, reknot
 from .linear import with_states
@@ -124,6 +125,7 @@ def run_fitted(crane: Crane, data: FitData, variables: Sequence[Variable] = ()) 
     return staged(crane, data, variables, np.zeros(len(variables)), knots, stages)
 
 
+@single_threaded()
 def informed_directions(result: Fit) -> list[Variable]:
     """Return the combinations of nominal parameters that a fit of all of them found the data to speak about.
 

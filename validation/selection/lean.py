@@ -26,7 +26,7 @@ from ..workers import single_threaded
 from .model import Fitted, each_parameter, fitted
 
 
-@single_threaded
+@single_threaded()
 def leaner(crane: Crane, data: Data, full: Fitted) -> Fitted:
     """Return the explanation with the fewest moved parameters, or `full` where moving everything is better
     supported.

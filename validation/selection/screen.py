@@ -146,7 +146,7 @@ def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
     return [*chosen, *(s for s in scores if s.start.key in unsized and s not in chosen)]
 
 
-@single_threaded
+@single_threaded()
 def projected(fit: Fit, knots: np.ndarray, probes: Probes, stiffness: float) -> Projected | None:
     """Return the normal equations of probes at a fit, with all that the fit moves projected out; None where the model
     failed.
