@@ -81,8 +81,11 @@ def proven(
     """
     progress("fitting everything together", 0.7)
     now, kept, settled = _whole_run(problem, last), None, set[frozenset[str]]()
-    progress("looking for what acts beside them", 0.8)
-    while (grown := _grown(problem, now, most)) is not kept:  # nothing comes in for what was left out
+    while True:
+        progress("looking for what acts beside them", 0.8)
+        grown = _grown(problem, now, most)
+        if grown is kept:  # nothing came in for what was left out
+            break
         progress("leaving out each effect once", 0.9)
         now, full, left = _needed(problem, grown)
         if frozenset(now.keys) in settled:  # what was brought back among these has found its place
@@ -91,7 +94,6 @@ def proven(
         kept, now = now, _brought_back(problem, now, left)
         if now is grown:
             break
-        progress("looking for what acts beside them", 0.8)
     final, keys, parts = now.fit, now.keys, problem.data.parts
     ranges = {s.channel: float(np.ptp(s.values)) / s.noise for p in parts for s in p.samples}
     shared = zip(final.variables, final.u, strict=True)
@@ -362,10 +364,10 @@ def _best_run(problem: Problem, now: Standing, without: str) -> Fit:
     by way of long windows that begin on that run, or on the machine's: without an effect the run may be far from both.
     """
     crane, keys = now.fit.crane.without_effect(without), [k for k in now.keys if k != without]
-    ways = [_Way(now, keys, crane, start) for start in (now.fit, _as_measured(now.fit, crane))]
-    begun = [_begun(problem, way, _sifting()) for way in ways]
-    straight = _begun(problem, ways[0], run(CRITERIA.sifted))
-    best = max((straight, *begun), key=log_evidence)
+    measured, sifting = _as_measured(now.fit, crane), _sifting()
+    ways = (now.fit, run(CRITERIA.sifted)), (now.fit, sifting), (measured, sifting)
+    begun = [_begun(problem, _Way(now, keys, crane, start), stages) for start, stages in ways]
+    best = max(begun, key=log_evidence)
     return best if best.converged else _further(problem, best)
 
 
