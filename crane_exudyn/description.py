@@ -14,7 +14,7 @@ from . import parameters
 from .effects import registry
 from .effects.base import Acting
 from .errors import CraneError, nearest, refuse_unknown, shortened
-from .frozen import Told, frozen
+from .frozen import AdvisingDict, frozen
 from .layout import Layout
 from .machine import Machine
 
@@ -101,7 +101,7 @@ class Description:
             f"{self.name} has no voltage calibration of a valve {{0!r}}: add [valves.{{0}}.voltage] with neutral, "
             "extend and retract to its file."
         )
-        object.__setattr__(self, "voltage", Told(self.voltage, said))
+        object.__setattr__(self, "voltage", AdvisingDict(self.voltage, said))
         for name in ("values", "voltage", "sensors", "uncertainty", "sources", "model_error"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         check(self.name, self.machine, self.values, self.effects)

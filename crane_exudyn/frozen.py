@@ -15,10 +15,10 @@ V = TypeVar("V")
 
 def frozen(mapping: Mapping[K, V]) -> Mapping[K, V]:
     """Return a read-only copy of a mapping."""
-    return MappingProxyType(Told(mapping, mapping.said) if isinstance(mapping, Told) else dict(mapping))
+    return MappingProxyType(AdvisingDict(mapping, mapping.said) if isinstance(mapping, AdvisingDict) else dict(mapping))
 
 
-class Told(dict[K, V]):
+class AdvisingDict(dict[K, V]):
     """A dict that says what to do where an entry is missing: `said` with the name of the entry in place of {}."""
 
     def __init__(self, mapping: Mapping[K, V], said: str) -> None:
@@ -28,12 +28,12 @@ class Told(dict[K, V]):
     def __missing__(self, name: K) -> V:
         raise CraneError(self.said.format(name))
 
-    def copy(self) -> Told[K, V]:
+    def copy(self) -> AdvisingDict[K, V]:
         """Return another one with the same entries."""
-        return Told(self, self.said)
+        return AdvisingDict(self, self.said)
 
     def __reduce__(self) -> tuple[Any, tuple[dict[K, V], str]]:
-        return Told, (dict(self), self.said)
+        return AdvisingDict, (dict(self), self.said)
 
 
 def _parts(mapping: MappingProxyType[Any, Any]) -> tuple[Any, tuple[dict[Any, Any]]]:
