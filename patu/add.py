@@ -110,9 +110,10 @@ def remove(
     if moved:
         printer.line(f"Back to the old values: {moved}.")
     elif with_it and len(after.history) == len(before.history):
+        were, remain, it = ("were", "remain", "they are") if len(with_it) > 1 else ("was", "remains", "it is")
         printer.line(
-            f"{', '.join(with_it)} was added in the same step and remains, so the parameters keep their values. They "
-            "get their old values back when it is removed as well."
+            f"{', '.join(with_it)} {were} added in the same step and {remain}, so the parameters keep their values. "
+            f"They get their old values back when {it} removed as well."
         )
     _write(printer, after, output, json, {"effect": effect})
 
