@@ -81,7 +81,8 @@ class Crane(Description):
             raise CraneError(f"{where}: not a crane file: its lists or tables are nested too deep.") from None
         if not document:
             raise CraneError(f"{where}: there is nothing in this file. A machine is one TOML file; {_BEGIN}")
-        crane = cls.from_document(document, where, text)
+        file = "" if where in built_in() else where
+        crane = replace(cls.from_document(document, where, text), file=file)
         for remark in implausible(crane):
             logging.getLogger(__package__).warning("%s: %s", where, remark)
         return crane

@@ -79,7 +79,8 @@ class Description:
     """What a crane file says: the machine, numbers by name in SI, valve calibration, start, sensors, uncertainties,
     effects, what the model is known to err by, and what was done to it.
 
-    `text` is that of the file that it was read from; what is written keeps its comments and units.
+    `text` is that of the file that it was read from; what is written keeps its comments and units. `file` is the file's
+    name, "" for what comes with the package or was made in Python; changed copies keep both.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Description:
     model_error: Mapping[str, GaussMarkov] = field(default_factory=dict)
     history: tuple[Mapping[str, Any], ...] = ()
     text: str = field(default="", repr=False, compare=False)
+    file: str = field(default="", repr=False, compare=False)
 
     def __post_init__(self) -> None:
         said = (
@@ -111,6 +113,11 @@ class Description:
     def layout(self) -> Layout:
         """Where its coordinates, chambers and valves stand in states and inputs."""
         return self.machine.layout
+
+    @property
+    def label(self) -> str:
+        """Its name in messages about what its file says: after that of the file, where it was read from one."""
+        return f"{self.file}: {self.name}" if self.file else self.name
 
     def __getitem__(self, name: str) -> float:
         """Return a nominal parameter in SI by its name, such as "payload.mass"."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -65,14 +64,15 @@ def command(
     if fit is None:
         from validation.history import added, with_typical
 
-        with _naming(crane, chosen):
-            result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
+        result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
         _write(printer, result, output, json, {"effect": effect})
         return
+    from validation.history import refuse_present
     from validation.selection.fitted import fitted_effect, helped
 
+    refuse_present(chosen, effect)
     [measured] = load_checked([fit], chosen, mapping, map_file, anyway=anyway, needs=("semi-recursive", "fit"))
-    with doing(f"fitting {effect} to {fit}"), _naming(crane, chosen):
+    with doing(f"fitting {effect} to {fit}"):
         result, document = fitted_effect(chosen, effect, measured, values_given)
     better = helped(document)
     if not better:
@@ -103,8 +103,7 @@ def remove(
 
     printer = _printer(output, json)
     before = load_crane(crane, effects)
-    with _naming(crane, before):
-        after = removed(before, effect)
+    after = removed(before, effect)
     moved = moved_in_words(before, after)
     with_it = [e.key for e in after.effects if after.history and e.key in after.history[-1]["added"]]
     if moved:
@@ -116,17 +115,6 @@ def remove(
             f"They get their old values back when {it} removed as well."
         )
     _write(printer, after, output, json, {"effect": effect})
-
-
-@contextmanager
-def _naming(file: str, crane: Crane) -> Iterator[None]:
-    """Have what is said of a crane that was read from a file name the file."""
-    try:
-        yield
-    except CraneError as problem:
-        if not Path(file).is_file() or not str(problem).startswith(f"{crane.name} has "):
-            raise
-        raise CraneError(f"{file}: {problem}") from problem
 
 
 def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]) -> str:

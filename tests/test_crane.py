@@ -35,6 +35,14 @@ def test_a_written_crane_reads_back_equal_and_the_same_text(name, tmp_path):
     assert again.to_toml() == crane.to_toml()
 
 
+def test_a_crane_knows_its_file_and_so_do_its_copies(crane, tmp_path):
+    path = tmp_path / "own.toml"
+    crane.save(path)
+    heavy = pickle.loads(pickle.dumps(Crane.load(path).with_parameters({"payload.mass": 61.0})))
+    assert heavy.file == str(path) and heavy.label == f"{path}: patu655"
+    assert crane.file == "" and crane.label == "patu655"
+
+
 @pytest.mark.parametrize("name", built_in())
 def test_every_number_of_a_built_in_crane_names_its_source(name):
     crane = Crane.load(name)

@@ -755,5 +755,11 @@ def test_a_word_that_no_file_can_have_as_its_name_is_bad_input(odd: Callable[...
 
 def test_a_failure_that_knows_the_cranes_name_only_is_told_with_the_files(odd: Callable[..., str]) -> None:
     Crane.load("patu655").with_effect("dead_band@tilt", {"lower": 0.1}).save("own.toml")
-    assert "own.toml" in odd("add", "dead_band@tilt", "--crane", "own.toml", "-o", "out.toml")
+    for fitted in ((), ("--fit", "odd.csv")):
+        said = odd("add", "dead_band@tilt", "--crane", "own.toml", "-o", "out.toml", *fitted)
+        assert "own.toml: patu655 has 'dead_band@tilt' already." in said
+    assert "own.toml: patu655 has no effect 'spool_creep@tilt'." in odd(
+        "remove", "spool_creep@tilt", "--crane", "own.toml", "-o", "out.toml"
+    )
+    assert odd("remove", "spool_creep@tilt", "-o", "out.toml").startswith("patu655 has no effect")
     assert "odd.csv" in odd("simulate", "--inputs", "odd.csv", *FAST, time=1e6)

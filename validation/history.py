@@ -62,7 +62,8 @@ def removed(crane: Crane, key: str) -> Crane:
         entry = {**last, "added": [k for k in added if k != key], "removed": [*last.get("removed", []), key]}
         return replace(crane.without_effect(key), model_error={}, history=(*crane.history[:-1], frozen(entry)))
     if key not in keys:
-        raise CraneError(f"{crane.name} has no effect {key!r}.{nearest(key, keys) if keys else ' It has none at all.'}")
+        known = nearest(key, keys) if keys else " It has none at all."
+        raise CraneError(f"{crane.label} has no effect {key!r}.{known}")
     return replace(crane.without_effect(key), model_error={})
 
 
@@ -119,13 +120,18 @@ def refuse_curve(key: str) -> NoReturn:
     )
 
 
+def refuse_present(crane: Crane, key: str) -> None:
+    """Raise CraneError for an effect that a crane has."""
+    if crane.effect(key) is not None:
+        raise CraneError(f"{crane.label} has {key!r} already. Remove it first, or fit it again with `patu improve`.")
+
+
 def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
     """Return the crane with an effect at the given values, or where none are given at values that are met in
     practice.
     """
     effect, _ = registry.split_key(key)
-    if crane.effect(key) is not None:
-        raise CraneError(f"{crane.name} has {key!r} already. Remove it first, or fit it again with `patu improve`.")
+    refuse_present(crane, key)
     if effect.curve is not None:
         refuse_curve(key)
     typical = dict(effect.probes[0]) if effect.probes else {effect.parameters[0].name: effect.parameters[0].typical}
