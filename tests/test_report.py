@@ -380,8 +380,8 @@ def test_a_diagnosis_is_told_and_drawn_in_words(tmp_path):
     text = report_diagnosis(example_diagnosis(), tmp_path, {"check": None}).read_text()
     found = "Internal leakage (lift), 12.00 ± 0.12 l/min at 100 bar, is missing (<code>internal_leakage@lift</code>)."
     assert f"{found} The open-loop error falls from 22 to 0.99 times the sensors' noise" in text
-    assert "Law: Flow k (pa - pb) from the piston side to the rod side" in text
-    assert "Signature: with its valve closed a loaded cylinder creeps" in text
+    assert "Law: Leakage flow k (pa - pb) from the piston side (pressure pa) to the rod side" in text
+    assert "Signature: with its valve closed, a loaded cylinder creeps" in text
     order = ["What to do next", "<h2>Where", "<h2>What is missing", "<h2>How sure"]
     assert [text.index(part) for part in order] == sorted(text.index(part) for part in order)
     assert "marked: lift" in text

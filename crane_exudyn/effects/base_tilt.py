@@ -6,9 +6,9 @@ from .base import Effect, Parameter
 
 
 class BaseTilt(Effect):
-    """Gravity turned by gamma in the plane, counter-clockwise positive: (gx, gy) = g (sin gamma, -cos gamma).
+    """Gravity is turned by gamma in the plane, counter-clockwise positive: (gx, gy) = g (sin gamma, -cos gamma).
 
-    Signature: load pressures are off by an amount that depends on the pose, at rest as in motion.
+    Signature: load pressures are off by an amount that depends on the pose, at rest and in motion.
     """
 
     name = "base_tilt"

@@ -4,10 +4,10 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class CommandDelay(Effect):
-    """The valve receives U_ref(t - T).
+    """The valve receives the command with a delay T, U_ref(t - T).
 
-    Signature: every motion starts and stops late by the same time, whatever its size; errors appear as pulses at
-    changes of the command.
+    Signature: every motion starts and stops late by the same time, whatever its size; errors are pulses where the
+    command changes.
     """
 
     name = "command_delay"

@@ -7,14 +7,15 @@ OPENING_RANGE = 20e5
 
 
 class CounterbalanceValve(Effect):
-    """The loaded chamber drains only as far as the valve is opened by p_load + ratio * p_pilot over its setting.
+    """A load-holding valve: the loaded chamber drains only as far as p_load + ratio * p_pilot opens the valve beyond
+    its setting.
 
-    Opening = (p_load + ratio * p_pilot - setting) / 20 bar, within 0 and 1, on the flow of that chamber's edge to tank;
-    flow into the chamber is free, through the valve's check. The crane file says which chamber is the loaded one (of
-    the log crane p1 and p4); the pilot is the opposite chamber.
+    Opening = (p_load + ratio * p_pilot - setting) / 20 bar, limited to 0 ... 1. It multiplies the flow of that
+    chamber's edge to tank; flow into the chamber is free, through a check valve. The crane file says which chamber is
+    loaded (p1 and p4 of the log crane). The pilot is the opposite chamber.
 
-    Signature: lowering a load needs pressure on the opposite side, which builds up before anything moves; both
-    pressures are high while lowering, and lifting is as before.
+    Signature: lowering a load needs pressure in the opposite chamber, which builds up before anything moves. Both
+    pressures are high while lowering; lifting is as before.
     """
 
     name = "counterbalance_valve"
@@ -27,7 +28,7 @@ class CounterbalanceValve(Effect):
             0.0,
             400e5,
             120e5,
-            "pilot sum at which the valve begins to open; 0 means absent",
+            "p_load + ratio * p_pilot at which it begins to open; 0: no valve",
             threshold=True,
         ),
         Parameter("ratio", "", 3.0, 0.0, 12.0, 3.0, "pilot ratio", shape=True),

@@ -4,10 +4,10 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class DeadBand(Effect):
-    """No opening for -lower < U < upper; outside linear, to full opening at U = +-1.
+    """The valve stays closed for -lower < U < upper (U: spool position); beyond, it opens linearly, fully at U = ±1.
 
-    Signature: small commands move nothing, starts come late and stops early, and speed falls short by a constant
-    share of the command, most at small openings.
+    Signature: small commands move nothing, motions start late and stop early, and the speed is too low, most at small
+    openings.
     """
 
     name = "dead_band"

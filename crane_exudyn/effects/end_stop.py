@@ -4,17 +4,17 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class EndStop(Effect):
-    """A stiff stop with damping at both ends of the stroke, where a chamber's length falls below zero.
+    """A stiff stop with damping at both ends of the stroke; it acts where the length of a chamber falls below zero.
 
-    Signature: motion ends abruptly at one length while the valve is still open, and the driving pressure runs up to
-    the pump's.
+    Signature: motion ends abruptly at one length while the valve is still open, and the driving pressure rises to that
+    of the pump.
     """
 
     name = "end_stop"
     places = CYLINDERS
     beyond_stroke = True
     parameters = (
-        Parameter("stiffness", "N/m", 0.0, 0.0, 1e10, 1e8, "stiffness of the stop; 0 means absent"),
+        Parameter("stiffness", "N/m", 0.0, 0.0, 1e10, 1e8, "stiffness of the stop; 0: no stop"),
         Parameter("damping", "N*s/m", 0.0, 0.0, 1e8, 1e5, "damping of the stop"),
     )
     probes = ({"stiffness": 1e8, "damping": 1e5}, {"stiffness": 1e7, "damping": 1e5})

@@ -4,10 +4,11 @@ from .base import Effect, Parameter
 
 
 class EntrainedAir(Effect):
-    """1/Bo is replaced by 1/Bo + alpha * 1 bar / p^2, with p not below 0.2 bar.
+    """Free air in the oil: the compressibility 1/Bo is replaced by 1/Bo + alpha * 1 bar / p^2, with p not below 0.2 bar
+    (Bo: bulk modulus of the oil).
 
-    Signature: chambers at low pressure are soft: pressure builds up late, the machine rings slower there, and is as
-    stiff as expected where pressure is high.
+    Signature: chambers at low pressure are soft: their pressure builds up late, and the machine rings more slowly.
+    Where the pressure is high, the machine is as stiff as expected.
     """
 
     name = "entrained_air"

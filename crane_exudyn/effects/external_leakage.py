@@ -4,9 +4,10 @@ from .base import CHAMBERS, Effect, Parameter
 
 
 class ExternalLeakage(Effect):
-    """Flow k p out of one chamber, p over the air outside; no oil comes back from there.
+    """Leakage flow k p out of one chamber to the outside, p being the pressure above that of the air; no oil comes
+    back.
 
-    Signature: the chamber loses pressure at rest and the cylinder gives way on that side only; the opposite chamber
+    Signature: at rest the chamber loses pressure, and the cylinder yields on that side only; the opposite chamber
     follows.
     """
 

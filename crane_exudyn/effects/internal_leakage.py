@@ -4,10 +4,10 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class InternalLeakage(Effect):
-    """Flow k (pa - pb) from the piston side to the rod side of one cylinder.
+    """Leakage flow k (pa - pb) from the piston side (pressure pa) to the rod side (pb) of one cylinder.
 
-    Signature: with its valve closed a loaded cylinder creeps, the two pressures drift towards each other's balance, and
-    the creep grows with the load; the driven speed changes little.
+    Signature: with its valve closed, a loaded cylinder creeps, the more the higher the load, and its two pressures
+    drift towards each other; the speed of driven motions changes little.
     """
 
     name = "internal_leakage"

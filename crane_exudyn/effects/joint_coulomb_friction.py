@@ -6,10 +6,10 @@ from .base import JOINTS, Effect, Parameter
 
 
 class JointCoulombFriction(Effect):
-    """Torque T tanh(omega / 2 mrad/s) against the joint's relative rate.
+    """Torque T tanh(omega / 2 mrad/s) against the relative rate omega of the joint.
 
-    Signature: the cylinder force jumps at a change of direction as with seal friction, but by an amount that follows
-    the cylinder's lever arm, and vibrations stop early.
+    Signature: the cylinder force jumps at a change of direction, as with seal friction, but by an amount that follows
+    the cylinder's lever arm; vibrations stop early.
     """
 
     name = "joint_coulomb_friction"

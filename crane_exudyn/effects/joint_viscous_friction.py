@@ -4,9 +4,9 @@ from .base import JOINTS, Effect, Parameter
 
 
 class JointViscousFriction(Effect):
-    """Torque c omega against the joint's relative rate.
+    """Torque c omega against the relative rate omega of the joint.
 
-    Signature: the cylinder force differs in proportion to speed, and vibrations die out sooner.
+    Signature: the cylinder force differs in proportion to the speed, and vibrations die out sooner.
     """
 
     name = "joint_viscous_friction"

@@ -5,7 +5,7 @@ from .curve import Argument, Curve, value
 
 
 class LearnedFlow(Effect):
-    """Flow out of one chamber, a curve over its pressure over the air outside.
+    """A flow out of one chamber, as a curve over its pressure above that of the air outside.
 
     Signature: the chamber does not hold, or does not reach, a certain pressure; the opposite chamber follows.
     """

@@ -7,10 +7,11 @@ from .curve import Argument, Curve, value
 
 
 class LearnedForce(Effect):
-    """A force against motion over the speed, the stroke (pin-to-pin length) or the pressure difference, or a spring
-    over the stroke.
+    """A cylinder force as a curve: against motion, over the speed, the stroke (pin-to-pin length) or the pressure
+    difference; or like a spring, over the stroke.
 
-    Signature: the driving pressure differs by an amount that depends on the speed, the place of the piston or the load.
+    Signature: the driving pressure differs by an amount that depends on the speed, the position of the piston or the
+    load.
     """
 
     name = "learned_force"

@@ -7,9 +7,10 @@ from .curve import Argument, Curve, value
 
 
 class LearnedLeakage(Effect):
-    """Flow from the side of higher pressure to the other side of one cylinder, a curve over the pressure difference.
+    """A leakage flow from the side of higher pressure to the other side of one cylinder, as a curve over the pressure
+    difference.
 
-    Signature: with its valve closed a loaded cylinder creeps, but not in proportion to its load.
+    Signature: with its valve closed, a loaded cylinder creeps, but not in proportion to its load.
     """
 
     name = "learned_leakage"

@@ -5,10 +5,11 @@ from .curve import Argument, Curve, value
 
 
 class LearnedOpening(Effect):
-    """The opening is a curve over the spool's position, or the flow through both open edges a factor over their
-    pressure drop.
+    """The opening of the valve as a curve over the spool position; or a factor on the flow through both open edges, as
+    a curve over their pressure drop.
 
-    Signature: speed differs from the expected by a share that depends on the command alone, or on the load alone.
+    Signature: the speed differs from the expected one by a share that depends on the command alone, or on the load
+    alone.
     """
 
     name = "learned_opening"

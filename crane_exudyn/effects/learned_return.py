@@ -5,9 +5,9 @@ from .curve import Argument, Curve, value
 
 
 class LearnedReturn(Effect):
-    """Tank pressure pt + a curve over the flow returned to tank by all valves.
+    """The tank pressure is pt plus a curve over the flow that all valves return to tank.
 
-    Signature: the chamber that drains stands higher while oil flows, for either cylinder's motion, but not in
+    Signature: while oil flows, the pressure of the chamber that drains is higher, whichever cylinder moves, but not in
     proportion to the flow.
     """
 

@@ -5,9 +5,9 @@ from .curve import Argument, Curve, value
 
 
 class LearnedSupply(Effect):
-    """Supply pressure pp - a curve over the flow drawn from the pump by all valves.
+    """The supply pressure is pp minus a curve over the flow that all valves draw from the pump.
 
-    Signature: motions against a load slow down with the flow, all cylinders alike, but not in proportion.
+    Signature: motions against a load become slower with the flow, of all cylinders alike, but not in proportion to it.
     """
 
     name = "learned_supply"

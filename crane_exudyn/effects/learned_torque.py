@@ -7,11 +7,11 @@ from .curve import Argument, Curve, value
 
 
 class LearnedTorque(Effect):
-    """A torque over the joint's angle, as a spring or against motion, or against motion over its rate; on a sliding
-    joint a force.
+    """A joint torque as a curve: over the angle of the joint, like a spring or against motion; or over its rate,
+    against motion. On a sliding joint it is a force.
 
-    Signature: the cylinder's force differs by an amount that depends on the joint's angle or on its rate, whatever the
-    cylinder's friction.
+    Signature: the cylinder force differs by an amount that depends on the angle or the rate of the joint, whatever the
+    friction of the cylinder.
     """
 
     name = "learned_torque"

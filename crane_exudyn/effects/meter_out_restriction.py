@@ -4,10 +4,10 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class MeterOutRestriction(Effect):
-    """The two edges to tank have the flow coefficient Cv (1 - r).
+    """The two edges to tank have the flow coefficient Cv (1 - r), Cv being that of the valve.
 
-    Signature: while a cylinder moves, both its chambers stand at a higher pressure than expected, the more the faster;
-    at rest nothing differs.
+    Signature: while a cylinder moves, the pressures of both its chambers are higher than expected, the more the faster
+    it moves; at rest nothing differs.
     """
 
     name = "meter_out_restriction"

@@ -6,8 +6,8 @@ from .base import Effect, Parameter
 class PayloadChange(Effect):
     """The payload mass changes by dm at time T.
 
-    Signature: one step in the load-bearing pressures of both cylinders at one moment, and a ring after it; before it
-    the model is right.
+    Signature: a single step in the load-bearing pressures of both cylinders, and an oscillation after it; before the
+    step the model is right.
     """
 
     name = "payload_change"

@@ -4,16 +4,16 @@ from .base import Effect, Parameter
 
 
 class PayloadSwing(Effect):
-    """The payload, as a point mass, hangs from E on a massless pendulum of the given length; damping is a torque
-    against its rate. A grapple with a long log has an inertia of its own, which this leaves out.
+    """The payload, a point mass, hangs from the tip (E of the log crane) on a massless pendulum of the given length; a
+    damping torque acts against its rate. The inertia of a long log in the grapple is left out.
 
-    Signature: a slow oscillation of the load pressures after every motion, at the pendulum's own frequency, that
-    hardly moves the booms.
+    Signature: after every motion the load pressures oscillate slowly, at the pendulum's own frequency, and the booms
+    hardly move.
     """
 
     name = "payload_swing"
     parameters = (
-        Parameter("length", "m", 0.0, 0.0, 10.0, 1.0, "length of the pendulum; 0 means fixed to the boom"),
+        Parameter("length", "m", 0.0, 0.0, 10.0, 1.0, "length of the pendulum; 0: fixed to the boom"),
         Parameter("damping", "N*m*s", 0.0, 0.0, 1e4, 5.0, "damping torque per rate"),
     )
     probes = (

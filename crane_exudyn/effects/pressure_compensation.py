@@ -6,16 +6,17 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class PressureCompensation(Effect):
-    """The pump edge sees min(pp - p, dpc).
+    """A compensator limits the pressure drop over the pump edge to dpc: the drop is min(pp - p, dpc), from the pump
+    pressure pp to the chamber pressure p.
 
-    Signature: speed follows the command whatever the load; where the nominal model runs faster because of a large
+    Signature: the speed follows the command, whatever the load. Where the nominal model runs faster because of a large
     pressure difference, the machine does not.
     """
 
     name = "pressure_compensation"
     places = CYLINDERS
     parameters = (
-        Parameter("dpc", "Pa", math.inf, 0.5e5, math.inf, 10e5, "pressure drop that is held over the pump edge"),
+        Parameter("dpc", "Pa", math.inf, 0.5e5, math.inf, 10e5, "pressure drop that is kept over the pump edge"),
     )
     probes = ({"dpc": 60e5}, {"dpc": 30e5}, {"dpc": 12e5}, {"dpc": 6e5})
 

@@ -6,7 +6,8 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class PressureDependentFriction(Effect):
-    """Friction mu |pa - pb| tanh(v / 2 mm/s).
+    """Friction force mu |pa - pb| tanh(v / 2 mm/s) in the cylinder, with the pressures pa and pb of its two sides and
+    its speed v.
 
     Signature: like seal friction, but the step at a change of direction grows with the load that the cylinder carries.
     """

@@ -4,10 +4,10 @@ from .base import Effect, Parameter
 
 
 class PumpDroop(Effect):
-    """Supply pressure pp - R * (flow drawn from the pump by all valves).
+    """The supply pressure is pp - R * (flow that all valves draw from the pump).
 
-    Signature: motions against a load slow down with speed, more so when several cylinders move at once: each feels the
-    others' flow.
+    Signature: motions against a load become slower with the speed, more so if several cylinders move at once, because
+    each is affected by the flow of the others.
     """
 
     name = "pump_droop"

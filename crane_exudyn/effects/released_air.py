@@ -11,14 +11,15 @@ _FADE = 0.2
 
 
 class ReleasedAir(Effect):
-    """1/Bo is raised by alpha * 1 bar / p^2 in chambers below the saturation pressure ps, and is as it was above it.
+    """Air that comes out of solution: in chambers below the saturation pressure ps, 1/Bo is raised by alpha * 1 bar /
+    p^2 (Bo: bulk modulus of the oil); above ps it is unchanged.
 
-    By Henry's law the free share of the air falls linearly to nothing at ps, by the gas law its volume is
-    alpha * 1 bar * (1/p - 1/ps); the derivative of that volume is the compliance. p is taken as not below 0.2 bar, and
-    the compliance fades out between 0.8 ps and ps.
+    By Henry's law the free share of the air falls linearly to zero at ps. By the gas law its volume is alpha * 1 bar *
+    (1/p - 1/ps); the derivative of that volume is the compliance. p is taken as not below 0.2 bar, and the compliance
+    fades out between 0.8 ps and ps.
 
-    Signature: a chamber that stands near tank pressure is filled for seconds before its pressure rises, and rises ever
-    faster; all chambers above the saturation pressure are as stiff as without air (entrained air softens them too).
+    Signature: a chamber near tank pressure is filled for seconds before its pressure rises, which it then does faster
+    and faster. All chambers above the saturation pressure are as stiff as without air (entrained air softens them too).
     """
 
     name = "released_air"

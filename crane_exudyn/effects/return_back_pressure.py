@@ -4,10 +4,10 @@ from .base import Effect, Parameter
 
 
 class ReturnBackPressure(Effect):
-    """Tank pressure pt + R * (flow returned to tank by all valves).
+    """The tank pressure is pt + R * (flow that all valves return to tank).
 
-    Signature: the chamber that drains stands higher while oil flows, for either cylinder's motion, by an amount
-    proportional to the flow.
+    Signature: while oil flows, the pressure of the chamber that drains is higher, in proportion to the flow, whichever
+    cylinder moves.
     """
 
     name = "return_back_pressure"

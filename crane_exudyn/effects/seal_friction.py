@@ -6,10 +6,11 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class SealFriction(Effect):
-    """Adds dFc and dFs, with a Stribeck speed vs of its own, to the friction (19).
+    """Coulomb friction dFc and static friction dFs, with a Stribeck speed vs of their own, are added to the cylinder's
+    friction, equation (19) of the paper.
 
-    Signature: at every change of direction the driving pressure jumps by the same step, whatever the load; slow
-    motions stick.
+    Signature: at every change of direction the driving pressure jumps by the same step, whatever the load; slow motions
+    stick.
     """
 
     name = "seal_friction"

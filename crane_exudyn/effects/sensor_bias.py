@@ -4,9 +4,9 @@ from .base import SENSORS, Effect, Parameter
 
 
 class SensorBias(Effect):
-    """The sensor shows y + b.
+    """The sensor shows y + b instead of y.
 
-    Signature: one channel is off by the same amount always; no other channel knows of it.
+    Signature: one channel is always off by the same amount; no other channel shows it.
     """
 
     name = "sensor_bias"

@@ -4,7 +4,7 @@ from .base import SENSORS, Effect, Parameter
 
 
 class SensorLag(Effect):
-    """The sensor follows with a first-order lag tau.
+    """The sensor follows the true value with a first-order lag of time constant tau.
 
     Signature: one channel is late wherever it changes quickly, and right at rest.
     """

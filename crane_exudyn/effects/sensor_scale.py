@@ -4,9 +4,9 @@ from .base import SENSORS, Effect, Parameter
 
 
 class SensorScale(Effect):
-    """The sensor shows y a.
+    """The sensor shows a * y instead of y.
 
-    Signature: one channel is off in proportion to its own value; no other channel knows of it.
+    Signature: one channel is off in proportion to its own value; no other channel shows it.
     """
 
     name = "sensor_scale"

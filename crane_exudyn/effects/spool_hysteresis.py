@@ -4,10 +4,10 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class SpoolHysteresis(Effect):
-    """Backlash of width b between U_ref and what the spool follows (a play operator).
+    """Backlash of width b between the command U_ref and what the spool follows (a play operator).
 
-    Signature: the spool stands off by b/2 on the side it came from, so that after a motion a valve does not quite
-    close, and the same command gives another speed on the way up than on the way down.
+    Signature: the spool stays b/2 away from its command, on the side from which it came. So a valve does not quite
+    close after a motion, and the same command gives different speeds when it rises and when it falls.
     """
 
     name = "spool_hysteresis"

@@ -6,10 +6,11 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class StructuralCompliance(Effect):
-    """A spring in series with the cylinder: pin-to-pin length = hydraulic length - F / stiffness.
+    """A spring in series with the cylinder: pin-to-pin length = hydraulic length - F / stiffness, with the cylinder
+    force F.
 
-    Signature: the machine rings slower than its oil alone allows, at every pressure alike, and the boom sags a
-    little with the load without any flow.
+    Signature: the machine rings more slowly than its oil alone explains, at every pressure alike, and the boom sags a
+    little under the load without any flow.
     """
 
     name = "structural_compliance"

@@ -6,17 +6,19 @@ from .base import CYLINDERS, Effect, Parameter
 
 
 class StuckSeal(Effect):
-    """Adds -Fc tanh((l - l0) / delta), l the length of the piston-side chamber: presliding friction without memory.
+    """Force -Fc tanh((l - l0) / delta) of a seal that does not slide, with the length l of the piston-side chamber:
+    presliding friction without memory.
 
-    Friction by speed alone cannot hold a load: it lets go within milliseconds. A seal at rest deforms by some tenths of
-    a millimetre before it slides, and holds up to Fc either way for ever, as the last motion left it.
+    Friction that depends on the speed alone cannot hold a load; it lets go within milliseconds. A seal at rest deforms
+    by some tenths of a millimetre before it slides. It holds up to Fc in either direction for any time, as the last
+    motion left it.
 
-    Valid while the cylinder stays within the deformation, which is to say for a cylinder whose valve remains closed,
-    and for one stroke in one direction out of rest; it forgets nothing and so is wrong after a reversal of a moving
-    cylinder.
+    The law is valid while the cylinder stays within this deformation: for a cylinder whose valve remains closed, and
+    for one stroke in one direction from rest. It is wrong after a moving cylinder has reversed, because l0 stays where
+    it was.
 
-    Signature: at rest the pressures of a cylinder do not balance the load, always by the same force, and they answer a
-    change of load by less than the whole of it.
+    Signature: at rest the pressures of a cylinder do not balance the load, always by the same force, and they follow
+    only a part of a change of load.
     """
 
     name = "stuck_seal"
@@ -30,7 +32,7 @@ class StuckSeal(Effect):
             0.0,
             2.0,
             0.5,
-            "length of the piston-side chamber at which it holds none",
+            "length of the piston-side chamber at which the force is zero",
             shape=True,
             along_stroke=True,
         ),
