@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 from crane_exudyn.channels import Channel
-from crane_exudyn.consistency import Figures, Grid, Misfit, motions
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.formats import write_table
 from crane_exudyn.mapping import Column, load_map
-from crane_exudyn.readings import Reading, Source, Weighed
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import simulate
 from crane_exudyn.vetting import Finding, mended_columns, vet
+from crane_exudyn.vetting.balances import Figures, Grid, Misfit, motions
+from crane_exudyn.vetting.readings import Reading, Source, Weighed
 from patu.reading import load_checked
 from validation.fitness import check_recording, examine
 from validation.loggers import Mistake, mistakes

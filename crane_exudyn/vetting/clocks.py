@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .consistency import Figures, Grid, flow_misfits
+from .balances import Figures, Grid, flow_misfits
 
 #: s: lateness that is tried, coarsely and finely; and drifts in s per s, and steps by which the best of them is looked
 #: at more closely

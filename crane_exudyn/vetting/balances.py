@@ -15,17 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .crane import Crane
-from .description import Uncertainty
-from .errors import CraneError
-from .geometry import cylinder_lengths
-from .hydraulics import held_amounts, valve_flows
-from .inputs import SpoolPath
-from .pose import relative
-from .recording import Recording
-from .signals import noise_std, sampling_rate
-from .static_start import static_start
-from .statics import vapour_pressure
+from ..crane import Crane
+from ..description import Uncertainty
+from ..errors import CraneError
+from ..geometry import cylinder_lengths
+from ..hydraulics import held_amounts, valve_flows
+from ..inputs import SpoolPath
+from ..pose import relative
+from ..recording import Recording
+from ..signals import noise_std, sampling_rate
+from ..static_start import static_start
+from ..statics import vapour_pressure
 
 #: s: step of the common grid, what of a recording is looked at, width of the smoothing, what a window spans, and what a
 #: load's change takes

@@ -21,19 +21,19 @@ from typing import Literal
 
 import numpy as np
 
-from .channels import BEYOND, Channel
-from .channels import of as units_of
+from ..channels import BEYOND, Channel
+from ..channels import of as units_of
+from ..crane import Crane
+from ..errors import CraneError
+from ..mapping import Column, keys_of
+from ..recording import Recording
+from ..signals import USUAL_SENSOR, Stray, noise_std, quantisation, sampling_rate, strays
+from ..statics import vapour_pressure
+from ..tables import split_header
+from ..units import factor_to_si, unit_of
+from .balances import LONGEST, PLAY, Figures, Grid, Misfit, reach, travels
 from .clocks import Clock, clock_of, mended
-from .consistency import LONGEST, PLAY, Figures, Grid, Misfit, reach, travels
-from .crane import Crane
-from .errors import CraneError
-from .mapping import Column, keys_of
 from .readings import Reading, Weighed, mistaken
-from .recording import Recording
-from .signals import USUAL_SENSOR, Stray, noise_std, quantisation, sampling_rate, strays
-from .statics import vapour_pressure
-from .tables import split_header
-from .units import factor_to_si, unit_of
 
 Severity = Literal["error", "warning", "note"]
 Kind = Literal["sign", "swapped", "absolute", "scale", "offset", "clock", "pose", "noise", "saturation", "motion"]

@@ -15,8 +15,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from .consistency import CLOSES, WORN, Channels, Figures, Grid, Misfit, Misfits, loads, misfits, motions, reach
-from .units import factor_to_si
+from ..units import factor_to_si
+from .balances import CLOSES, WORN, Channels, Figures, Grid, Misfit, Misfits, loads, misfits, motions, reach
 
 Kind = Literal["sign", "swapped", "absolute", "scale", "offset"]
 
