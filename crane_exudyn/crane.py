@@ -158,28 +158,29 @@ class Crane(Description):
 
     def with_parameters(self, changes: Mapping[str, float] | None = None) -> Crane:
         """Return a copy with other nominal parameters, numbers in SI such as {"payload.mass": 150.0} in kg."""
-        given = by_name(changes, f"{self.name}: parameters", "{'payload.mass': 150.0}")
-        return self.changed(given, {})
+        return self.changed(changes, {})
 
     def with_effect(self, key: str, values: Mapping[str, Any] | None = None) -> Crane:
         """Return a copy with the effect "name@place" added, or given other parameters where it is there already:
         numbers in SI by name, or the table of a curve as it stands in a crane file.
         """
-        effect, _ = registry.split_key(str(key), self.layout)
-        own = by_name(values, f"{self.name}: effect {key!r}", f"{_example(effect)}, in SI")
-        return self.changed({}, {key: own})
+        return self.changed({}, {str(key): values})
 
-    def changed(self, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, Any]]) -> Crane:
-        """Return a copy with other nominal parameters (SI), and with effects as `with_effect` sets them."""
-        parameters = by_name(parameters, f"{self.name}: parameters", "{'payload.mass': 150.0}")
-        for name in parameters:
+    def changed(self, parameters: Mapping[str, float] | None, effects: Mapping[str, Mapping[str, Any] | None]) -> Crane:
+        """Return a copy with other nominal parameters (SI), and with effects as `with_effect` sets them.
+
+        Raises:
+            CraneError: None or anything else that is no dict; an unknown name, or an impossible value.
+        """
+        given = by_name(parameters, f"{self.name}: parameters", "{'payload.mass': 150.0}")
+        for name in given:
             _ = self[name]
         acting = {e.key: e for e in self.effects}
         for key, values in effects.items():
-            effect, place = registry.split_key(str(key), self.layout)
-            own = by_name(values, f"{self.name}: effect {key!r}", "{'k': 1e-11}, in SI")
+            effect, place = registry.split_key(key, self.layout)
+            own = by_name(values, f"{self.name}: effect {key!r}", f"{_example(effect)}, in SI")
             acting[key] = Acting(effect.name, place, frozen(complete(effect, own)))
-        numbers = {n: number(v, f"{self.name}: {n}", unit_of(n)) for n, v in parameters.items()}
+        numbers = {n: number(v, f"{self.name}: {n}", unit_of(n)) for n, v in given.items()}
         return replace(self, values={**self.values, **numbers}, effects=tuple(acting.values()))
 
     def without_effect(self, key: str) -> Crane:
