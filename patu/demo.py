@@ -137,7 +137,7 @@ def _wrapped(text: str) -> str:
 
 
 def follow(crane: Crane, engine: str, seed: int, done: Callable[..., None]) -> dict[str, Case]:
-    """Return the paper's case by the estimator's own means and by the paper's tuning, on one run of one crane."""
+    """Return the paper's case by the estimator's own tuning and by the paper's tuning, on one run of one crane."""
     from validation.paper import real_system, run_case, simulation_model, wrong_crane
 
     done(0.0, "the crane")

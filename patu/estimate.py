@@ -342,19 +342,19 @@ def allowance(result: Estimate) -> list[str]:
     ]
 
 
-_MEND = "`patu compare` shows where it fails; --augment estimates an unknown parameter."
+_REMEDY = "`patu compare` shows where it fails; --augment estimates an unknown parameter."
 #: what to make of each judgement of the consistency
 VERDICTS: dict[Consistency, str] = {
-    "unjudged": "Nothing can be said of the consistency: {}. The intervals are not confirmed.",
-    "noise-free": "The recording has no noise, as a simulation has none. The model explains it to within less than the "
-    "noise that the filter assumes for the sensors, so its intervals are on the safe side.",
+    "unjudged": "The consistency cannot be judged: {}. The intervals are not confirmed.",
+    "noise-free": "The recording has no noise, like that of a simulation. The model explains it to less than the noise "
+    "that the filter assumes for the sensors, so its intervals are on the safe side.",
     "consistent": "The filter is consistent with the recording: its intervals can be trusted.",
-    "too narrow": "Not consistent: the model explains less than the filter believes, so the intervals are too narrow. "
-    f"{_MEND} --tune finds a noise that fits.",
-    "allowed for": "The model lacks something. What it may be was estimated along, and the intervals allow for it. "
-    + _MEND,
-    "lacking": "Not consistent: the innovations of {} keep their sign for a while, as noise never does: the model "
-    "lacks something. The intervals of unmeasured quantities are too narrow, and those of the angles may be. " + _MEND,
+    "too narrow": "Not consistent: the innovations are larger than the filter expects, so the intervals are too "
+    f"narrow. {_REMEDY} --tune finds a noise that fits.",
+    "allowed for": "The model lacks something. Possible causes were estimated too, and the intervals allow for them. "
+    + _REMEDY,
+    "lacking": "Not consistent: the innovations of {} keep their sign for longer than noise does, so the model lacks "
+    "something. The intervals of unmeasured quantities are too narrow, and those of the angles may be. " + _REMEDY,
     "overstated": "Not consistent: the filter takes {} to be more than twice as noisy as the recording shows, so the "
     "intervals are wider than necessary. Correct [sensors] in the crane file.",
     "too wide": "Not consistent: the filter expects more noise than there is, so the intervals are wider than "

@@ -1,4 +1,4 @@
-"""`patu paper`: the paper's tables and figures, by its own tuning and by the estimator's own means."""
+"""`patu paper`: the paper's tables and figures, by the paper's tuning and by the estimator's own."""
 
 from __future__ import annotations
 

@@ -284,8 +284,11 @@ BELIEF = Belief(np.zeros(8), np.eye(8))
             r"dz1 has variance 0\. Give",
         ),
         ({"start": replace(BELIEF, covariance=np.diag([1, 1, 1, 1, 1, 1, 1, -4]))}, r"p4 has variance -4\. Give"),
-        ({"start": replace(BELIEF, covariance=np.eye(8) + np.eye(8, k=1))}, "of z1 and z4 is not that of z4 and z1"),
-        ({"start": replace(BELIEF, covariance=np.ones((8, 8)))}, "not positive definite, as z4 follows"),
+        (
+            {"start": replace(BELIEF, covariance=np.eye(8) + np.eye(8, k=1))},
+            "of z1 and z4 differs from that of z4 and z1",
+        ),
+        ({"start": replace(BELIEF, covariance=np.ones((8, 8)))}, "not positive definite: z4 follows"),
     ],
 )
 def test_noise_and_start_must_fit_the_machine(options, message, engines):

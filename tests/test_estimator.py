@@ -350,7 +350,7 @@ def test_a_payload_is_found_by_going_through_the_beginning_again(gap):
     known = found.time <= (0.2 if gap else TIME[-1])
     assert (np.abs(mass - 25.0) < 3.0 * std + 1e-6)[known].mean() > 0.95
     if gap:
-        assert any("anew from the sensors" in e.text for e in found.events)
+        assert any("restarted from the sensors" in e.text for e in found.events)
         return
     assert mass[-1] == pytest.approx(25.0, abs=1.0) and std[-1] < 1.0
 
@@ -590,9 +590,9 @@ def test_engine_without_parameters_refuses_augmented_states():
         ({"engine": "matlab"}, "no engine"),
         ({"augment": ("payload.mas",)}, "payload.mass"),
         ({"augment": ("bias.z1", "bias.z1")}, "twice"),
-        ({"augment": (300,)}, "augmented state 300 is none. Give a name"),
+        ({"augment": (300,)}, "augmented state 300 is neither a name nor an Augment. Give a name"),
         ({"augment": ("internal_leakage@lift.q",)}, "no such parameter"),
-        ({"revisit": Revisit(1.0)}, "goes with the filter"),
+        ({"revisit": Revisit(1.0)}, "needs the filter"),
     ],
 )
 def test_bad_arguments_are_refused(options, message):
@@ -606,7 +606,7 @@ def test_bad_arguments_are_refused(options, message):
     [
         ({"std": 0.0}, "std is 0.0. Give a positive"), ({"std": "300"}, "std is '300'. Give one number"),
         ({"memory": 0.0}, "memory is 0.0. Give a positive time"), ({"memory": -1.0}, "memory is -1.0"),
-        ({"drift": np.nan}, "drift is nan"), ({"drift": -1.0}, "drift is -1.0. Give none below zero"),
+        ({"drift": np.nan}, "drift is nan"), ({"drift": -1.0}, "drift is -1.0. Give a positive number"),
     ],
 )  # fmt: skip
 def test_an_augmented_state_that_cannot_be_is_refused(options, message):

@@ -104,7 +104,7 @@ def live(samples, changes, sensors=STD, begin=0.0):
 def test_one_wrong_first_sample_does_not_lock_a_live_filter(name):
     running, now, rejected = live(200, {name: (slice(1), 0.6, True)})
     assert rejected == 3 and not now.rejected
-    believed = [e for e in running.events if "believed again" in e[2]]
+    believed = [e for e in running.events if "accepted again" in e[2]]
     assert [e[1] for e in believed] == [name]
     assert abs(now[name] - SOUND.sensors[name][1][199]) < 5 * STD[name]
 
@@ -122,7 +122,7 @@ def test_a_state_that_no_sensor_fits_is_given_up():
         now = running.step((0.0, 0.0), sample, running.time + 5e-3)
         if k == 20:
             assert now["p2"] >= 0.0 and running.belief.mean[5] < 0.0
-    assert [e[1] for e in running.events] == ["state"] and "given up" in running.events[0][2]
+    assert [e[1] for e in running.events] == ["state"] and "replaced" in running.events[0][2]
     assert running.belief.mean[5] > 0.0 and abs(now["p1"] - sample["p1"]) < 5e5
 
 
@@ -148,14 +148,14 @@ def test_a_truth_value_is_no_number(call):
 def test_a_sensor_that_leaps_for_good_is_heard_and_not_believed():
     running, now, rejected = live(500, {"z4": (slice(100, None), 0.3, True)})
     assert now.rejected == ("z4",) and rejected == 400
-    assert not [e for e in running.events if "believed again" in e[2]]
+    assert not [e for e in running.events if "accepted again" in e[2]]
 
 
 def test_the_only_sensor_is_believed_again():
     """With no other sensor to contradict it, a filter that stays alone with its opinion gives it up."""
     running, now, rejected = live(450, {"z1": (slice(100, None), 0.3, True)}, {"z1": STD["z1"]})
     assert not now.rejected and 200 < rejected < 340
-    assert "believed again" in running.events[-1][2]
+    assert "accepted again" in running.events[-1][2]
 
 
 SAMPLE = {"z1": 0.2, "z4": -0.75, "p1": 50e5, "p2": 20e5, "p3": 20e5, "p4": 38e5}
@@ -256,7 +256,7 @@ def test_a_clock_that_goes_back_is_told_so():
     for k in range(12):
         running.step((0.0, 0.0), SAMPLE, 1.5 if k == 0 else 0.005 * k)
     assert [text.partition(":")[0] for _, _, text in running.events] == [
-        "stamp not later than the last one", "clock went back by 1.45 s",
+        "time stamp not later than the last one", "clock went back by 1.45 s",
     ]  # fmt: skip
 
 
@@ -277,7 +277,7 @@ def test_readings_that_no_crane_shows_are_missing_ones(name, value):
     running.step((0.0, 0.0), SAMPLE, 0.0)
     now = running.step((0.0, 0.0), SAMPLE | {name: value}, 0.01)
     assert name not in now.innovation and np.isfinite(now.mean).all()
-    assert [e[1] for e in running.events] == [name] and f"{value:g}, taken as missing" in running.events[0][2]
+    assert [e[1] for e in running.events] == [name] and f"{value:g}, treated as missing" in running.events[0][2]
     estimate = estimator().run(spoilt(0.5, **{name: (slice(10, 12), value, False)}))
     assert [(e.where, e.count) for e in estimate.events] == [(name, 1)] and "2 such samples" in estimate.events[0].text
     assert not np.isfinite(estimate.innovation[10:12, list(STD).index(name)]).any()

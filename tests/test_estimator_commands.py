@@ -55,7 +55,7 @@ def test_estimate_writes_table_picture_and_json(lift, tmp_path, capsys):
         "--engine", "semi-recursive", "--augment", "payload.mass", "--model-error", "off",
     )  # fmt: skip
     assert status == 0
-    assert "payload.mass / kg" in said and "p4: leapt away" in said and "with a repeated time" in said
+    assert "payload.mass / kg" in said and "p4: jumped" in said and "with a repeated time" in said
     table = np.genfromtxt(out, delimiter=",", names=True, deletechars="")
     assert table.size == 201 and {"p2[Pa]", "p2_low95[Pa]", "innovation_z1[rad]"} <= set(table.dtype.names)
     assert {"U_lift[-]", "nis[-]"} <= set(table.dtype.names)  # as recordings and runs write pure numbers
@@ -145,7 +145,7 @@ def test_paper_writes_figures_and_the_json_of_the_contract(tmp_path, capsys, mon
         "--json",
         str(document),
     )  # fmt: skip
-    assert status == 0 and "published" in said and "own means" in said
+    assert status == 0 and "published" in said and "own tuning" in said
     assert {p.name for p in tmp_path.glob("*.png")} == {f"figure{n}_{t}.png" for n in (5, 6, 7) for t in paper.ROWS}
     cases = json.loads(document.read_text())["cases"]
     assert [c["tuning"] for c in cases] == list(paper.ROWS)

@@ -104,12 +104,12 @@ def test_models_of_other_machines_or_none_beside_are_refused():
     patu = Estimator(SOUND, FAST, NOISE)
     with pytest.raises(CraneError, match="loader is not a model of the same machine"):
         SideBySide({"patu": patu, "loader": Estimator(loader, FAST)})
-    with pytest.raises(CraneError, match="a, b: two names have one estimator"):
+    with pytest.raises(CraneError, match="a, b: two names share one estimator"):
         SideBySide({"a": patu, "b": patu})
     for none in ({"a": SOUND, "b": SOUND}, [patu, patu.varied()]):
         with pytest.raises(CraneError, match="found no estimators by name"):
             SideBySide(none)
-    with pytest.raises(CraneError, match="b: models side by side go through nothing again"):
+    with pytest.raises(CraneError, match="b: models side by side cannot repeat the beginning"):
         SideBySide({"a": patu, "b": patu.varied(method="ekf", revisit=Revisit(1.0))})
     for stays in (0.0, "20"):
         with pytest.raises(CraneError, match="stays is"):

@@ -32,7 +32,7 @@ class Augment:
         std: standard deviation at the start, SI; None takes the crane file's uncertainty of it.
         drift: growth of the standard deviation of its random walk, SI per √s; 0 for a constant.
         memory: time constant, s, with which it returns to its nominal value while noise keeps it at `std` around that
-            (first-order Gauss-Markov); infinite for what stays.
+            (first-order Gauss-Markov); infinite for a constant.
         shared: quantities with the same word here have one size where sizes are adapted; "" for one of its own.
         begins: mean at the start, SI; None for the nominal value.
 
@@ -51,9 +51,9 @@ class Augment:
         what = f"augmented state {self.name!r}: its"
         if self.std is not None:
             positive(self.std, f"{what} std", "a positive standard deviation at the start, SI")
-        positive(self.memory, f"{what} memory", "a positive time in seconds, or numpy.inf for what stays", endless=True)
+        positive(self.memory, f"{what} memory", "a positive time in seconds, or numpy.inf for a constant", endless=True)
         if not 0.0 <= number(self.drift, f"{what} drift") < np.inf:
-            raise CraneError(f"{what} drift is {self.drift}. Give none below zero, SI per √s; 0 for a constant.")
+            raise CraneError(f"{what} drift is {self.drift}. Give a positive number in SI per √s, or 0 for a constant.")
 
 
 @dataclass(frozen=True)
@@ -128,11 +128,13 @@ def resolve(crane: Crane, augment: Iterable[Augment | str]) -> tuple[Extra, ...]
     """
     wanted = [Augment(a) if isinstance(a, str) else a for a in augment]
     if wrong := [a for a in wanted if not isinstance(a, Augment)]:
-        raise CraneError(f"augmented state {wrong[0]!r} is none. Give a name, or Augment(name, std).")
+        raise CraneError(
+            f"augmented state {wrong[0]!r} is neither a name nor an Augment. Give a name, or Augment(name, std)."
+        )
     names = [a.name for a in wanted]
     for name in names:
         if names.count(name) > 1:
-            raise CraneError(f"augmented states: {name!r} stands twice. Remove one of them.")
+            raise CraneError(f"augmented states: {name!r} is given twice. Give it once.")
     return tuple(_resolve_one(crane, a) for a in wanted)
 
 

@@ -37,7 +37,9 @@ class Channels:
     def _row(self, bias: str) -> int:
         channel = bias.removeprefix("bias.")
         if channel not in self.names:
-            raise CraneError(f"augmented state {bias!r}: there is no sensor {channel!r} to have a bias.")
+            raise CraneError(
+                f"augmented state {bias!r}: there is no sensor {channel!r}. Add the sensor, or leave its bias out."
+            )
         return self.names.index(channel)
 
     def read(self, points: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a run of the estimator leaves: states with intervals, innovations, consistency, and what happened on the way."""
+"""The result of a run of the estimator: states with intervals, innovations, consistency, and events."""
 
 from __future__ import annotations
 
@@ -97,19 +97,19 @@ class Estimate:
         innovation, innovation_std: (N, k), NaN where there was no sample.
         flags: (N, k) uint8, see `monitor`: used, absent, outlier, frozen.
         nis: (N,) and dof: (N,): normalised innovation squared of the samples used, and how many they were.
-        log_likelihood: sum over all samples of the log of the density of their innovations, over the highest density
-            that the sensors' noise has: -½ (νᵀ S⁻¹ ν + log det S R⁻¹). A reading that the gate rejects counts as one at
-            the gate, -½ gate², and one of a frozen sensor nothing, so that runs with other readings can be compared.
-        events: what happened on the way.
+        log_likelihood: sum over all samples of the log of the density of their innovations, relative to the highest
+            density of the sensors' noise: -½ (νᵀ S⁻¹ ν + log det S R⁻¹). A reading that the gate rejects counts as one
+            at the gate, -½ gate², and one of a frozen sensor as zero, so that runs with other readings can be compared.
+        events: what was unusual, from when to when.
         inputs: (N, valves + 2) spool positions in [-1, 1] and supply pressures, Pa.
         sensor_std: (k,) noise that the filter took the sensors to have.
         covariance: (N, n, n) of the filter's own state, which remembers voids, if it was kept.
         floor: Pa, the lowest pressure that a gauge shows; pressures: which of the n quantities are those of chambers.
-        noise_slack: standard deviation of the mean NIS because sensor noise had to be guessed
+        noise_slack: standard deviation of the mean NIS, because sensor noise was estimated from the recording
             (`consistency.noise_slack`).
-        model_error: what became of the model error, if that was asked.
-        smoothed: the smoothed estimate if it was asked for.
-        models: how probable (N,) each model was, by its name, where several ran side by side.
+        model_error: whether unknown errors of the model were estimated, and which, if that was asked for.
+        smoothed: the smoothed estimate, if it was asked for.
+        models: probability (N,) of each model, by its name, if several ran side by side.
     """
 
     time: np.ndarray
@@ -140,8 +140,8 @@ class Estimate:
     layout: Layout = field(default_factory=usual_layout, repr=False)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return the estimated mean (N,) of one quantity by its name. Raises CraneError, which tells what there is, for
-        another name.
+        """Return the estimated mean (N,) of one quantity by its name. Raises CraneError, which lists the names, for
+        another one.
         """
         if name not in self.state_names:
             raise CraneError(f"Estimate of {self.crane}: no quantity {name!r}.{nearest(name, list(self.state_names))}")
@@ -280,7 +280,7 @@ class Estimate:
         if not np.isfinite(self.nis).any():
             return "no sample was used"
         if self.nis_mean <= self.nis_bounds[1] and not any(np.isfinite(p) for p in self.whiteness.values()):
-            return f"too few samples; {2 * consistency.LAGS} of a sensor are the least"
+            return f"too few samples; at least {2 * consistency.LAGS} of one sensor are needed"
         return ""
 
     @property

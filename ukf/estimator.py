@@ -60,7 +60,7 @@ class Now:
     names: tuple[str, ...]
 
     def __getitem__(self, name: str) -> float:
-        """Return one estimated quantity by its name. Raises CraneError, which tells what there is, for another name."""
+        """Return one estimated quantity by its name. Raises CraneError, which lists the names, for another one."""
         if name not in self.names:
             raise CraneError(f"There is no estimated quantity {name!r}.{nearest(name, list(self.names))}")
         return float(self.mean[self.names.index(name)])
@@ -91,9 +91,9 @@ class Estimator:
         adapt: time constant, s, with which the sizes of unknowns with a memory follow what is found (`augment.Sizes`).
         strokes: whether angles stay where the pistons are inside their cylinders; without, a recording may pass a dead
             centre, and measured angles say on which side.
-        revisit: when all since the start of a recording is gone through again, linearised where the machine is now
-            known to have been (`revisit`); between, slopes are taken along the model's own trajectory from there
-            (`methods.Linearised`). Of the filter "ekf" only; live steps are never gone through again.
+        revisit: when all samples since the start of a recording are processed again, linearised where the machine is
+            now known to have been (`revisit`); in between, slopes are taken along the model's own trajectory from
+            there (`methods.Linearised`). For the filter "ekf" only; live steps are never repeated.
 
     Raises:
         CraneError: an unknown sensor, filter, engine or quantity, an engine of another crane, a noise, a time or a gate
@@ -127,7 +127,7 @@ class Estimator:
         self.gate = np.inf if gate is None else positive(gate, "gate", deviations, endless=True)
         #: minus the log-likelihood of a reading that is not believed: it is as likely as one at the gate
         self._unlikely = 0.5 * self.gate**2 if self.gate < np.inf else 0.0
-        self.pressure_std = positive(pressure_std, "pressure_std", "a positive one in Pa, such as 1e6")
+        self.pressure_std = positive(pressure_std, "pressure_std", "a positive deviation in Pa, such as 1e6")
         self._adapt = positive(adapt, "adapt", "a positive time in seconds, or numpy.inf for never", endless=True)
         self._floor = vapour_pressure(crane)
         self._units = tuple(lay.sensors[n].unit for n in self.std_of)
@@ -155,7 +155,9 @@ class Estimator:
         self._known_noise(self.max_step)  # refused here, not in the middle of a run
         self.revisit = revisit
         if revisit is not None and method != "ekf":
-            raise CraneError(f'revisit goes with the filter "ekf", which takes slopes, not with {method!r}. Use "ekf".')
+            raise CraneError(
+                f'revisit needs the filter "ekf", found {method!r}. Use method="ekf", or leave revisit out.'
+            )
         self._given: dict[str, Any] = {
             "start": start, "gate": gate, "max_step": max_step, "pressure_std": pressure_std, "adapt": adapt,
             "strokes": strokes, "revisit": revisit,
@@ -231,8 +233,8 @@ class Estimator:
             measurements: any of the sensors, SI; what is missing or NaN is missing. `pp`, `pt` go to the model as
                 inputs, and stay as they were where they are missing.
             time: s; without it one `max_step` after the last call. A time that is not later than the last one is
-                not a new sample: the call changes nothing, and says so in `events`. After more than `LONG_GAP` seconds,
-                and when the clock went back for good, the estimator goes on anew from the sensors.
+                not a new sample: the call changes nothing, and adds an event. After more than `LONG_GAP` seconds,
+                and when the clock went back for good, the estimator restarts from the sensors.
 
         Raises:
             CraneError: a command or measurement with an unknown name or of a wrong shape, or a first time that is no
@@ -248,7 +250,7 @@ class Estimator:
         command, values, supply, odd = self._stream.usable(command, readings)
         late = self.time is not None and not (np.isfinite(time) and (time > self.time or self._stream.went_back(time)))
         if late:
-            odd.append(("time", "stamp not later than the last one: sample left out"))
+            odd.append(("time", "time stamp not later than the last one: sample left out"))
         self.events += [(time, *what) for what in self._stream.news(odd)]
         if late:
             return self._unchanged()
@@ -450,8 +452,8 @@ class Estimator:
     ) -> None:
         """Go on after a gap that is too long to be predicted through."""
         by = time - self._clock
-        text = f"clock went {'on' if by > 0.0 else 'back'} by {abs(by):.3g} s: anew from the sensors"
-        self.events.append((time, "time", text))
+        what = f"no sample for {by:.3g} s" if by > 0.0 else f"clock went back by {-by:.3g} s"
+        self.events.append((time, "time", f"{what}: restarted from the sensors"))
         self.belief, self._broken = self._anew(first, spread), True
         self._forget_doubts(time, taken(self.crane.layout, first))
         if recorder is not None and recorder.smooth:
@@ -469,11 +471,11 @@ class Estimator:
         self._belief_in_doubt.heard()
         self._monitor.believe(self.time, row, innovation)
         if row is None:
-            where, text = "state", f"given up: since {since:.3f} s the sensors did not fit the filter"
+            where, text = "state", f"replaced: since {since:.3f} s the sensors contradicted the filter"
         else:
             where = self._channels.names[row]
-            text = f"believed again: it was right since {since:.3f} s and the filter was not"
-        self.events.append((self.time, where, f"{text}, which went on anew from the sensors"))
+            text = f"accepted again: since {since:.3f} s it was right and the filter was wrong"
+        self.events.append((self.time, where, f"{text}, which restarted from the sensors"))
         if recorder is not None and recorder.smooth:
             recorder.cut(self.belief)
 
@@ -582,7 +584,7 @@ class Estimator:
 
         Args:
             recording: a `crane_exudyn.recording.Recording`, its file, a simulation, or `signals.Signals`.
-            smooth: also run the RTS smoother back over the recording; needs 24 n² bytes a sample for n states.
+            smooth: also run the RTS smoother back over the recording; needs 32 n² bytes a sample for n states.
             keep_covariance: keep the covariance (N, n, n) of every instant, for NEES.
             progress: called with the fraction done, now and then.
 
@@ -628,7 +630,7 @@ class Estimator:
         self.reset()
         self.events.extend(plan.events)
         for name, begin in since.items():
-            text = f"until {begin:.3f} s at odds with what it shows later and with the other sensors: left out"
+            text = f"samples before {begin:.3f} s contradict later ones and the other sensors: left out"
             self.events.append((float(plan.time[0]), name, text))
         plan = plan.without(self.channel_names, since)
         self.start_at(float(plan.time[0]), *plan.first_readings())
@@ -677,11 +679,11 @@ class Estimator:
         except EngineMisfit:
             raise
         except _FAILURES as problem:
-            self.events.append((time, "filter", f"the beginning could not be gone through again: {problem}"))
+            self.events.append((time, "filter", f"the beginning could not be repeated: {problem}"))
             beginning.end()
             return
         if not beginning.settled:
-            self.events.append((time, "filter", "the beginning, gone through again, did not settle"))
+            self.events.append((time, "filter", "the repeated beginning did not settle"))
         self.believe(found)
         if recorder.smooth:
             recorder.cut(self.belief)

@@ -37,7 +37,7 @@ class FilterError(ArithmeticError):
         listed = np.array2string(self.eigenvalues, precision=3)
         super().__init__(
             f"{what}{place_} is not positive definite: eigenvalues of the matrix scaled to unit diagonal {listed}. "
-            "Check the noise covariances, or use the square-root form."
+            "Check the noise covariances, or use the square-root filter."
         )
 
 

@@ -58,17 +58,17 @@ class Stream:
         lay, odd = self._crane.layout, Odd()
         for k, (name, unit) in enumerate(zip((*self._sensors, *lay.supply), self._units, strict=True)):
             if impossible(unit, readings[k]):
-                odd.append((name, f"no crane shows this: {readings[k]:g}, taken as missing"))
+                odd.append((name, f"no crane shows this: {readings[k]:g}, treated as missing"))
                 readings[k] = np.nan
         values, supply = readings[: len(self._sensors)], readings[len(self._sensors) :]
         if self._input is not None:
             supply = np.where(np.isnan(supply), self._input[lay.supplies], supply)
         missing = ~np.isfinite(command)
         if missing.any():
-            odd.append(("commands", "missing, the last one is held"))
+            odd.append(("commands", "missing: the last one is kept"))
             command[missing] = 0.0 if self._command is None else self._command[missing]
         if (np.abs(command) > 1.0).any():
-            odd.append(("commands", "beyond ±1, cut"))
+            odd.append(("commands", "beyond ±1: limited to ±1"))
             command = np.clip(command, -1.0, 1.0)
         return command, values, supply, odd
 

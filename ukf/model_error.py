@@ -264,9 +264,9 @@ def expected(
 
 
 def live(plain: Estimator, adapt: float = _ADAPT) -> Estimator:
-    """Return an estimator as `plain` that allows for an error of the model, for live use.
+    """Return an estimator like `plain` that allows for errors of the model, for live use.
 
-    Where nothing has been recorded yet the sizes begin wide and follow what is found with a time constant `adapt`, s.
+    Nothing has been recorded yet, so the sizes begin wide and follow what is found with a time constant `adapt`, s.
     """
     first = expected(plain.crane, plain.std_of, _names(plain.augment))
     start = _Search(replace(first, unknowns=tuple(replace(u, stays=0.0) for u in first.unknowns)))
@@ -287,13 +287,13 @@ def find(
     seconds: float = _SECONDS,
     progress: Callable[[float], None] | None = None,
 ) -> ModelError:
-    """Return the model error under which the innovations of a recording are most likely, its sizes widened afterwards.
+    """Return the model error under which the innovations of a recording are most likely, with its sizes widened.
 
     Args:
         crane: the model.
         recording: a Recording or Signals.
         sensors: channels with noise standard deviations (SI).
-        augment: quantities that are estimated anyway.
+        augment: quantities that are estimated in any case.
         seconds: how much of the recording is used, around its busiest part.
         progress: called with the fraction done.
     """
@@ -475,7 +475,7 @@ def _silent(_: str) -> Iterator[Callable[[float], None]]:
 def mode_of(name: str) -> str:
     """Return a mode of `MODES` by its name. Raises CraneError where there is none."""
     if name not in MODES:
-        raise CraneError(f"There is no model error {name!r}.{nearest(name, list(MODES))}")
+        raise CraneError(f"model error {name!r} is not known.{nearest(name, list(MODES))}")
     return name
 
 

@@ -67,7 +67,7 @@ class ProcessNoise:
         if len(self.creep) not in (0, len(self.acceleration)):
             raise CraneError(
                 f"process noise: found {len(self.creep)} densities of creep and {len(self.acceleration)} of "
-                "acceleration. Give as many, or no creep."
+                "acceleration. Give as many of creep, or none."
             )
 
     @classmethod

@@ -182,7 +182,7 @@ def _innovation(axes: Axes, time: np.ndarray, innovation: Innovation) -> None:
         if beyond.size:
             at = np.clip(scaled[beyond], -5.7, 5.7)
             axes.plot(time[beyond], at, "x", ms=3, color=_RED, label="beyond 6")
-        axes.axhspan(-1.96, 1.96, color=_BLUE, alpha=0.15, lw=0, label="where 95 % should be")
+        axes.axhspan(-1.96, 1.96, color=_BLUE, alpha=0.15, lw=0, label="95 % should be here")
         axes.set_ylim(-6, 6)
         white = f"white: p {'< 0.001' if p < 1e-3 else f'= {p:.2g}'}" if np.isfinite(p) else "too few samples to judge"
         axes.set_title(white, fontsize=9, loc="right", pad=3.0)
@@ -197,14 +197,16 @@ def _nis(axes: Axes, time: np.ndarray, nis: np.ndarray) -> None:
     with plots.style():
         if count:
             blocks = ratio[: count * window].reshape(count, window).mean(axis=1)
-            axes.step(time[: count * window : window], blocks, where="post", color=_BLACK, lw=1.0, label="NIS a sensor")
+            axes.step(
+                time[: count * window : window], blocks, where="post", color=_BLACK, lw=1.0, label="NIS per sensor"
+            )
         axes.axhline(1.0, color=_BLUE, lw=1.0)
         axes.set_yscale("log")
         low, high = axes.get_ylim()
         axes.set_ylim(min(low, 0.5), max(high, 2.0))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("")
-    plots.name_axes(axes, Shown("normalised innovation squared, a sensor", "NIS", 1.0, ""))
+    plots.name_axes(axes, Shown("normalised innovation squared per sensor", "NIS", 1.0, ""))
 
 
 def _models(axes: Axes, time: np.ndarray, models: Mapping[str, np.ndarray]) -> None:
@@ -213,4 +215,4 @@ def _models(axes: Axes, time: np.ndarray, models: Mapping[str, np.ndarray]) -> N
         for (name, probability), colour in zip(models.items(), cycle(_MODELS), strict=False):
             axes.plot(time[part], probability[part], color=colour, lw=1.2, label=name)
         axes.set_ylim(-0.05, 1.05)
-    plots.name_axes(axes, Shown("how probable each model is", "probability", 1.0, ""))
+    plots.name_axes(axes, Shown("probability of each model", "probability", 1.0, ""))

@@ -103,7 +103,7 @@ class Process:
             if np.shape(states) != shape:  # it would be taken apart in silence
                 raise EngineMisfit(
                     f"The engine {type(self.engine).__name__} returned the shape {np.shape(states)} for states of "
-                    f"shape {shape}. Mend its method propagate: a state in, a state out."
+                    f"shape {shape}. Correct its method propagate: it must return a state for each state."
                 )
         if not all_finite(states):
             raise ArithmeticError("the engine returned states that are not finite")

@@ -17,7 +17,10 @@ from .smoother import smooth
 from .visible import show
 
 #: flags of samples that are not believed, in words
-REJECTED = {OUTLIER: "leapt away: samples rejected", FROZEN: "frozen at one value: samples rejected"}
+REJECTED = {
+    OUTLIER: "jumped by more than noise and physics allow: samples rejected",
+    FROZEN: "frozen at one value: samples rejected",
+}
 
 
 class Outcome(NamedTuple):

@@ -138,7 +138,7 @@ class Beginning:
                 belief = update_linearised(about, step.observe, step.shown, step.variance, increments)
             means[k], covariances[k] = belief.mean, belief.covariance
         if not np.isfinite(means).all():
-            raise ArithmeticError("the beginning, gone through again, is not finite")
+            raise ArithmeticError("the repeated beginning is not finite")
         smoothed, covariance = smooth(means, covariances, prior_means, prior_covariances, crosses)
         return smoothed, covariance, Belief(belief.mean, belief.covariance, at=at)
 

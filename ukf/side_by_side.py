@@ -62,8 +62,8 @@ class SideBySide:
         stays: seconds that the machine stays with a model on the average.
 
     Raises:
-        CraneError: fewer than two models, no estimator of its own for each, one that goes through its beginning again,
-            other states or sensors in one, or a time that is not positive.
+        CraneError: fewer than two models, two that share an estimator, one that repeats its beginning, other states or
+            sensors in one, or a time that is not positive.
     """
 
     def __init__(self, estimators: Mapping[str, Estimator], stays: float = STAYS) -> None:
@@ -74,9 +74,9 @@ class SideBySide:
         self.stays = positive(stays, "stays", "the seconds for which a machine stays with a model", endless=True)
         self.names, self.estimators = tuple(estimators), list(estimators.values())
         if len({id(e) for e in self.estimators}) < len(self.names):
-            raise CraneError(f"{', '.join(self.names)}: two names have one estimator. Give each one of its own.")
+            raise CraneError(f"{', '.join(self.names)}: two names share one estimator. Give each its own.")
         if again := [n for n, e in estimators.items() if e.revisit is not None]:
-            raise CraneError(f"{again[0]}: models side by side go through nothing again. Leave revisit out.")
+            raise CraneError(f"{again[0]}: models side by side cannot repeat the beginning. Leave revisit out.")
         check_same_machine({name: e.crane for name, e in estimators.items()})
         first = self.estimators[0]
         self.states = first.crane.layout.states

@@ -142,7 +142,7 @@ class Signals:
         series = {c: clean(*self.sensors[c], c, lay.sensors[c].unit, events) for c in present}
         time = instants(series)
         if time.size < 2:
-            raise CraneError(f"{self.name}: fewer than two samples of {', '.join(present)}. Nothing can be estimated.")
+            raise CraneError(f"{self.name}: fewer than two samples of {', '.join(present)}. Give a longer recording.")
         values = np.full((time.size, len(channels)), np.nan)
         for column, name in enumerate(channels):
             if name in series:
@@ -196,7 +196,7 @@ def clean(time: np.ndarray, values: np.ndarray, name: str, unit: str, events: li
     time, values = np.asarray(time, float), np.asarray(values, float)
     wrong = impossible(unit, values)
     if wrong.any():
-        text = f"no crane shows {values[wrong][0]:g}: {wrong.sum()} such samples taken as missing"
+        text = f"no crane shows {values[wrong][0]:g}: {wrong.sum()} such samples treated as missing"
         events.append((float(time[wrong][0]), name, text))
     known = np.isfinite(time) & np.isfinite(values) & ~wrong
     if not known.all():
@@ -207,7 +207,7 @@ def clean(time: np.ndarray, values: np.ndarray, name: str, unit: str, events: li
     latest = np.maximum.accumulate(time)
     late = np.concatenate([[False], time[1:] <= latest[:-1]])
     for stamp in time[late]:
-        events.append((float(stamp), name, "stamp not later than the last one: sample left out"))
+        events.append((float(stamp), name, "time stamp not later than the last one: sample left out"))
     return (time[~late], values[~late]) if late.any() else (time, values)
 
 
@@ -226,4 +226,4 @@ def _note_gaps(time: np.ndarray, events: list[tuple[float, str, str]]) -> None:
     steps = np.diff(time)
     usual = float(np.median(steps))
     for k in np.flatnonzero((steps > 10 * usual) & (steps > 0.05) & (steps <= LONG_GAP)):
-        events.append((float(time[k]), "time", f"gap of {steps[k]:.3f} s, predicted through by the model"))
+        events.append((float(time[k]), "time", f"gap of {steps[k]:.3f} s, bridged by the prediction"))

@@ -34,10 +34,10 @@ def check_start(start: Belief, states: Sequence[str]) -> None:
     if mean.shape != (n,) or covariance.shape != (n, n):
         raise CraneError(
             f"start: mean and covariance have shapes {mean.shape} and {covariance.shape}, expected ({n},) and "
-            f"({n}, {n}) for {names}. Of variances, np.diag makes a covariance: Belief(mean, np.diag(variances))."
+            f"({n}, {n}) for {names}. From variances, np.diag makes a covariance: Belief(mean, np.diag(variances))."
         )
     if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
-        raise CraneError(f"start: mean or covariance of {names} holds what is not finite. Give numbers in SI.")
+        raise CraneError(f"start: mean or covariance of {names} is not finite. Give numbers in SI.")
     for name, variance in zip(states, np.diag(covariance), strict=True):
         if not variance > 0.0:
             raise CraneError(f"start: {name} has variance {variance:g}. Give a small positive one.")
@@ -46,12 +46,14 @@ def check_start(start: Belief, states: Sequence[str]) -> None:
     uneven = np.abs(correlation - correlation.T) > _UNEVEN
     if uneven.any():
         one, other = (states[i] for i in np.argwhere(uneven)[0])
-        raise CraneError(f"start: the covariance of {one} and {other} is not that of {other} and {one}. Mend one.")
+        raise CraneError(
+            f"start: the covariance of {one} and {other} differs from that of {other} and {one}. Make both equal."
+        )
     column = cholesky(correlation, np.empty_like(correlation))
     if column >= 0:
         raise CraneError(
-            f"start: the covariance is not positive definite, as {states[column]} follows from the states before it or "
-            "is correlated with them by more than is possible. Give smaller covariances."
+            f"start: the covariance is not positive definite: {states[column]} follows exactly from the states before "
+            "it, or is correlated with them more than is possible. Give smaller covariances."
         )
 
 

@@ -46,7 +46,7 @@ class Tuned:
         pressures = ", ".join(f"{n} {p:.2g}" for n, p in zip(self.cylinders, self.noise.pressure[::2], strict=True))
         return (
             f"<Tuned: acceleration {accelerations} SI; pressure {pressures} Pa²/s; "
-            f"log-likelihood a sample {self.before:.4g} -> {self.after:.4g} in {self.evaluations} runs>"
+            f"log-likelihood per sample {self.before:.4g} -> {self.after:.4g} in {self.evaluations} runs>"
         )
 
 

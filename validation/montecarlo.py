@@ -265,6 +265,6 @@ def finished(path: Path, settings: Settings, crane: Crane) -> dict[int, dict[str
     found = read_lines(path)
     if not found or found[0] != head:
         raise CraneError(
-            f"{path}: has runs of another series (other settings or another crane). Give another file, or delete it."
+            f"{path}: contains another series (other settings or another crane). Give another file, or delete it."
         )
     return {r["run"]: r for r in found[1:]}

@@ -6,7 +6,7 @@ as they are known): masses and inertias of both booms, brackets, payload, joint 
 The simulation model runs open loop; the estimation model is corrected by the filter from noisy z1, z4, p1, p4 at 1 kHz.
 
 Three rows: `paper`, the paper's tuning (32), (33) and P0 to the letter; `paper-0.15-bar`, the same with gauges of 0.15
-instead of 1.5 bar; `own`, the estimator's own means: what the model may be wrong about is estimated along with the
+instead of 1.5 bar; `own`, the estimator's own tuning: what the model may be wrong about is estimated along with the
 state, so that the process noise can be small. How wrong it may be follows from the crane file's uncertainties, one, two
 or four times as wide: the innovations of the first motion say which is likeliest. `own-file`, `own-half` and
 `own-twice` take them as they are, half and twice as wide.
@@ -58,18 +58,18 @@ _PUMP_ERROR, _PAYLOAD, _JOINT_ERROR = 20e5, 10.0, 5e-3
 _BODIES = ("lift_boom", "outer_boom", "bracket_1", "bracket_2")
 #: growth of the unknowns' standard deviation in parts of that at the start, per √s
 _DRIFT = 1e-3
-#: standard deviations of own means at the start: 3°, 4°, 3°/s, 5 bar
+#: standard deviations of the own tuning at the start: 3°, 4°, 3°/s, 5 bar
 _START_STD = np.array([*np.radians([3.0, 4.0, 3.0, 3.0]), *[5e5] * 4])
 #: growth of the pose's standard deviation in parts of that at the start, per √s
 _CREEP = 1e-2
 #: s from which the likeliest width of the priors is found: the first motion
 _LISTENING = 5.0
-#: own means go through the same again; engines agree to four digits
+#: the own tuning repeats this beginning too; engines agree to four digits
 _REVISIT = Revisit(_LISTENING, "semi-recursive")
 
 
-#: the filter of own means. Sigma points of 22 states lie 4.7 standard deviations out, where masses are negative; and it
-#: takes slopes, which can be held and gone through again
+#: the filter of the own tuning. Sigma points of 22 states lie 4.7 standard deviations out, where masses are negative;
+#: and it takes slopes, which can be kept, and taken again for the beginning
 _OWN = "ekf"
 
 
@@ -87,11 +87,11 @@ class Tuning:
 
 TUNINGS = {
     "paper": Tuning("the paper's tuning"),
-    "paper-0.15-bar": Tuning("the paper's tuning, gauges of 0.15 bar", gauges=0.15e5),
-    "own": Tuning("own means: unknown parameters are estimated too", widths=(1.0, 2.0, 4.0), method=_OWN),
-    "own-file": Tuning("own means, priors as in the crane file", widths=(1.0,), method=_OWN),
-    "own-half": Tuning("own means, priors half as wide as in the crane file", widths=(0.5,), method=_OWN),
-    "own-twice": Tuning("own means, priors twice as wide as in the crane file", widths=(2.0,), method=_OWN),
+    "paper-0.15-bar": Tuning("the paper's tuning, pressure sensors of 0.15 bar", gauges=0.15e5),
+    "own": Tuning("own tuning: unknown parameters are estimated too", widths=(1.0, 2.0, 4.0), method=_OWN),
+    "own-file": Tuning("own tuning, priors as in the crane file", widths=(1.0,), method=_OWN),
+    "own-half": Tuning("own tuning, priors half as wide as in the crane file", widths=(0.5,), method=_OWN),
+    "own-twice": Tuning("own tuning, priors twice as wide as in the crane file", widths=(2.0,), method=_OWN),
 }
 #: rows of the table where nothing else is asked for
 ROWS = ("paper", "paper-0.15-bar", "own")
@@ -171,7 +171,7 @@ def wrong_crane(crane: Crane, model_error: float) -> Crane:
 
 
 def unknowns(crane: Crane, width: float = 1.0) -> tuple[Augment, ...]:
-    """Return what the estimator's own means estimate along with the state, for an estimation model.
+    """Return what the estimator's own tuning estimates along with the state, for an estimation model.
 
     Payload, pump, masses and inertias of the booms, coordinates of the joints, each with `width` times the standard
     deviation that the crane file states; a payload that the file calls unknown has that of its range. Nothing is taken
@@ -183,7 +183,7 @@ def unknowns(crane: Crane, width: float = 1.0) -> tuple[Augment, ...]:
     unstated = [n for n in ("supply.pump_pressure", "payload.mass", *masses, *joints) if n not in crane.uncertainty]
     if unstated:
         raise CraneError(
-            f"{crane.name} states no uncertainty of {', '.join(unstated)}, which the own means need. "
+            f"{crane.name} states no uncertainty of {', '.join(unstated)}, which the own tuning needs. "
             "Add it to [uncertainty]."
         )
     std = {n: width * crane.uncertainty[n].std for n in ("supply.pump_pressure", *masses, *joints)}
@@ -370,7 +370,7 @@ def sensors_of(names: Sequence[str], noise: Mapping[str, float], layout: Layout)
         sensor(name, layout.sensors)
         if name not in names:
             raise CraneError(
-                f"There is a noise for {name}, which is not among the sensors {', '.join(names)}. Add it to them."
+                f"There is a noise for {name}, but no such sensor among {', '.join(names)}. Add it to the sensors."
             )
     known = {n: layout.sensors[n] for n in names}
     return {n: float(noise.get(n, SENSOR_STD.get(n, _NOISE.get(s.unit, s.sizes.noise)))) for n, s in known.items()}
@@ -405,7 +405,7 @@ def estimator(
         wrong, experiment, engine: the estimation model, what it sees, and what runs it.
         tuning: name of the tuning.
         method: the filter; None for the tuning's.
-        width: of the priors of own means, in parts of the crane file's uncertainties; None for `likeliest_width`.
+        width: of the priors of the own tuning, in parts of the crane file's uncertainties; None for `likeliest_width`.
 
     Raises:
         CraneError: no such tuning.
@@ -473,7 +473,7 @@ def run_case(
         inputs: 1 for the paper's cycle, 2 or 3 for ours.
         engine: "exudyn" or "semi-recursive", for all three models.
         seed: of the sensors' noise.
-        tuning: one of `TUNINGS`: "paper", or "own" for the estimator's own means.
+        tuning: one of `TUNINGS`: "paper", or "own" for the estimator's own tuning.
         filter: one of `ukf.methods.METHODS`, or a function that makes a filter of one's own (which the tuning has no
             part in); None for the tuning's.
         sensors: channels that the filter gets.
@@ -616,7 +616,7 @@ def what_sensors_tell(
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> list[Told]:
-    """Return what the paper's four sensors tell of the 15 % case with the estimator's own means, and what more sensors
+    """Return what the paper's four sensors tell of the 15 % case with the estimator's own tuning, and what more sensors
     would.
     """
     crane = crane if crane is not None else Crane.load("patu655")

@@ -1,5 +1,5 @@
-"""Many seeds of the paper's experiment, all counted: how often own means reach the published errors, with intervals
-that hold.
+"""Many seeds of the paper's experiment, all counted: how often the own tuning reaches the published errors, with
+intervals that hold.
 
 python -m validation.paper_seeds results.jsonl --seeds 100-115    a line a run, then the table; what is there is kept
 python -m validation.paper_seeds results.jsonl --seeds 100-102 --nine    every error of the model with every input set
