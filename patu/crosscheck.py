@@ -17,7 +17,8 @@ from .reading import load_crane
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from validation.crosscheck import CrossCheck, Quantity
+    from validation.crosscheck import CrossCheck
+    from validation.crosscheck_quantities import Quantity
 
 _COLUMNS = ("quantity", "unit", "largest difference", "relative", "tolerance", "ok", "where; reason for the tolerance")
 
@@ -50,7 +51,8 @@ def command(
     closest to the cause.
     """
     chosen = load_crane(crane, effects)
-    from validation.crosscheck import crosscheck, save_figures
+    from validation.crosscheck import crosscheck
+    from validation.crosscheck_figures import save_figures
 
     if quick:
         states, seconds = min(states, 50), min(seconds, 6.0)
@@ -94,7 +96,7 @@ def _row(q: Quantity) -> tuple[object, ...]:
 
 
 def _write_report(result: CrossCheck, seed: int, states: int, seconds: float, directory: Path) -> Path:
-    from validation.crosscheck import by_name, figure_of
+    from validation.crosscheck_figures import by_name, figure_of
     from validation.report import Picture, Table, write_report
 
     pictures = [

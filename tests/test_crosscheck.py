@@ -24,6 +24,9 @@ from crane_exudyn.inputs import paper_cycle
 from patu import main
 from validation import crosscheck as cc
 from validation import crosscheck_cases as cases
+from validation.crosscheck_figures import by_name, figure_of, save_figures
+from validation.crosscheck_quantities import Quantity, compare_static_starts, compare_terms, groups_of
+from validation.crosscheck_runs import ORDER_STEPS, Run, compare_runs, convergence_orders
 from validation.semi_recursive import SemiRecursiveEngine
 
 SEED = 7
@@ -49,7 +52,7 @@ def states(crane: Crane) -> cases.States:
     return cases.random_states(crane, 100, np.random.default_rng(SEED))
 
 
-def assert_ok(quantities: list[cc.Quantity]) -> None:
+def assert_ok(quantities: list[Quantity]) -> None:
     assert quantities
     failing = [
         f"{q.name}: {q.max_abs:.3g} {q.unit}, relative {q.relative:.2g} > {q.tolerance:.0e}"
@@ -65,13 +68,13 @@ def assert_ok(quantities: list[cc.Quantity]) -> None:
 def test_every_quantity_agrees(
     crane: Crane, exudyn: ExudynEngine, semi_recursive: SemiRecursiveEngine, states: cases.States
 ) -> None:
-    quantities = cc.compare_terms(exudyn, semi_recursive, states)
+    quantities = compare_terms(exudyn, semi_recursive, states)
     assert_ok(quantities)
-    assert len(quantities) == sum(len(g.names) for g in cc.groups_of(crane))
+    assert len(quantities) == sum(len(g.names) for g in groups_of(crane))
 
 
 def test_static_starts_agree(exudyn: ExudynEngine, semi_recursive: SemiRecursiveEngine, states: cases.States) -> None:
-    assert_ok(cc.compare_static_starts(exudyn, semi_recursive, states))
+    assert_ok(compare_static_starts(exudyn, semi_recursive, states))
 
 
 PROBES = list(cases.effect_probes(Crane.load("patu655")))
@@ -96,7 +99,7 @@ def test_other_cranes_agree(crane: Crane) -> None:
     for name, other in others.items():
         drawn = cases.random_states(other, 20, np.random.default_rng(SEED))
         first, second = ExudynEngine(other), SemiRecursiveEngine(other)
-        assert_ok([*cc.compare_terms(first, second, drawn), *cc.compare_static_starts(first, second, drawn)])
+        assert_ok([*compare_terms(first, second, drawn), *compare_static_starts(first, second, drawn)])
         assert other.values != crane.values, name
 
 
@@ -108,7 +111,7 @@ def test_trajectories_agree_with_order_two(
     name, given = list(cc.manoeuvres(crane, semi_recursive, 3.2, rng).items())[manoeuvre]
     time, commands = given()
     w = cases.spool_inputs(crane, time, commands)
-    quantities, runs = cc.compare_runs(name, exudyn, semi_recursive, time, w, 1e-4, lambda fraction, part: None)
+    quantities, runs = compare_runs(name, exudyn, semi_recursive, time, w, 1e-4, lambda fraction, part: None)
     assert_ok(quantities)
     assert np.ptp(runs[-1].second[:, 0]) > 0.05  # the boom did move
 
@@ -128,38 +131,38 @@ def test_cranes_at_the_ends_of_the_ranges_agree(crane: Crane, name: str) -> None
     rng, odd = np.random.default_rng(SEED), crane.with_parameters(ENDS[name])
     first, second = ExudynEngine(odd), SemiRecursiveEngine(odd)
     drawn = cases.random_states(odd, 20, rng)
-    assert_ok([*cc.compare_terms(first, second, drawn), *cc.compare_static_starts(first, second, drawn)])
+    assert_ok([*compare_terms(first, second, drawn), *compare_static_starts(first, second, drawn)])
     assert len(cases.other_cranes(odd, rng)) == 2
     time, commands = cc.manoeuvres(odd, second, 2.0, rng)["random joystick"]()
     w = cases.spool_inputs(odd, time, commands)
-    assert_ok(cc.compare_runs("joystick", first, second, time, w, 1e-3, lambda fraction, part: None)[0])
+    assert_ok(compare_runs("joystick", first, second, time, w, 1e-3, lambda fraction, part: None)[0])
 
 
 def test_only_what_is_left_by_newtons_methods_has_no_order(crane: Crane) -> None:
-    def runs(sizes: list[float]) -> list[cc.Run]:
+    def runs(sizes: list[float]) -> list[Run]:
         scale = np.array([1.0, 1.0, 1.0, 1.0, 1e9, 1e9, 1e9, 1e9])
         return [
-            cc.Run("run", h, np.arange(3.0), np.full((3, 8), size) * scale, np.zeros((3, 8)), 3)
-            for h, size in zip(cc.ORDER_STEPS, sizes, strict=True)
+            Run("run", h, np.arange(3.0), np.full((3, 8), size) * scale, np.zeros((3, 8)), 3)
+            for h, size in zip(ORDER_STEPS, sizes, strict=True)
         ]
 
-    assert_ok(cc.convergence_orders(crane.layout, runs([3e-10, 1e-10, 2e-10])))
-    assert_ok(cc.convergence_orders(crane.layout, runs([7e-10, 9e-10, 1.2e-9])))  # above 1e-9 rad and 1 Pa, no order
-    assert_ok(cc.convergence_orders(crane.layout, runs([16e-9, 4e-9, 1.7e-9])))  # only the last is of Newton's methods
-    assert_ok(cc.convergence_orders(crane.layout, runs([16e-7, 4e-7, 1e-7])))
+    assert_ok(convergence_orders(crane.layout, runs([3e-10, 1e-10, 2e-10])))
+    assert_ok(convergence_orders(crane.layout, runs([7e-10, 9e-10, 1.2e-9])))  # above 1e-9 rad and 1 Pa, no order
+    assert_ok(convergence_orders(crane.layout, runs([16e-9, 4e-9, 1.7e-9])))  # only the last is of Newton's methods
+    assert_ok(convergence_orders(crane.layout, runs([16e-7, 4e-7, 1e-7])))
     for sizes in ([16e-7, 8e-7, 4e-7], [16e-9, 8e-9, 1e-9], [1e-7, 1e-7, 1e-7], [1e-9, 1e-8, 1e-7], [0.0, 0.0, 0.0]):
-        assert not any(q.ok for q in cc.convergence_orders(crane.layout, runs(sizes))), sizes
-    assert not any(q.ok for q in cc.convergence_orders(crane.layout, runs([1e-6, 1e-6, math.nan])))
+        assert not any(q.ok for q in convergence_orders(crane.layout, runs(sizes))), sizes
+    assert not any(q.ok for q in convergence_orders(crane.layout, runs([1e-6, 1e-6, math.nan])))
 
 
 def test_positions_that_drift_apart_alone_have_an_order_too(crane: Crane) -> None:
     """Pressures that agree excuse no positions that do not."""
     off = [np.array([size] * 4 + [1e-4] * 4) for size in (16e-7, 8e-7, 4e-7)]
     runs = [
-        cc.Run("run", h, np.arange(3.0), np.tile(d, (3, 1)), np.zeros((3, 8)), 3)
-        for h, d in zip(cc.ORDER_STEPS, off, strict=True)
+        Run("run", h, np.arange(3.0), np.tile(d, (3, 1)), np.zeros((3, 8)), 3)
+        for h, d in zip(ORDER_STEPS, off, strict=True)
     ]
-    positions, pressures = cc.convergence_orders(crane.layout, runs)
+    positions, pressures = convergence_orders(crane.layout, runs)
     assert not positions.ok and "found 1.00" in positions.reason and pressures.ok
 
 
@@ -213,7 +216,7 @@ def faulty_terms(faults: tuple[tuple[str, str], ...]) -> Callable[..., np.ndarra
 
 
 def test_without_a_fault_the_plain_equations_agree(crane: Crane, exudyn: ExudynEngine, states: cases.States) -> None:
-    assert_ok(cc.compare_terms(exudyn, Faulty(crane), first(states, 10)))
+    assert_ok(compare_terms(exudyn, Faulty(crane), first(states, 10)))
 
 
 def first(states: cases.States, count: int) -> cases.States:
@@ -258,10 +261,10 @@ FAULTS = {
 def test_a_fault_is_caught_and_named(crane: Crane, exudyn: ExudynEngine, states: cases.States, fault: str) -> None:
     """The first quantities out of tolerance are those that the fault touches, and nothing before them is."""
     change, named = FAULTS[fault]
-    quantities = cc.compare_terms(exudyn, Faulty(crane, change), first(states, 10))
+    quantities = compare_terms(exudyn, Faulty(crane, change), first(states, 10))
     failing = [q.name for q in quantities if not q.ok]
     assert failing and failing[0] in named
-    group = next(g for g in cc.groups_of(crane) if failing[0] in g.names)
+    group = next(g for g in groups_of(crane) if failing[0] in g.names)
     assert {n for n in failing if n in group.names} <= named
     result = cc.CrossCheck("patu655", crane.layout, quantities)
     assert not result.ok and result.failures[0].name == failing[0] and failing[0] in repr(result)
@@ -274,7 +277,7 @@ def test_a_faulty_trajectory_is_caught(crane: Crane, exudyn: ExudynEngine) -> No
     )
     time = np.arange(2401) * 1e-3
     w = cases.spool_inputs(crane, time, np.column_stack([0.3 * (time > 0.2), 0.0 * time]))
-    quantities, _ = cc.compare_runs("lift", exudyn, off, time, w, 1e-3, lambda fraction, part: None)
+    quantities, _ = compare_runs("lift", exudyn, off, time, w, 1e-3, lambda fraction, part: None)
     assert {"lift: z1", "lift: p1", "lift: order of positions"} <= {q.name for q in quantities if not q.ok}
 
 
@@ -295,7 +298,7 @@ def test_two_forms_of_a_rule_need_not_be_closer_than_its_own_error(crane: Crane)
     def failing(first: float, second: float, step: float = 1e-3) -> set[str]:
         engines = Coarse(crane), Coarse(crane)
         engines[0].size, engines[1].size = first, second
-        quantities, _ = cc.compare_runs("run", *engines, time, w, step, lambda fraction, part: None)
+        quantities, _ = compare_runs("run", *engines, time, w, step, lambda fraction, part: None)
         return {q.name for q in quantities if not q.ok}
 
     assert not failing(8e-6, 5e-6)  # apart by 3e-6 rad, of 5e-6 rad
@@ -304,7 +307,7 @@ def test_two_forms_of_a_rule_need_not_be_closer_than_its_own_error(crane: Crane)
 
 
 def test_what_is_not_a_number_is_never_ok() -> None:
-    assert not cc.Quantity("F1", "N", math.nan, math.nan, 1e-9, "").ok
+    assert not Quantity("F1", "N", math.nan, math.nan, 1e-9, "").ok
 
 
 def test_an_effect_without_influence_is_not_called_a_success(crane: Crane) -> None:
@@ -418,7 +421,7 @@ def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -
         progress=lambda fraction, part: seen.append(fraction),
     )
     assert {q.name for q in result.failures} == {
-        f"{m}: order of {o}" for m in cc.by_name(result.runs) for o in ("positions", "pressures")
+        f"{m}: order of {o}" for m in by_name(result.runs) for o in ("positions", "pressures")
     }
     document = json.loads(json.dumps(result.to_dict(), allow_nan=True))
     assert {"F1", "dz2_dz4", "static start: p1", "payload_swing", "drawn at random", "paper's cycle: p1"} <= set(
@@ -427,10 +430,10 @@ def test_the_whole_check_writes_what_it_promises(crane: Crane, tmp_path: Path) -
     assert {"max_abs", "relative", "tolerance", "ok"} <= set(document["quantities"]["F1"])
     assert document["ok"] is False
     assert seen == sorted(seen) and seen[-1] == pytest.approx(1.0)
-    pictures = cc.save_figures(result, tmp_path / "pictures")
+    pictures = save_figures(result, tmp_path / "pictures")
     assert [p.name for p in pictures] == ["crosscheck-papers-cycle.png", "crosscheck-random-joystick.png"]
     assert all(p.stat().st_size > 10_000 for p in pictures)
-    figure = cc.figure_of(crane.layout, cc.by_name(result.runs)["paper's cycle"])
+    figure = figure_of(crane.layout, by_name(result.runs)["paper's cycle"])
     below = [label.get_text() for axes in figure.axes[1::2] for label in axes.get_yticklabels()]
     assert "10⁻¹⁵" in below and not any("$" in text or "\\" in text for text in below)
 
@@ -439,8 +442,8 @@ def test_the_command_tells_what_could_not_be_run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = [
-        cc.Quantity("s1", "m", 0.0, 0.0, 1e-9, "why"),
-        cc.Quantity.not_run("end_stop@lift, along 5 s", CraneError("too stiff")),
+        Quantity("s1", "m", 0.0, 0.0, 1e-9, "why"),
+        Quantity.not_run("end_stop@lift, along 5 s", CraneError("too stiff")),
     ]
     given: dict[str, object] = {}
 
@@ -461,7 +464,7 @@ def test_the_command_tells_what_could_not_be_run(
 def test_the_command_answers_with_table_json_and_status(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, size: float, status: int
 ) -> None:
-    lines = [cc.Quantity("s1", "m", 0.0, 0.0, 1e-9, "why"), cc.Quantity("F1", "N", size, size, 1e-9, "why", "z1 = 3°")]
+    lines = [Quantity("s1", "m", 0.0, 0.0, 1e-9, "why"), Quantity("F1", "N", size, size, 1e-9, "why", "z1 = 3°")]
     monkeypatch.setattr(cc, "crosscheck", lambda crane, **options: cc.CrossCheck(crane.name, crane.layout, lines))
     with pytest.raises(SystemExit) as leaving:
         main.run(["crosscheck", "--quick", "--json", str(tmp_path / "x.json"), "--report", str(tmp_path / "report")])

@@ -19,8 +19,8 @@ from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import initial_state, simulate
 from crane_exudyn.static_start import beyond_pump, static_start
 from crane_exudyn.trajectory import Trajectory
-from validation import crosscheck as cc
 from validation import crosscheck_cases as cases
+from validation.crosscheck_quantities import compare_static_starts, compare_terms
 from validation.semi_recursive import SemiRecursiveEngine
 
 SEEDS = range(1, 21)
@@ -30,7 +30,7 @@ def assert_agree(crane, count, seed=0):
     """Every quantity and the static starts agree at random states, and a short run from the start does."""
     first, second = ExudynEngine(crane), SemiRecursiveEngine(crane)
     states = cases.random_states(crane, count, np.random.default_rng(seed))
-    quantities = [*cc.compare_terms(first, second, states), *cc.compare_static_starts(first, second, states)]
+    quantities = [*compare_terms(first, second, states), *compare_static_starts(first, second, states)]
     assert [(q.name, q.max_abs, q.relative) for q in quantities if not q.ok] == []
     time, w = (a[:201] for a in cases.exciting(crane))
     w[:, crane.layout.spools] += 0.2
