@@ -25,74 +25,29 @@ import numpy as np
 
 from . import render_shapes as shapes
 from .crane import Crane, checked_crane
-from .errors import CraneError, names_of, refuse_unknown, shortened
+from .errors import CraneError, names_of, refuse_unknown
 from .exudyn_quietly import exu, items
 from .files import replacing
 from .geometry import Pose, pose
-from .layout import Layout
 from .recording import Recording
-from .render_text import MAPS, READ, Colour, Entry, Mark, Scale, Texts, margins, write_on
+from .render_checks import check_scene, checked_size, trajectories_of
+from .render_colours import GHOSTS, MARK, NO_VALUE, OTHER_GHOSTS, PLAIN_GHOSTS, map_color, scale_ends
+from .render_placement import box_corners, coordinates, in_world
+from .render_text import Colour, Entry, Mark, Scale, Texts, margins, write_on
 from .screen import need_screen, screen
+from .solution_file import read_solution, write_solution
 from .trajectory import Trajectory
 
 Renderer = Literal["raytracer", "opengl"]
 View = Literal["side", "oblique"]
 
-#: what a crane of each kind looks like beside others; light, middle and dark, so that they differ without colour
-GHOSTS = {"measured": (0.90, 0.90, 0.88), "simulated": (0.95, 0.55, 0.20), "estimated": (0.05, 0.38, 0.68)}
-#: beside a crane whose colours mean something: blue greys, which no scale has, light, middle and dark
-_PLAIN_GHOSTS = ((0.80, 0.82, 0.85), (0.50, 0.57, 0.68), (0.26, 0.31, 0.40))
-_OTHER_GHOSTS = ((0.0, 0.50, 0.36), (0.55, 0.35, 0.65), (0.80, 0.68, 0.20), (0.30, 0.25, 0.22))
 #: m by which each ghost stands behind the one before; from the side that is not seen, but what is nearer is never
 #: hidden
 _BEHIND = {"side": 2.5, "oblique": 0.02}
 _SUPERSAMPLING = 2
-#: the end of a scale of residuals at least, in SI: less is rounding
-_LEAST = {"Pa": 1e5, "rad": math.radians(0.1), "m": 1e-3}
 #: pictures a second of film
 _FPS = 12.0
 _VIEWS = {"side": (0.0, 0.0), "oblique": (math.radians(-24.0), math.radians(14.0))}
-
-
-def coordinates(crane: Crane, positions: np.ndarray, theta: np.ndarray | float = 0.0) -> np.ndarray:
-    """Return x, y, angle of every part of `render_shapes.part_names` at n poses, shape (n, 3 * parts), in m and rad.
-
-    Args:
-        positions: (n, coordinates) or (coordinates,) independent coordinates.
-        theta: angle of the payload's pendulum, where the crane has one (hook `pendulum`).
-    """
-    machine, closed = crane.machine, pose(crane, *np.atleast_2d(positions).T)
-    short = dict(zip(machine.points, machine.point_names, strict=True))
-    placed = {}
-    for name in machine.bodies:
-        point = next(p for p, body in machine.points.items() if body == name)
-        placed[f"bodies.{name}"] = (
-            _origin(closed, name, short[point], shapes.place(crane, point)),
-            closed.angles[name],
-        )
-    for cylinder in machine.cylinders:
-        base, end = (closed.points[short[p]] for p in cylinder.points)
-        line = np.arctan2(*(end - base).T[::-1])
-        placed |= {f"cylinders.{cylinder.name}.barrel": (base, line), f"cylinders.{cylinder.name}.rod": (end, line)}
-    body, point = machine.payload
-    if body:
-        tip, length, swing = (
-            closed.points[short[point]],
-            shapes.pendulum_length(crane),
-            np.broadcast_to(theta, len(closed.lengths)),
-        )
-        hanging = tip + length * np.column_stack([np.sin(swing), -np.cos(swing)])
-        placed |= {"rope": (tip, swing), "payload": (hanging, swing if length > 0.0 else closed.angles[body])}
-    return np.column_stack([np.column_stack(placed[part]) for part in shapes.part_names(crane)])
-
-
-def _origin(closed: Pose, body: str, point: str, local: np.ndarray) -> np.ndarray:
-    """Return where the origin (n, 2) of a body's frame lies, from one of its points, which is at `local` in that
-    frame.
-    """
-    c, s = np.cos(closed.angles[body]), np.sin(closed.angles[body])
-    turned = np.column_stack([c * local[0] - s * local[1], s * local[0] + c * local[1]])
-    return np.asarray(closed.points[point] - turned)
 
 
 class Scene:
@@ -134,12 +89,12 @@ class Scene:
             CraneError: no trajectory, nothing to compare, a pressure or a place that is not there, a size or a view
                 that there is not, a failure of `own`.
         """
-        self.crane, self.trajectories, self.title = checked_crane(crane, "Scene"), _trajectories(trajectories), title
-        self.colour, self.marks, self.size = colour, names_of(marks, "Scene: marks"), _checked_size(size)
-        _check(crane, colour, self.trajectories, self.marks)
+        self.crane, self.trajectories, self.title = checked_crane(crane, "Scene"), trajectories_of(trajectories), title
+        self.colour, self.marks, self.size = colour, names_of(marks, "Scene: marks"), checked_size(size)
+        check_scene(crane, colour, self.trajectories, self.marks)
         self.view: View = view or ("side" if len(self.trajectories) > 1 else "oblique")
         refuse_unknown("Scene", [self.view], _VIEWS, "view")
-        self.scales = _scales(crane.layout, self.trajectories, colour)
+        self.scales = scale_ends(crane.layout, self.trajectories, colour)
         self._problem: Exception | None = None
         box = self._box()
         self.floor, self.middle = min(0.0, float(box[:, 1].min())), 0.5 * float(box[:, 0].min() + box[:, 0].max())
@@ -211,8 +166,8 @@ class Scene:
     def ghost_color(self, position: int) -> tuple[float, float, float]:
         """Return the colour of the n-th crane where cranes are told apart by colour."""
         if self.colour is not None:
-            return _PLAIN_GHOSTS[(position - 1) % len(_PLAIN_GHOSTS)]
-        return GHOSTS.get(self.trajectories[position].label, _OTHER_GHOSTS[position % len(_OTHER_GHOSTS)])
+            return PLAIN_GHOSTS[(position - 1) % len(PLAIN_GHOSTS)]
+        return GHOSTS.get(self.trajectories[position].label, OTHER_GHOSTS[position % len(OTHER_GHOSTS)])
 
     def _recoloured(self) -> tuple[str, ...]:
         return tuple(f"bodies.{b}" for b in self.crane.layout.bodies) if self.colour == "residual" else ()
@@ -279,15 +234,15 @@ class Scene:
             at = t.time[:: max(1, len(t.time) // 200)] if times is None else times
             positions = np.array([t.at(x) for x in at])
             closed = pose(self.crane, *positions.T)
-            boxes.append(_boxes(np.vstack(list(closed.points.values())), thick, thick))
+            boxes.append(box_corners(np.vstack(list(closed.points.values())), thick, thick))
             if machine.payload[0]:
                 placed = coordinates(self.crane, positions, np.array([t.swing_at(x) for x in at]))
                 payload = placed.reshape(len(placed), -1, 3)[:, shapes.part_names(self.crane).index("payload")]
-                boxes.append(_boxes(np.delete(payload, 2, axis=1), *shapes.payload_extent(self.crane)))
+                boxes.append(box_corners(np.delete(payload, 2, axis=1), *shapes.payload_extent(self.crane)))
         pins = shapes.ground_pins(self.crane)
         if pins:
             left, right = shapes.feet(pins, shapes.size(self.crane))
-            boxes.append(_boxes(np.array([[left, 0.0], [right, 0.0]]), 0.0, 2.0 * thick))
+            boxes.append(box_corners(np.array([[left, 0.0], [right, 0.0]]), 0.0, 2.0 * thick))
         return np.vstack(boxes)
 
     def _frame(self, box: np.ndarray) -> tuple[np.ndarray, float]:
@@ -340,7 +295,7 @@ class Scene:
         for cylinder, length in zip(self.crane.machine.cylinders, lengths, strict=True):
             colors = [self._color(chamber, time, "Pa") for chamber in cylinder.chambers]
             made = shapes.oil(self.crane, cylinder.name, float(length), (colors[0], colors[1]))
-            drawn += [_placed(g, frames[f"cylinders.{cylinder.name}.barrel"]) for g in made]
+            drawn += [in_world(g, frames[f"cylinders.{cylinder.name}.barrel"]) for g in made]
         return drawn
 
     def _pose(self, time: float) -> Pose:
@@ -348,7 +303,7 @@ class Scene:
 
     def _color(self, channel: str, time: float, unit: str) -> shapes.Color:
         value = self.value(channel, time)
-        return _NO_VALUE if math.isnan(value) else _map_color(self.colour, value / self.scales[unit])
+        return NO_VALUE if math.isnan(value) else map_color(self.colour, value / self.scales[unit])
 
     def _bodies(self, time: float, frames: dict[str, np.ndarray]) -> list[shapes.Graphics]:
         """Return the bodies that have a coordinate of their own, coloured by its residual."""
@@ -356,7 +311,7 @@ class Scene:
         for name, body in zip(layout.coordinates, layout.bodies, strict=True):
             color = self._color(name, time, layout.unit_of(name))
             made = shapes.body_shape(self.crane, body, paint, color)
-            drawn += [_placed(g, frames[f"bodies.{body}"]) for g in made]
+            drawn += [in_world(g, frames[f"bodies.{body}"]) for g in made]
         return drawn
 
     def value(self, channel: str, time: float) -> float:
@@ -380,7 +335,7 @@ class Scene:
 
     def _arrow(self, mark: str, time: float) -> shapes.Graphics:
         tip, direction = self.mark_at(mark, time)
-        return shapes.arrow(self._in_front(tip), direction, self.arrow_length, _MARK)
+        return shapes.arrow(self._in_front(tip), direction, self.arrow_length, MARK)
 
     def _in_front(self, at: np.ndarray) -> np.ndarray:
         """Return a point (3,) that is seen where a point (2,) in the plane of the machine is, nearer than any part."""
@@ -467,7 +422,7 @@ class Scene:
         parts = list(shapes.parts(self.crane, shapes.Paint()).values())
         for trajectory in self.trajectories:
             frames = coordinates(self.crane, trajectory.at(time), trajectory.swing_at(time)).reshape(-1, 3)
-            made += [_placed(g, frame) for part, frame in zip(parts, frames, strict=True) for g in part]
+            made += [in_world(g, frame) for part, frame in zip(parts, frames, strict=True) for g in part]
         corners = np.vstack([shapes.triangles(g) for g in made])
         return self.project(corners.reshape(-1, 3)).reshape(-1, 3, 2)
 
@@ -594,8 +549,7 @@ class Scene:
             positions = np.array([trajectory.at(t) for t in times])
             rows.append(coordinates(self.crane, positions, np.array([trajectory.swing_at(t) for t in times])))
         table = np.column_stack([times, *rows])
-        with replacing(path) as temporary:
-            np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header=_solution_header(table.shape), comments="")
+        write_solution(path, table)
 
     def view_solution(self, path: str | Path) -> None:
         """Open Exudyn's SolutionViewer with a file of `save_solution`; returns when its windows are closed.
@@ -627,14 +581,7 @@ class Scene:
         Raises:
             CraneError: no solution file, or one of another scene.
         """
-        from exudyn.utilities import LoadSolutionFile
-
-        try:
-            solution: dict[str, Any] = LoadSolutionFile(str(path), verbose=False)
-        except (OSError, ValueError, IndexError) as problem:
-            raise CraneError(
-                f"{path}: not an Exudyn solution file ({problem}). Write one with --save-solution."
-            ) from None
+        solution = read_solution(path)
         expected = 3 * len(shapes.part_names(self.crane)) * len(self.trajectories)
         if solution["columnsExported"][0] != expected:
             raise CraneError(
@@ -642,148 +589,3 @@ class Scene:
                 f"{len(self.trajectories)} crane(s). Open it with the same recordings it was written with."
             )
         return solution
-
-
-def _solution_header(shape: tuple[int, ...]) -> str:
-    count = shape[1] - 1
-    lines = [
-        "#Exudyn generic solver solution file",
-        "#simulation started=0",
-        "#columns contain: time, ODE2 displacements",
-        f"#number of system coordinates [nODE2, nODE1, nAlgebraic, nData] = [{count},0,0,0]",
-        "#number of written coordinates [nODE2, nVel2, nAcc2, nODE1, nVel1, nAlgebraic, nData] = "
-        f"[{count},0,0,0,0,0,0]",
-        f"#total columns exported  (excl. time) = {count}",
-        f"#number of time steps (planned) = {shape[0] - 1}",
-        "#",
-    ]
-    return "\n".join(lines)
-
-
-# -- checks ----------------------------------------------------------------------------------------------------------
-
-
-def _places(crane: Crane) -> tuple[str, ...]:
-    """Return every name that an arrow can point at."""
-    machine, layout = crane.machine, crane.layout
-    joints = [joint.name for joint in machine.joints]
-    return tuple(dict.fromkeys([*layout.cylinders, *layout.chambers, *joints, *machine.point_names, *machine.bodies]))
-
-
-def _trajectories(given: Any) -> tuple[Trajectory, ...]:
-    """Return what is drawn, also where one alone was given or a recording."""
-    runs = [given] if not isinstance(given, list | tuple) else given
-    for run in runs:
-        if not isinstance(run, Trajectory | Recording):
-            raise CraneError(
-                f"Scene: found {shortened(run)}, expected trajectories. Give a list of them: "
-                "Trajectory.from_recording of a Recording, Trajectory.from_states of states."
-            )
-    return tuple(r if isinstance(r, Trajectory) else Trajectory.from_recording(r, r.name) for r in runs)
-
-
-def _checked_size(size: Any) -> tuple[int, int]:
-    """Return width and height in pixels."""
-    numbers = tuple(size) if isinstance(size, Sequence | np.ndarray) and not isinstance(size, str) else ()
-    if len(numbers) != 2 or not all(isinstance(n, int | np.integer) and 16 <= n <= 8192 for n in numbers):
-        raise CraneError(
-            f"Scene: size is {shortened(size)}, expected width and height in pixels, whole numbers from 16 to 8192. "
-            "Give such as size=(1280, 720)."
-        )
-    return int(numbers[0]), int(numbers[1])
-
-
-def _check(crane: Crane, colour: Colour | None, trajectories: Sequence[Trajectory], marks: Sequence[str]) -> None:
-    if not trajectories:
-        raise CraneError("A scene needs at least one trajectory.")
-    if colour is not None:
-        refuse_unknown("Scene", [colour], MAPS, "colour")
-    wanted = len(crane.layout.coordinates)
-    for trajectory in trajectories:
-        if trajectory.positions.ndim != 2 or trajectory.positions.shape[1] != wanted:
-            raise CraneError(
-                f"The trajectory {trajectory.label!r} has positions of shape {trajectory.positions.shape}, but "
-                f"{crane.name} has the coordinates "
-                f"{', '.join(crane.layout.coordinates)}: expected ({len(trajectory.time)}, {wanted}). Give one column "
-                "for each."
-            )
-    labels = [t.label for t in trajectories]
-    twice = next((name for name in labels if labels.count(name) > 1), None)
-    if twice is not None:
-        raise CraneError(
-            f"Two runs are called {twice!r}, so they cannot be told apart. Give one another name, in the command "
-            "--label NAME or --ghost NAME=FILE."
-        )
-    if colour == "residual" and len(trajectories) < 2:
-        raise CraneError(
-            "Colours by residual show the difference of two runs, and only one was given. Give a second trajectory, in "
-            "the command --ghost FILE."
-        )
-    if colour == "pressure" and not any(np.isfinite(p).any() for p in trajectories[0].pressures.values()):
-        chambers = ", ".join(crane.layout.chambers)
-        raise CraneError(
-            f"Colours by pressure need pressures, and this run has none of {chambers}. Leave colour (--colour) out, or "
-            "record one."
-        )
-    for mark in marks:
-        if mark not in _places(crane):
-            raise CraneError(f"There is no place {mark!r} to mark. Known: {', '.join(_places(crane))}.")
-
-
-def _scales(layout: Layout, trajectories: Sequence[Trajectory], colour: Colour | None) -> dict[str, float]:
-    """Return by unit the values in SI at which the colours end: numbers that are round as people read them, at or above
-    the greatest.
-    """
-    if colour is None:
-        return {}
-    main = trajectories[0]
-    if colour == "pressure":
-        return {"Pa": _round_up(max(float(np.nanmax(v, initial=0.0)) for v in main.pressures.values()), "Pa")}
-    other, found = trajectories[1], {"Pa": [_LEAST["Pa"]]}
-    both = [p for p in layout.chambers if p in main.pressures and p in other.pressures]
-    pairs = [(name, main.positions[:, i], other.positions[:, i]) for i, name in enumerate(layout.coordinates)]
-    times = np.array([t for t in np.union1d(main.time, other.time) if main.covers(t) and other.covers(t)])
-    if not times.size:
-        raise CraneError(
-            f"Colours by residual need a time that both runs cover, but {main.label!r} goes from {main.time[0]:g} to "
-            f"{main.time[-1]:g} s and {other.label!r} from {other.time[0]:g} to {other.time[-1]:g} s. Give runs that "
-            "overlap in time."
-        )
-    for name, mine, its in (*pairs, *((p, main.pressures[p], other.pressures[p]) for p in both)):
-        difference = np.abs(np.interp(times, main.time, mine) - np.interp(times, other.time, its))
-        found.setdefault(layout.unit_of(name), [_LEAST[layout.unit_of(name)]]).append(
-            float(np.nanmax(difference, initial=0.0))
-        )
-    return {unit: _round_up(max(values), unit) for unit, values in found.items()}
-
-
-def _round_up(value: float, unit: str) -> float:
-    """Return the next number that is round as people read it: 1, 1.5, 2, 3, 4, 5, 6, 8 or 10 times a power of ten."""
-    factor = READ[unit][0]
-    power = 10.0 ** math.floor(math.log10(max(value * factor, 1e-6)))
-    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-    return next(step * power for step in steps if step * power >= value * factor * (1.0 - 1e-12)) / factor
-
-
-def _boxes(points: np.ndarray, margin: float, half: float) -> np.ndarray:
-    """Return the corners (8n, 3) of boxes around points (n, 2): a margin in the plane, half a width across it."""
-    corners = [(x, y, z) for x in (-margin, margin) for y in (-margin, margin) for z in (-half, half)]
-    return np.vstack([np.column_stack([points, np.zeros(len(points))]) + corner for corner in corners])
-
-
-# -- colours ---------------------------------------------------------------------------------------------------------
-
-_NO_VALUE: shapes.Color = (0.75, 0.75, 0.75, 1.0)
-_MARK: shapes.Color = (0.80, 0.0, 0.45, 1.0)
-
-
-def _map_color(colour: Colour | None, fraction: float) -> shapes.Color:
-    from matplotlib import colormaps
-
-    r, g, b, _ = colormaps[MAPS[colour or "pressure"]](min(max(fraction, 0.0), 1.0))
-    return (float(r), float(g), float(b), 1.0)
-
-
-def _placed(graphics: shapes.Graphics, frame: np.ndarray) -> shapes.Graphics:
-    """Return graphics of a part's frame in world coordinates; frame is x, y, angle."""
-    return shapes.moved(graphics, (frame[0], frame[1], 0.0), frame[2])

@@ -15,7 +15,7 @@ from .crane import Crane
 from .geometry import pose, pose_text
 from .machine import GROUND, PRISMATIC
 from .plots import empty_figure, style
-from .render import coordinates
+from .render_placement import coordinates
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

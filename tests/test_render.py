@@ -17,6 +17,7 @@ from crane_exudyn import render_text as text
 from crane_exudyn.geometry import pose
 from crane_exudyn.machine import GROUND
 from crane_exudyn.render import Scene
+from crane_exudyn.render_placement import coordinates
 from crane_exudyn.trajectory import Trajectory
 from patu.main import run
 
@@ -63,7 +64,7 @@ def patu(*words):
 
 def placed_at(crane, positions, theta=0.0):
     """Return {part: (n, 3)}: x, y, angle of every part."""
-    frames = render.coordinates(crane, positions, theta)
+    frames = coordinates(crane, positions, theta)
     return dict(zip(shapes.part_names(crane), frames.reshape(len(frames), -1, 3).transpose(1, 0, 2), strict=True))
 
 
