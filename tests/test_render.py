@@ -651,7 +651,7 @@ def test_without_a_run_there_are_no_ghosts(recording, tmp_path, capsys):
 
 def test_a_map_is_for_the_files_that_need_it(recording, tmp_path):
     """Runs with the crane's own names beside a logger's recording, whichever comes first; else it is for REC."""
-    from patu.render import _read
+    from patu.drawn_runs import read_runs
 
     z1, z4 = motion().positions.T
     logger, signs = tmp_path / "logger.csv", tmp_path / "map.toml"
@@ -659,12 +659,12 @@ def test_a_map_is_for_the_files_that_need_it(recording, tmp_path):
     np.savetxt(logger, table, delimiter=",", header="Clock[s],Boom[deg],Arm[deg]", comments="")
     signs.write_text('[time]\ncolumn="Clock"\n[z1]\ncolumn="Boom"\nsign=-1\n[z4]\ncolumn="Arm"\n')
     for paths in ([logger, recording], [recording, logger], [logger, logger]):
-        for found in _read(paths, CRANE, None, signs):
+        for found in read_runs(paths, CRANE, None, signs):
             assert found["z1"].values == pytest.approx(z1, abs=1e-9)
-    turned, same = _read([recording, recording], CRANE, ["z1=-z1"], None)
+    turned, same = read_runs([recording, recording], CRANE, ["z1=-z1"], None)
     assert turned["z1"].values == pytest.approx(-z1) and same["z1"].values == pytest.approx(z1)
     with pytest.raises(CraneError, match="no column 'Clock'"):
-        _read([recording], CRANE, None, signs)
+        read_runs([recording], CRANE, None, signs)
 
 
 @pytest.mark.parametrize("name", MACHINES)
