@@ -24,6 +24,8 @@ _BEYOND_IN_WORDS = {
 }
 #: a command, or a spool, may read a little beyond fully open, as sensors do; more than this is another unit
 FULLY_OPEN = 1.05
+#: a command above this opens a valve enough to be felt
+OPEN = 0.05
 
 
 @cache

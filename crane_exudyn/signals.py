@@ -26,6 +26,12 @@ def sampling_rate(time: np.ndarray) -> float:
     return float(1.0 / np.median(np.diff(time))) if len(time) > 1 else 0.0
 
 
+def usual_range(values: np.ndarray) -> tuple[float, float]:
+    """Return the values (low, high) between which a channel is nearly all the time."""
+    low, high = np.quantile(values, [0.01, 0.99])
+    return float(low), float(high)
+
+
 def early(time: np.ndarray, at: float, span: float = 0.1) -> slice:
     """Return which stamps (n,) of a sensor tell what it shows at `at`, s: those within the next `span` seconds, or
     within two of its own usual intervals where these are longer.
@@ -202,8 +208,8 @@ def strays(
     if len(values) < _TOO_FEW or impossible.all():
         return []
     all_ = _Stretches.of(time, values, impossible)
-    low, high = np.quantile(values[~impossible], [0.01, 0.99])
-    noise = max(noise_std(values) if noise is None else noise, USUAL_SENSOR * float(high - low))
+    low, high = usual_range(values[~impossible])
+    noise = max(noise_std(values) if noise is None else noise, USUAL_SENSOR * (high - low))
     clear = (all_.height > _LEAP_NOISE * noise) & (~all_.inner | (all_.into * all_.back > 0.0))
     if not clear.any():
         return []

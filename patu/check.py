@@ -19,7 +19,7 @@ from .reading import load_crane, load_recording
 if TYPE_CHECKING:
     from crane_exudyn.mapping import Column
     from crane_exudyn.recording import Recording
-    from crane_exudyn.vetting import Finding
+    from crane_exudyn.vetting.findings import Finding
 
 
 def command(
@@ -44,7 +44,7 @@ def command(
     chosen = load_crane(crane, effects)
     from crane_exudyn.files import write_text
     from crane_exudyn.mapping import map_text
-    from crane_exudyn.vetting import mended_columns
+    from crane_exudyn.vetting.corrections import mended_columns
     from validation.fitness import examine
 
     printer, told, notes = Printer(json), list[dict[str, Any]](), list[dict[str, str]]()

@@ -72,11 +72,12 @@ def load_checked(
 
 
 def _accepted(path: Path, recording: Recording, crane: Crane, *, anyway: bool) -> Recording:
-    from crane_exudyn.vetting import accepted, vet  # imports compiled code, of which the effects must be part
+    from crane_exudyn.vetting import vet  # imports compiled code, of which the effects must be part
+    from crane_exudyn.vetting.findings import accepted
 
     findings = vet(recording, crane)
     for finding in (f for f in findings if f.severity == "warning" or anyway):
-        print(f"{path}: {finding.severity}: {finding.text}. {finding.mend}", file=sys.stderr)
+        print(f"{path}: {finding.severity}: {finding.sentences}", file=sys.stderr)
     try:
         return accepted(recording, findings, anyway=anyway)
     except CraneError as problem:

@@ -20,8 +20,10 @@ from crane_exudyn.formats import write_table
 from crane_exudyn.mapping import Column, load_map
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import simulate
-from crane_exudyn.vetting import Finding, mended_columns, vet
+from crane_exudyn.vetting import vet
 from crane_exudyn.vetting.balances import Figures, Grid, Misfit, motions
+from crane_exudyn.vetting.corrections import mended_columns
+from crane_exudyn.vetting.findings import Finding
 from crane_exudyn.vetting.readings import Reading, Source, Weighed
 from patu.reading import load_checked
 from validation.fitness import check_recording, examine

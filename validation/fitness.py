@@ -4,20 +4,21 @@ that `patu check` tells.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
-from crane_exudyn.channels import Channel
+from crane_exudyn.channels import OPEN, Channel
 from crane_exudyn.crane import Crane
 from crane_exudyn.display import engineering
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
-from crane_exudyn.vetting import OPEN, Finding, accepted, vet, vetted, worst_first
+from crane_exudyn.vetting import vet, vetted
+from crane_exudyn.vetting.findings import Finding, accepted, blamed, worst_first
 
 from .fit.data import constant_sensors, is_constant
 
@@ -41,11 +42,11 @@ def examine(recording: Recording, crane: Crane) -> list[Finding]:
     what no comparison takes, and as notes what is left out of one and what no diagnosis takes.
     """
     found = vet(recording, crane)
-    wrong = _blamed(found)
+    wrong = blamed(found)
     found += [f for f in unfit(recording, crane) if not wrong.intersection(f.channels)]
-    cut_off = _blamed(f for f in found if f.kind == "saturation")
+    cut_off = blamed(f for f in found if f.kind == "saturation")
     found = [f for f in found if f.severity == "error" or f.kind != "saturation" or not cut_off & set(f.channels)]
-    if not _blamed(found):
+    if not blamed(found):
         found += [
             replace(f, severity="note", text=f"`patu diagnose` will refuse it: {f.text}")
             for f in unfit(recording, crane, "diagnose")
@@ -53,11 +54,6 @@ def examine(recording: Recording, crane: Crane) -> list[Finding]:
         dead, mend = constant_sensors(recording, crane.sensors), "Check that it was connected."
         found += [Finding("saturation", (n,), "note", _left_out(n), mend) for n in dead]
     return worst_first(found)
-
-
-def _blamed(found: Iterable[Finding]) -> set[str]:
-    """Return the channels of findings that are errors."""
-    return {n for f in found if f.severity == "error" for n in f.channels}
 
 
 def unfit(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> list[Finding]:

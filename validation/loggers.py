@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from crane_exudyn.channels import Channel
+from crane_exudyn.channels import OPEN, Channel
 from crane_exudyn.crane import Crane
 from crane_exudyn.recording import Recording
-from crane_exudyn.vetting import OPEN, Finding, Kind, vet
+from crane_exudyn.vetting import vet
+from crane_exudyn.vetting.findings import Finding, Kind
 
 from .seeds import seed_range
 

@@ -23,7 +23,7 @@ from ..hydraulics import held_amounts, valve_flows
 from ..inputs import SpoolPath
 from ..pose import relative
 from ..recording import Recording
-from ..signals import noise_std, sampling_rate
+from ..signals import noise_std, sampling_rate, usual_range
 from ..static_start import static_start
 from ..statics import vapour_pressure
 
@@ -134,8 +134,8 @@ class Grid:
 def _averaged(recording: Recording, name: str, time: np.ndarray) -> np.ndarray:
     """Return a channel without spikes at `time` (N,), averaged over a step."""
     channel = recording[name]
-    low, high = np.quantile(channel.values, [0.01, 0.99])
-    reach = _SPIKE * max(float(high - low), 1e-300)
+    low, high = usual_range(channel.values)
+    reach = _SPIKE * max(high - low, 1e-300)
     sound = (channel.values >= low - reach) & (channel.values <= high + reach)  # a channel may stand still
     wide = max(1, round(STEP * sampling_rate(channel.time)))
     padded = np.pad(channel.values[sound], (wide // 2, wide - 1 - wide // 2), "edge")

@@ -224,10 +224,8 @@ def _counted(kind: Kind, key: tuple[str, str], before: Misfit, after: Misfit) ->
     return ratio if after.seen and (after.told or kind != "scale") else min(ratio, 0.0)
 
 
-def mistaken(machine: Figures, grid: Grid, least: float) -> tuple[list[list[Weighed]], Grid]:
-    """Return the readings that a recording asks for, one after the other, each with its rivals behind it; and the
-    channels so read.
-    """
+def mistaken(machine: Figures, grid: Grid, least: float) -> list[list[Weighed]]:
+    """Return the readings that a recording asks for, one after the other, each with its rivals behind it."""
     found: list[list[Weighed]] = []
     for _ in range(_MOST):
         ranked = weigh(machine, grid, least)
@@ -235,4 +233,4 @@ def mistaken(machine: Figures, grid: Grid, least: float) -> tuple[list[list[Weig
             break
         found.append([w for w in ranked if w.gain > ranked[0].gain - _TIED])
         grid = ranked[0].reading.of(grid)
-    return found, grid
+    return found
