@@ -126,9 +126,9 @@ def _name_columns(
     notes = [f"column {h!r} was replaced by column {mapping[left[h][0]].header!r}" for h in aside]
     others = {header: own for header, own in left.items() if header not in aside}
     like = {header: _like(name, unit, named, layout) for header, (name, unit) in others.items()}
-    told = [h for h in others if like[h] and (len(others) <= _SHOWN or _plain(others[h][0]) in map(_plain, like[h]))]
-    notes += [_remark(header, *others[header], like[header], layout) for header in told]
-    notes += remarks("column", [header for header in others if header not in told], "was ignored")
+    likely = [h for h in others if like[h] and (len(others) <= _SHOWN or _plain(others[h][0]) in map(_plain, like[h]))]
+    notes += [_remark(header, *others[header], like[header], layout) for header in likely]
+    notes += remarks("column", [header for header in others if header not in likely], "was ignored")
     ignored = [header for header, (name, _) in others.items() if _plain(name) not in map(_plain, like[header])]
     return named, notes, ignored
 

@@ -338,7 +338,7 @@ def _refuse_coordinates(mbs: Any, plant: mechanism.Plant) -> None:
 
 
 @contextmanager
-def _objects_told(crane: Crane) -> Iterator[None]:
+def _blaming_objects(crane: Crane) -> Iterator[None]:
     """Tell what Exudyn raises of a crane with objects of one's own as theirs."""
     try:
         yield
@@ -362,8 +362,8 @@ class System:
         self.spoilt = False  # whether its items hold what nobody knows
         self.plant.guarded = False  # an iterate may be beyond a stroke where the step is not
         # who tells what Exudyn raises; without objects of one's own it is nobody's
-        self._telling = partial(_objects_told, crane) if crane.objects else nullcontext
-        with self._telling():
+        self._blaming = partial(_blaming_objects, crane) if crane.objects else nullcontext
+        with self._blaming():
             self.mbs.Assemble()
         self._items = ItemValues(self.mbs, self.plant)
         self._push, self._has_objects = np.zeros((size, self.plant.coordinates)), bool(crane.objects)
@@ -371,7 +371,7 @@ class System:
             _refuse_coordinates(self.mbs, self.plant)
         self._settings = mechanism.settings(1e-3, 1.0, sparse=size > 1)
         self.solver = mechanism.new_solver()
-        with self._telling():
+        with self._blaming():
             ready = self.solver.InitializeSolver(self.mbs, self._settings)
         if not ready:
             raise CraneError(f"{crane.name}: Exudyn cannot initialise its solver: {self.solver.GetErrorString()}")
@@ -480,7 +480,7 @@ class System:
         data.SetODE2Coordinates_tt(self._a.ravel())
         data.SetODE1Coordinates(self._p.ravel())
         data.SetODE1Coordinates_t(self._dp.ravel())
-        with self._telling():
+        with self._blaming():
             self.solver.ComputeNewtonResidual(self.mbs, self._settings)
         return self.solver.GetSystemResidual()
 

@@ -62,7 +62,7 @@ _QUANTITIES = {
 }  # fmt: skip
 _START = {"rad": _ANGLE, "m": _LENGTH}
 #: remarks that are told of one machine: one mistake may be in every line
-_TOLD = 3
+_MOST_REMARKS = 3
 
 
 def implausible(crane: Description) -> list[str]:
@@ -74,8 +74,8 @@ def implausible(crane: Description) -> list[str]:
         for name, value, unit, quantity in _numbers(crane)
         if value and not quantity.least <= abs(value) <= quantity.most
     ]
-    more = len(found) - _TOLD
-    return [*found[:_TOLD], f"{more} more numbers are as implausible."] if more > 1 else found
+    more = len(found) - _MOST_REMARKS
+    return [*found[:_MOST_REMARKS], f"{more} more numbers are as implausible."] if more > 1 else found
 
 
 def _numbers(crane: Description) -> Iterator[tuple[str, float, str, Quantity]]:

@@ -272,19 +272,19 @@ class Recording:
 
     def with_gaps_told(self) -> Recording:
         """Return the recording with a note on each command that is not known all the time, and on sensors with gaps."""
-        told = [
-            f"command {name} is missing in {_spans_told(spans)}: the last value before is held there, and fits leave "
+        remarks = [
+            f"command {name} is missing in {_spans_text(spans)}: the last value before is held there, and fits leave "
             "these times out"
             for name, spans in self.unknown_commands().items()
         ]
         alike: dict[str, list[str]] = {}
         for name, spans in self.unread().items():
-            alike.setdefault(_spans_told(spans), []).append(name)
-        told += [
+            alike.setdefault(_spans_text(spans), []).append(name)
+        remarks += [
             f"{', '.join(names)} {'have' if len(names) > 1 else 'has'} no sample in {where}, while others have"
             for where, names in alike.items()
         ]
-        return replace(self, notes=(*self.notes, *told))
+        return replace(self, notes=(*self.notes, *remarks))
 
     @property
     def _command_names(self) -> tuple[str, ...]:
@@ -367,8 +367,8 @@ class Recording:
             if name in free and name in changed:
                 changed[name] = replace(self[name], values=signals.with_noise(self[name].values, stated.get(name), k))
         kept = [n for n in self.sensors if n in stated and n not in free]
-        told = [f"{', '.join(kept)}: no noise was added, because the samples contain noise already"] if kept else []
-        return replace(self, channels=changed, notes=(*self.notes, *told), exact=False)
+        remarks = [f"{', '.join(kept)}: no noise was added, because the samples contain noise already"] if kept else []
+        return replace(self, channels=changed, notes=(*self.notes, *remarks), exact=False)
 
     def first_values(self, span: float = 0.1) -> dict[str, float]:
         """Return the mean of each sensor, in SI, over the first `span` seconds in which any is read, but not beyond the
@@ -499,7 +499,7 @@ def _deviation(given: Any, what: str, unit: str) -> float:
     return found
 
 
-def _spans_told(spans: np.ndarray) -> str:
+def _spans_text(spans: np.ndarray) -> str:
     """Return how many spans (g, 2) in s there are, and where the first ones, in words."""
     where = ", ".join(f"{a:.6g} … {b:.6g} s" for a, b in spans[:3]) + (", …" if len(spans) > 3 else "")
     return f"{len(spans)} span{'s' * (len(spans) > 1)} ({where})"

@@ -194,7 +194,7 @@ def simulate_while_possible(
     grid, rows = inner_grid(time, step)
     commands, w = _driven(crane, inputs, grid)
     check_payload(crane, grid)
-    x0 = _start_told(crane, engine) if start is None else _given_start(crane, start)
+    x0 = _start_of_file(crane, engine) if start is None else _given_start(crane, start)
     halved = getattr(engine, "halved", 0)
     states, ended = _run(engine, x0, grid, w, step, whole=whole or inputs is None)
     if ended is not None and inputs is None:
@@ -279,7 +279,7 @@ def _given_start(crane: Crane, start: Any) -> np.ndarray:
     return state
 
 
-def _start_told(crane: Crane, engine: Any) -> np.ndarray:
+def _start_of_file(crane: Crane, engine: Any) -> np.ndarray:
     """Return the crane file's start (nx,); what its pump cannot lift there is told by the logger of this package."""
     from .static_start import beyond_pump
 

@@ -83,7 +83,7 @@ def command(
             f"fitted alone (noise units).{unwritten}"
         )
     else:
-        printer.line(_fit_told(chosen, result, effect, document))
+        printer.line(_fit_text(chosen, result, effect, document))
     kept = result if better or even_if_worse else None
     _write(printer, kept, output, json, {"effect": effect, **document, "helped": better})
     raise typer.Exit(0 if better else 1)
@@ -117,7 +117,7 @@ def remove(
     _write(printer, after, output, json, {"effect": effect})
 
 
-def _fit_told(before: Crane, after: Crane, key: str, document: Mapping[str, Any]) -> str:
+def _fit_text(before: Crane, after: Crane, key: str, document: Mapping[str, Any]) -> str:
     """Return in words what a fit found: the effect's parameters, the errors, and what else moved."""
     from crane_exudyn.crane_toml import unit_at
     from crane_exudyn.effects import registry

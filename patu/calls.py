@@ -112,8 +112,8 @@ def _naming(problem: CraneError, read: list[str], others: list[str]) -> CraneErr
     """
     files, message = [name for name in read if os.path.isfile(name)], str(problem)
     about_contents = "--" not in message and not any(_names(message, word) for word in others)
-    told = any(name in message for name in read if os.path.splitext(name)[1])  # but for a built-in crane's name
-    if not files or not about_contents or told:
+    named = any(name in message for name in read if os.path.splitext(name)[1])  # but for a built-in crane's name
+    if not files or not about_contents or named:
         return problem
     return CraneError(f"{message} Files read: {', '.join(files)}.")
 

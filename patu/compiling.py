@@ -58,9 +58,9 @@ def compiling(*parts: Part) -> Iterator[Callable[..., None]]:
         def wait_for(*some: Part) -> None:
             if all(map(_done, some)) or not running():
                 return  # what an ended process leaves is compiled, and announced, where it is needed
-            with progress("Compiling the equations, once after an installation or a change") as told:
+            with progress("Compiling the equations, once after an installation or a change") as done:
                 while running() and not all(map(_done, some)):
-                    told(sum(map(_done, parts)) / len(parts))
+                    done(sum(map(_done, parts)) / len(parts))
                     time.sleep(_LOOK)
 
         yield wait_for

@@ -54,16 +54,16 @@ def describe(effect: type[Effect], layout: Layout) -> dict[str, Any]:
         {"name": p.name, "unit": p.unit, "neutral": p.neutral, "lower": p.lower, "upper": p.upper, "text": p.text}
         for p in effect.parameters
     ]
-    told = {
+    described = {
         "name": effect.name,
         "places": list(effect.on(layout)),
         "text": inspect.cleandoc(effect.__doc__ or ""),
         "parameters": parameters,
     }
     if effect.curve is None:
-        return told
+        return described
     over = [{"name": a.name, "unit": a.unit, "against_motion": list(a.against)} for a in effect.curve.over]
-    return told | {"parameters": [], "curve": {"unit": effect.curve.unit, "over": over}}
+    return described | {"parameters": [], "curve": {"unit": effect.curve.unit, "over": over}}
 
 
 def tell(printer: Printer, effect: type[Effect], layout: Layout) -> None:

@@ -281,10 +281,10 @@ _SPANS, _SHORT = 3, 0.5
 def model_rows(estimate: Estimate) -> list[tuple[object, ...]]:
     """Return one row a model: its probability on the average and at the end, and when it was the likeliest for long."""
     found: list[tuple[object, ...]] = []
-    for name, told in estimate.document()["models"].items():
-        spans = sorted((s for s in told["leads"] if s[1] - s[0] > _SHORT), key=lambda s: s[0] - s[1])[:_SPANS]
+    for name, model in estimate.document()["models"].items():
+        spans = sorted((s for s in model["leads"] if s[1] - s[0] > _SHORT), key=lambda s: s[0] - s[1])[:_SPANS]
         words = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in sorted(spans))
-        found.append((name, round(told["mean"], 3), round(told["final"], 3), words or "never for long"))
+        found.append((name, round(model["mean"], 3), round(model["final"], 3), words or "never for long"))
     return found
 
 

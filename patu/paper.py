@@ -21,7 +21,7 @@ from .reading import load_crane
 if TYPE_CHECKING:
     from crane_exudyn.crane import Crane
     from validation.filters import Row
-    from validation.paper import Case, Reproduction, Told
+    from validation.paper import Case, Reproduction, SensorSetResult
 
 
 FolderOption = Annotated[
@@ -61,7 +61,7 @@ FiltersOption = Annotated[
     bool,
     typer.Option("--filters", help="Also compare UKF, square root, cubature, simplex and EKF on the 15 % case."),
 ]
-ToldOption = Annotated[
+SensorSetsOption = Annotated[
     bool, typer.Option("--what-sensors-tell", help="Also estimate the payload with more and more sensors.")
 ]
 
@@ -77,7 +77,7 @@ def command(
     seed: SeedOption = 0,
     jobs: JobsOption = 1,
     filters: FiltersOption = False,
-    what_sensors_tell: ToldOption = False,
+    what_sensors_tell: SensorSetsOption = False,
     crane: CraneOption = DEFAULT_CRANE,
     effects: EffectsOption = None,
     json: JsonOption = None,
@@ -113,7 +113,7 @@ class Found:
 
     cases: Reproduction
     compared: list[Row]
-    told: list[Told]
+    sensor_sets: list[SensorSetResult]
     sensors: dict[str, str]
 
     @property
@@ -123,7 +123,10 @@ class Found:
 
     def document(self) -> dict[str, Any]:
         """Return all of it as JSON."""
-        more: dict[str, Sequence[Row | Told]] = {"filters": self.compared, "what_sensors_tell": self.told}
+        more: dict[str, Sequence[Row | SensorSetResult]] = {
+            "filters": self.compared,
+            "what_sensors_tell": self.sensor_sets,
+        }
         return self.cases.document() | {name: [r.document() for r in rows] for name, rows in more.items() if rows}
 
     def tables(self) -> list[tuple[str, tuple[str, ...], list[tuple[object, ...]]]]:
@@ -138,8 +141,8 @@ class Found:
             ("Filters on the 15 % case, PN-RMSE in % and cost of a step", FILTER_COLUMNS, filter_rows(self.compared)),
             (
                 "Payload estimated in the 15 % case, kg ± one standard deviation; PN-RMSE in %",
-                TOLD_COLUMNS,
-                told_rows(self.told),
+                SENSOR_SET_COLUMNS,
+                sensor_set_rows(self.sensor_sets),
             ),
         ]
         return [table for table in tables if table[2]]
@@ -175,7 +178,7 @@ def _compare(engine: str, seed: int, crane: Crane) -> list[Row]:
         return compare_filters(engine, seed=seed, crane=crane, progress=done)
 
 
-def _what_sensors_tell(engine: str, seed: int, crane: Crane, jobs: int) -> list[Told]:
+def _what_sensors_tell(engine: str, seed: int, crane: Crane, jobs: int) -> list[SensorSetResult]:
     from validation.paper import what_sensors_tell
 
     with progress("Sensors") as done:
@@ -196,16 +199,16 @@ def _noise(entries: list[str] | None, crane: Crane) -> dict[str, float]:
     return found
 
 
-TOLD_COLUMNS = ("sensors", "at 5 s", "at 10 s", "at 25 s", "p2", "p3")
+SENSOR_SET_COLUMNS = ("sensors", "at 5 s", "at 10 s", "at 25 s", "p2", "p3")
 
 
-def told_rows(told: list[Told]) -> list[tuple[object, ...]]:
+def sensor_set_rows(results: list[SensorSetResult]) -> list[tuple[object, ...]]:
     """Return the payload at some instants and the errors of the two pressures that the paper does not measure, by
     sensors.
     """
     return [
-        (" ".join(t.sensors), *(f"{m:.1f} ± {s:.1f}" for m, s in t.payload), t.pn_rmse["p2"], t.pn_rmse["p3"])
-        for t in told
+        (" ".join(r.sensors), *(f"{m:.1f} ± {s:.1f}" for m, s in r.payload), r.pn_rmse["p2"], r.pn_rmse["p3"])
+        for r in results
     ]
 
 
@@ -268,11 +271,11 @@ COLUMNS = ("error", "inputs", "row", "z1", "z4", "ż1", "ż4", "p1", "p2", "p3",
 def rows(result: Reproduction) -> list[tuple[object, ...]]:
     """Return the table of PN-RMSE in %: filter by tuning, published, model alone; errors in %."""
     out: list[tuple[object, ...]] = []
-    told = set()
+    begun = set()
     for d in sorted(result.documents, key=lambda d: (d["inputs"], d["model_error"])):
         case = (f"{100 * d['model_error']:g} %", d["inputs"])
-        if case not in told:
-            told.add(case)
+        if case not in begun:
+            begun.add(case)
             if d["published"]:
                 out.append((*case, "published", *d["published"].values()))
             out.append((*case, "model alone", *d["pn_rmse_open_loop"].values()))

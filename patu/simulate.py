@@ -124,7 +124,7 @@ def tell(printer: Printer, run: Simulation, recording: Recording | None, engine:
     """Print the range of each shown channel."""
     from crane_exudyn.plots import shown
 
-    driven = _cycle_told(run) if recording is None else recording.name
+    driven = _cycle_text(run) if recording is None else recording.name
     printer.line(
         f"{run.crane.name} on {engine}, driven by {driven}: {run.time[-1] - run.time[0]:g} s in {seconds:.2f} s"
     )
@@ -167,7 +167,7 @@ def tell_accuracy(
     return {"step_error": {"position": found.position, "pressure": found.pressure, "since": found.since}}
 
 
-def _cycle_told(run: Simulation) -> str:
+def _cycle_text(run: Simulation) -> str:
     """Return in words what the working cycle was: the paper's, or with levers that were let go earlier."""
     from crane_exudyn.inputs import paper_cycle
     from crane_exudyn.strokes import levers_let_go

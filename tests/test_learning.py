@@ -171,7 +171,7 @@ def test_a_law_that_has_a_name_goes_on_along_it(form, key, over, known):
     near, far = np.linspace(*known, 500), np.linspace(*ends, 500)
     off = [np.abs(curve_at(named.x, form(named.x), x) - form(x)).max() for x in (near, far)]
     assert max(off) < 0.01 * np.abs(form(far)).max()
-    told = named.telling() @ form(named.x)
+    told = named.at_reported() @ form(named.x)
     assert told == pytest.approx(curve_at(named.x, form(named.x), law.x), abs=1e-9 * np.abs(told).max())
 
 

@@ -484,9 +484,9 @@ class Estimate:
     def __repr__(self) -> str:
         low, high = self.nis_bounds
         names = self.state_names
-        told = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+        quantities = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
         return (
-            f"<Estimate of {told} by {self.method} at {self.time.size} instants, "
+            f"<Estimate of {quantities} by {self.method} at {self.time.size} instants, "
             f"{self.time[0]:.3f} … {self.time[-1]:.3f} s; NIS {self.nis_mean:.3g} (expected {low:.3g} … {high:.3g}): "
             f"{self.verdict}; {len(self.events)} event(s)>"
         )

@@ -100,7 +100,7 @@ class Criteria:
     worse: float = 1.05  # ratio of a channel's errors from which on it is reported as worse
     believed: float = 3.0  # bound of parameters' moves in the last fit
     doubted: float = 2.9  # move from which on a parameter is reported as doubted
-    told: float = 1.0  # move from which on a parameter is reported at all
+    reported: float = 1.0  # move from which on a parameter is reported at all
     alike: float = 0.9  # correlation from which on two variables are said not to be separated
     tried: int = 9  # effects that are fitted in a round, from several sides
     rounds: int = 2  # rounds; what they missed is looked for where all is fitted together

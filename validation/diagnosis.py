@@ -380,9 +380,9 @@ def _with_what_is_left(d: Diagnosis, path: WhitePath, check: Recording | None) -
     after, nearest = together(problem.recordings, errors[:n]), [problem.crane] * n
     if after < d.error_before:
         nearest = [moved.fit.of(i).crane for i in range(n)]
-        told: dict[str, Any] = {"crane": moved.fit.crane, "fit": moved.fit, "error_after": after}
-        told["check_error_after"] = errors[-1] if check is not None else math.nan
-        candidates = tuple(c if c.effects else replace(c, **told) for c in d.candidates)
+        nearer: dict[str, Any] = {"crane": moved.fit.crane, "fit": moved.fit, "error_after": after}
+        nearer["check_error_after"] = errors[-1] if check is not None else math.nan
+        candidates = tuple(c if c.effects else replace(c, **nearer) for c in d.candidates)
         d = replace(d, parameters=moved_parameters(problem.crane, moved.fit), candidates=candidates)
     where = _where(problem, nearest) or left_over(path.best or path.parameters)
     return replace(d, nearest=tuple(nearest), where=where)

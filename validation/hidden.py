@@ -538,7 +538,7 @@ def _unknown_case(seed: int, s: _Setting, manoeuvres: Sequence[Manoeuvre]) -> Hi
         raise CraneError(f"{name} moves the channels by {seen:.2g} noise units, asked for {s.visible}.")
     runs.append(_exact(s.machine, s, manoeuvres[1], [hidden.law]))
     answer = _answer(s, s.machine, {name: seen})
-    return _recorded(seed, s, manoeuvres, runs, answer | {"law": {"name": name, **hidden.told, **hidden.answer()}})
+    return _recorded(seed, s, manoeuvres, runs, answer | {"law": {"name": name, **hidden.numbers, **hidden.answer()}})
 
 
 def _answer(s: _Setting, machine: Crane, seen: Mapping[str, float]) -> dict[str, Any]:

@@ -231,7 +231,7 @@ class Hidden:
     effect: str
     over: str
     curve: Callable[[np.ndarray], np.ndarray] | None
-    told: Mapping[str, Any]
+    numbers: Mapping[str, Any]
 
     def answer(self) -> dict[str, Any]:
         """Return effect, argument and the curve over the whole range of the argument, for the answer of a case."""
@@ -267,20 +267,20 @@ class _Draw:
 def _draw_scored_bore(d: _Draw) -> Hidden:
     seen = d.visited[f"s{d.cylinder + 1}"]
     low, high = np.quantile(seen, [0.15, 0.85])
-    told: dict[str, Any] = {"cylinder": d.cylinder, "force": log_uniform(d.rng, 3000.0, 20000.0)}
-    told |= {"middle": float(d.rng.uniform(low, high))}
-    told |= {"width": float(d.rng.uniform(0.08, 0.25) * max(high - low, 0.05))}
-    bump = lambda x: told["force"] * np.exp(-(((x - told["middle"]) / told["width"]) ** 2))  # noqa: E731
-    return Hidden(scored_bore(d.crane, **told), f"learned_force@{d.place}", "stroke", bump, told)
+    numbers: dict[str, Any] = {"cylinder": d.cylinder, "force": log_uniform(d.rng, 3000.0, 20000.0)}
+    numbers |= {"middle": float(d.rng.uniform(low, high))}
+    numbers |= {"width": float(d.rng.uniform(0.08, 0.25) * max(high - low, 0.05))}
+    bump = lambda x: numbers["force"] * np.exp(-(((x - numbers["middle"]) / numbers["width"]) ** 2))  # noqa: E731
+    return Hidden(scored_bore(d.crane, **numbers), f"learned_force@{d.place}", "stroke", bump, numbers)
 
 
 def _draw_hunting_pump(d: _Draw) -> Hidden:
-    told = {
+    numbers = {
         "share": d.rng.uniform(0.04, 0.2),
         "frequency": d.rng.uniform(0.25, 2.0),
         "phase": d.rng.uniform(0.0, 2.0 * math.pi),
     }
-    return Hidden(hunting_pump(d.crane, **told), "", "", None, told)
+    return Hidden(hunting_pump(d.crane, **numbers), "", "", None, numbers)
 
 
 def _draw_progressive_spool(d: _Draw) -> Hidden:
@@ -323,8 +323,8 @@ def _draw_early_relief(d: _Draw) -> Hidden:
     chamber = d.crane.layout.loaded[d.cylinder]
     flow, opens = log_uniform(d.rng, 1e-5, 1e-4), float(d.rng.uniform(25e5, 45e5))
     ramp = lambda x: flow * np.maximum(x - opens, 0.0) / 20e5  # noqa: E731
-    told = {"opens": opens, "flow": flow}
-    return Hidden(_early_relief(d.crane, chamber, opens, flow), f"learned_flow@{chamber}", "pressure", ramp, told)
+    numbers = {"opens": opens, "flow": flow}
+    return Hidden(_early_relief(d.crane, chamber, opens, flow), f"learned_flow@{chamber}", "pressure", ramp, numbers)
 
 
 def _draw_hose_spring(d: _Draw) -> Hidden:

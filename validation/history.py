@@ -39,8 +39,8 @@ def with_errors(crane: Crane, before: tuple[float, float], after: tuple[float, f
     from and on the check recording, NaN where there is none.
     """
     pairs = zip(("error", "check_error"), zip(before, after, strict=True), strict=True)
-    told = {f"{name}_{when}": e for name, both in pairs for when, e in zip(("before", "after"), both, strict=True)}
-    entry = {**crane.history[-1], **{name: error for name, error in told.items() if math.isfinite(error)}}
+    errors = {f"{name}_{when}": e for name, both in pairs for when, e in zip(("before", "after"), both, strict=True)}
+    entry = {**crane.history[-1], **{name: error for name, error in errors.items() if math.isfinite(error)}}
     return replace(crane, history=(*crane.history[:-1], frozen(entry)))
 
 
@@ -94,8 +94,8 @@ def without_learned(crane: Crane) -> Crane:
     return crane
 
 
-#: so many parameters that moved are told
-_TOLD = 8
+#: so many parameters that moved are listed one by one
+_LISTED = 8
 
 
 def moved_in_words(before: Crane, after: Crane) -> str:
@@ -109,8 +109,8 @@ def moved_in_words(before: Crane, after: Crane) -> str:
         if moved > CRITERIA.moved * size:
             moves[name] = moved / size if size else math.inf
     names = sorted(moves, key=lambda n: -moves[n])
-    told = [f"{n} {amount(before[n], unit_of(n))} -> {amount(after[n], unit_of(n))}" for n in names[:_TOLD]]
-    return ", ".join(told) + f", and {len(names) - _TOLD} more by smaller amounts" * (len(names) > _TOLD)
+    texts = [f"{n} {amount(before[n], unit_of(n))} -> {amount(after[n], unit_of(n))}" for n in names[:_LISTED]]
+    return ", ".join(texts) + f", and {len(names) - _LISTED} more by smaller amounts" * (len(names) > _LISTED)
 
 
 def refuse_curve(key: str) -> NoReturn:

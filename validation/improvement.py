@@ -94,7 +94,7 @@ class Improvement:
         about = self.about
         several = () if self.proven is None else explained(self.proven)
         laws = () if self.learned is None else (n for n in self.learned.notes if n not in about)
-        return (*about, *several, *laws, *_told_error(self.crane))
+        return (*about, *several, *laws, *_model_error_text(self.crane))
 
     def to_dict(self, path: str | Path = "") -> dict[str, Any]:
         """Return the JSON of improve; `path` is where the crane file was written."""
@@ -397,7 +397,9 @@ def _identified(found: Proven) -> list[str]:
     """Return the sentences on the nominal parameters: the furthest moved with their intervals, and those not to be
     believed.
     """
-    furthest = sorted((n for n, u in found.moved.items() if abs(u) > CRITERIA.told), key=lambda n: -abs(found.moved[n]))
+    furthest = sorted(
+        (n for n, u in found.moved.items() if abs(u) > CRITERIA.reported), key=lambda n: -abs(found.moved[n])
+    )
     values = [
         f"{n} = {found.crane[n]:.4g} ± {found.deviations.get(n, math.inf):.2g} {unit_of(n)}".strip() for n in furthest
     ]
@@ -431,7 +433,7 @@ def _demanded(found: Proven, key: str) -> str:
     )
 
 
-def _told_error(crane: Crane) -> list[str]:
+def _model_error_text(crane: Crane) -> list[str]:
     """Return the sentence on what a crane still errs by, where its file says so."""
     moments = {n: crane.model_error[n] for n in crane.layout.torques if n in crane.model_error}
     if not moments:

@@ -77,11 +77,11 @@ def sentence(found: Learned) -> str:
     """Return what was learned in one sentence."""
     if not found.laws:
         return "no law found"
-    told = (
+    laws = (
         f"{law.effect} over {law.over.replace('_', ' ')}" + (f" ({law.resembles})" if law.resembles else "")
         for law in found.laws
     )
-    return f"found {' and '.join(told)}: error {found.error_before:.3g} -> {found.error_after:.3g} noise units"
+    return f"found {' and '.join(laws)}: error {found.error_before:.3g} -> {found.error_after:.3g} noise units"
 
 
 def learn(
@@ -202,8 +202,8 @@ def _concluded(path: LearningPath, check: Recording | None, notes: list[str]) ->
             f"{named(best)} explains the recording, but not the check recording (error {before:.3g} -> {after:.3g})"
         )
         return replace(unchanged, notes=tuple(notes))
-    told = with_errors(learned.crane, (learned.error_before, before), (learned.error_after, after))
-    learned = replace(learned, crane=told)
+    with_account = with_errors(learned.crane, (learned.error_before, before), (learned.error_after, after))
+    learned = replace(learned, crane=with_account)
     moved = moved_in_words(problem.crane, found)
     if moved:
         notes.append(f"changed with it: {moved}; a file of --write does not contain this")
@@ -232,7 +232,7 @@ def _learned_law(problem: Problem, w: Fitted, key: str, tied: tuple[str, ...], e
     knots = law.x, law.physical(*spread(w, key))
     x, y, cov = tabulated(w, key)
     std = np.sqrt(np.maximum(np.diag(cov), 0.0))
-    y = replace(law, x=x, told=None).physical(y, std)
+    y = replace(law, x=x, reported=None).physical(y, std)
     form = _form(problem, w, key)
     text = form.text + (f", which is {form.library}" if form.library else "")
     return LearnedLaw(
@@ -246,7 +246,7 @@ def _form(problem: Problem, w: Fitted, key: str) -> Resemblance:
     law, curve = laws_of(w)[key].law, registry.split_key(key)[0].curve
     assert curve is not None
     x, y, cov = tabulated(w, key)
-    known = replace(law, x=x, told=None)
+    known = replace(law, x=x, reported=None)
     y = known.physical(y, np.sqrt(np.maximum(np.diag(cov), 0.0)))
     over = replace(law.over, unit=unit_over(law, problem.crane.layout))
     return resembles(x, y, cov, over, curve.unit, law.key, law.against)

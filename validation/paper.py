@@ -585,9 +585,9 @@ def all_tunings(
 
 
 @dataclass(frozen=True)
-class Told:
-    """What some sensors tell: the payload found, mean and standard deviation in kg at `INSTANTS`, and PN-RMSE in % by
-    state.
+class SensorSetResult:
+    """What the filter finds with a set of sensors: the payload, mean and standard deviation in kg at `INSTANTS`, and
+    PN-RMSE in % by state.
     """
 
     sensors: tuple[str, ...]
@@ -603,7 +603,7 @@ class Told:
         }
 
 
-#: s at which the payload is told, and the sensors beside the paper's
+#: s at which the payload is given, and the sensors beside the paper's
 INSTANTS = (5.0, 10.0, 25.0)
 _MORE: tuple[tuple[str, ...], ...] = ((), ("p2",), ("p3",), ("p2", "p3"), ("dz1", "dz4"))
 
@@ -615,22 +615,24 @@ def what_sensors_tell(
     crane: Crane | None = None,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
-) -> list[Told]:
+) -> list[SensorSetResult]:
     """Return what the paper's four sensors tell of the 15 % case with the estimator's own tuning, and what more sensors
     would.
     """
     crane = crane if crane is not None else Crane.load("patu655")
     experiment = real_system(crane, 1, engine, seed)
-    tasks = [(_told_by, engine, seed, crane, experiment, (*SENSOR_STD, *more)) for more in _MORE]
+    tasks = [(_result_with, engine, seed, crane, experiment, (*SENSOR_STD, *more)) for more in _MORE]
     found = []
-    for told in results_of(tasks, jobs):
-        found.append(told)
+    for result in results_of(tasks, jobs):
+        found.append(result)
         if progress is not None:
             progress(len(found) / len(tasks))
     return sorted(found, key=lambda t: _MORE.index(t.sensors[len(SENSOR_STD) :]))
 
 
-def _told_by(engine: str, seed: int, crane: Crane, experiment: Experiment, sensors: tuple[str, ...]) -> Told:
+def _result_with(
+    engine: str, seed: int, crane: Crane, experiment: Experiment, sensors: tuple[str, ...]
+) -> SensorSetResult:
     case = run_case(
         0.15,
         1,
@@ -645,7 +647,7 @@ def _told_by(engine: str, seed: int, crane: Crane, experiment: Experiment, senso
     at, column = np.searchsorted(experiment.time, INSTANTS), case.estimate.state_names.index("payload.mass")
     at = np.minimum(at, experiment.time.size - 1)
     payload = zip(case.estimate.mean[at, column].tolist(), case.estimate.std[at, column].tolist(), strict=True)
-    return Told(sensors, tuple(payload), case.pn_rmse)
+    return SensorSetResult(sensors, tuple(payload), case.pn_rmse)
 
 
 def pressure_floor(std: float = SENSOR_STD["p1"], variance: float | None = None) -> float:

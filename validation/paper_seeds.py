@@ -29,12 +29,12 @@ _COLUMNS = ("seed", "width", *STATES, "least inside", "NEES", "payload / kg")
 def one_seed(name: str, tuning: str, inputs: int, seed: int, error: float = 0.15) -> dict[str, Any]:
     """Return the document of one run, with its name, its seed and the width of its priors."""
     case = run_case(error, inputs, "semi-recursive", seed, tuning=tuning)
-    told = {"name": name, "seed": seed}
+    line = {"name": name, "seed": seed}
     if TUNINGS[tuning].widths:
         pump = "supply.pump_pressure"
         start = case.estimate.std[0, case.estimate.state_names.index(pump)]
-        told["width"] = float(start / Crane.load("patu655").uncertainty[pump].std)
-    return told | case.document()
+        line["width"] = float(start / Crane.load("patu655").uncertainty[pump].std)
+    return line | case.document()
 
 
 def below(line: Mapping[str, Any]) -> bool:

@@ -85,9 +85,10 @@ def one_run(name: str, seed: int) -> dict[str, Any]:
     found = estimate(Estimator(crane, "semi-recursive", std, noise, max_step=STEP), signals)
     account = found.model_error
     assert account is not None
-    told = account.found.get("payload.mass", {})
+    payload = account.found.get("payload.mass", {})
     line = {"name": name, "seed": seed, "effects": [e.key for e in machine.effects], "used": account.used}
-    line |= {"true": machine["payload.mass"], "value": told.get("value"), "std": told.get("std"), "why": account.why}
+    line |= {"true": machine["payload.mass"], "value": payload.get("value"), "std": payload.get("std")}
+    line["why"] = account.why
     return line | {"states": judged(found, truth)}
 
 
@@ -107,8 +108,8 @@ def table(lines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _row(line: Mapping[str, Any]) -> list[str]:
-    told = "-" if line["std"] is None else f"{line['value']:.1f} ± {1.96 * line['std']:.1f}"
-    return [str(line["seed"]), " ".join(line["effects"]) or "-", f"{line['true']:.1f}", told, f"{score(line):.1f}"]
+    estimated = "-" if line["std"] is None else f"{line['value']:.1f} ± {1.96 * line['std']:.1f}"
+    return [str(line["seed"]), " ".join(line["effects"]) or "-", f"{line['true']:.1f}", estimated, f"{score(line):.1f}"]
 
 
 def said(line: Mapping[str, Any]) -> str:

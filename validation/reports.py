@@ -302,13 +302,13 @@ def what_is_left(d: Diagnosis, examined: Examined | None) -> list[Section]:
     if not d.where:
         return sections
     violated = list(dict.fromkeys(w["equation"] for w in d.where if "equation" in w))
-    told: list[Part] = []
+    parts: list[Part] = []
     if len(violated) == len(d.given.layout.equations):
-        told.append("Every balance of the model is violated, so no single place stands out.")
+        parts.append("Every balance of the model is violated, so no single place stands out.")
     elif violated:
-        told += where_parts(d.given, [violated[0].rpartition(".")[2]])
+        parts += where_parts(d.given, [violated[0].rpartition(".")[2]])
     table = _worst_of([(w["score"], w["text"]) for w in d.where])
-    return [*sections, ("What remains unexplained", [*told, table])]
+    return [*sections, ("What remains unexplained", [*parts, table])]
 
 
 def cranes_of(d: Diagnosis) -> list[Crane]:
@@ -551,8 +551,8 @@ def improved_own(result: Improvement, recordings: Sequence[Recording]) -> list[d
 
 def _own_names(result: Improvement) -> list[str]:
     """Return the parameters that differ from recording to recording."""
-    told = result.diagnoses[0].recordings
-    return [*told[0].get("parameters", {})] if told else []
+    recordings = result.diagnoses[0].recordings
+    return [*recordings[0].get("parameters", {})] if recordings else []
 
 
 def cranes_of_improvement(

@@ -129,9 +129,9 @@ def judged(found: Estimate, truth: np.ndarray) -> dict[str, Any]:
     on, n = found.time >= SETTLED, truth.shape[1]
     mean, std = found.mean[on, :n], found.std[on, :n]
     rmse = metrics.rmse(mean, truth[on])
-    told = {"inside": coverage(mean - truth[on], std), "rmse": rmse, "width": 1.96 * std.mean(axis=0) / rmse}
+    scores = {"inside": coverage(mean - truth[on], std), "rmse": rmse, "width": 1.96 * std.mean(axis=0) / rmse}
     names = found.state_names
-    return {k: dict(zip(names, v.tolist(), strict=False)) for k, v in told.items()} | {"verdict": found.verdict}
+    return {k: dict(zip(names, v.tolist(), strict=False)) for k, v in scores.items()} | {"verdict": found.verdict}
 
 
 def unmeasured(line: Mapping[str, Any]) -> list[str]:

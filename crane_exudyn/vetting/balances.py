@@ -27,11 +27,20 @@ from ..signals import noise_std, sampling_rate, usual_range
 from ..static_start import static_start
 from ..statics import vapour_pressure
 
-#: s: step of the common grid, what of a recording is looked at, width of the smoothing, what a window spans, and what a
-#: load's change takes
-STEP, LONGEST, SMOOTH, SPAN, LOAD_SPAN = 0.02, 60.0, 0.16, 0.4, 1.2
-#: windows begin every so many steps of the grid; the statics are solved at so many poses
-_EVERY, _POSES = 5, 40
+#: s, step of the common grid
+STEP = 0.02
+#: s of a recording that are looked at
+LONGEST = 60.0
+#: s, width of the smoothing
+SMOOTH = 0.16
+#: s that a window spans
+SPAN = 0.4
+#: s over which a load's change is looked at
+LOAD_SPAN = 1.2
+#: steps of the grid from the beginning of a window to that of the next
+_EVERY = 5
+#: poses at which the statics are solved
+_POSES = 40
 #: rad (or m) within which the statics are those of one pose
 _NEAR = 0.01
 #: by this factor wear, another valve or an effect may change a flow or a stiffness
@@ -40,9 +49,10 @@ _GAIN = 2.5
 _VOID = 2e5
 #: a spool that is open by less is closed
 _CLOSED = 0.01
-#: a command that is never larger opens no valve; m/s up to which a piston may sink while its valve is closed: a leak of
-#: some l/min
-_UNCOMMANDED, _LEAKING = 0.02, 0.015
+#: a command that is never larger opens no valve
+_UNCOMMANDED = 0.02
+#: m/s up to which a piston may sink while its valve is closed: a leak of some l/min
+_LEAKING = 0.015
 #: share of windows in which a pose must be within reach
 _MOST = 0.8
 #: windows that a balance must hold on: of fewer, which overlap, one moment decides
@@ -84,11 +94,11 @@ class Misfit(NamedTuple):
 
     Attributes:
         off: 0 where both sides agree or nothing is to be seen, 1 where one side knows nothing of the other, up to 2.
-        told: whether its sides are well above their noise; seen: whether there is any stretch on which it holds.
+        clear: whether its sides are well above their noise; seen: whether there is any stretch on which it holds.
     """
 
     off: float
-    told: bool = True
+    clear: bool = True
     seen: bool = True
 
 

@@ -9,18 +9,24 @@ import numpy as np
 
 from .balances import Figures, Grid, flow_misfits
 
-#: s: lateness that is tried, coarsely and finely; and drifts in s per s, and steps by which the best of them is looked
-#: at more closely
-_COARSE, _FINE = np.arange(-3.0, 3.01, 0.1), np.arange(-0.1, 0.101, 0.02)
-_DRIFTS, _FINE_DRIFTS = (
-    np.array([-0.05, -0.03, -0.02, -0.01, -0.005, 0.005, 0.01, 0.02, 0.03, 0.05]),
-    np.linspace(-0.5, 0.5, 9),
-)
-#: misfit of flows that the best machine has; what counts as following
-_BEST, _FOLLOWS = 0.003, 0.25
-#: logs by which another clock must be better, and by which clocks of their own must be better for the valves than one
-#: for all
-_BETTER, _APART = 1.0, 0.7
+#: s of lateness that are tried first
+_COARSE = np.arange(-3.0, 3.01, 0.1)
+#: s around the best of these that are tried then
+_FINE = np.arange(-0.1, 0.101, 0.02)
+#: s around the lateness of each piston that are tried with each drift
+_AROUND = np.arange(-0.4, 0.401, 0.1)
+#: s per s of drift that are tried first
+_DRIFTS = np.array([-0.05, -0.03, -0.02, -0.01, -0.005, 0.005, 0.01, 0.02, 0.03, 0.05])
+#: drifts around the best of these that are tried then: how many halves of it they are away
+_FINE_DRIFTS = np.linspace(-0.5, 0.5, 9)
+#: misfit of flows that the best machine has
+_BEST = 0.003
+#: misfit of flows up to which a piston follows its commands
+_FOLLOWS = 0.25
+#: log by which another clock must be better
+_BETTER = 1.0
+#: log by which clocks of their own must be better for the valves than one for all
+_APART = 0.7
 
 
 @dataclass(frozen=True)
@@ -29,8 +35,8 @@ class Clock:
 
     Attributes:
         late: (cylinders,) s by which each piston follows its commands beyond what its spool takes; negative: before
-            them. NaN where nothing tells.
-        drift: by how much more in each second.
+            them. NaN where nothing shows it.
+        drift: s by which they are later with each second.
     """
 
     late: np.ndarray
@@ -46,7 +52,7 @@ class Clock:
 
 
 def clock_of(machine: Figures, grid: Grid) -> Clock | None:
-    """Return how late the machine acts on its commands; None where no piston follows them however late."""
+    """Return how late the machine acts on its commands; None if no piston follows them at any lateness."""
     stands = _logs(machine, grid, np.zeros(1))
     if stands is None or np.isnan(stands).all():
         return None
@@ -61,8 +67,8 @@ def clock_of(machine: Figures, grid: Grid) -> Clock | None:
 
 
 def _late(machine: Figures, grid: Grid, stands: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return how late each piston that is seen (s,) follows: all alike, unless they follow far better each with its own
-    lateness.
+    """Return how late each piston that is seen (s,) follows: all by the same time, unless they follow far better each
+    by its own.
     """
     if (stands - math.log(_BEST)).sum() < _BETTER:  # no room for anything better
         return np.zeros(len(seen))
@@ -94,7 +100,7 @@ def _drift(machine: Figures, grid: Grid, late: np.ndarray, stands: np.ndarray) -
     seen = np.flatnonzero(~np.isnan(late))
     if (stands - math.log(_BEST)).sum() < _BETTER:
         return 0.0
-    around = np.unique(np.round(late[seen][:, None] + np.arange(-0.4, 0.401, 0.1), 6))
+    around = np.unique(np.round(late[seen][:, None] + _AROUND, 6))
 
     def left(drift: float) -> np.ndarray:
         return np.asarray(_seen_logs(machine, grid, around, seen, drift).min(axis=0))

@@ -1,8 +1,7 @@
-"""What a channel may really be: each other reading of one or two channels, and whether a recording agrees with itself
-far better under it.
+"""What a channel may really be: other readings of one or several channels, and whether the balances of a recording
+close far better under them.
 
-A reading is the truth that a logger's column was named wrongly for: another sign, unit, line of reference, or another
-channel altogether.
+A reading is what a column with a wrong name really holds: another sign, unit or line of reference, or another channel.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ..channels import FULLY_OPEN
 from ..units import factor_to_si
 from .balances import CLOSES, WORN, Channels, Figures, Grid, Misfit, Misfits, loads, misfits, motions, reach
 
@@ -31,7 +31,9 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class Reading:
-    """One other reading: what each channel really is, made of which; `gone`: what was no channel of that name."""
+    """One other reading: the channels that it changes, and what each channel is `made` of; `gone`: the channels that it
+    leaves none of.
+    """
 
     kind: Kind
     channels: tuple[str, ...]
@@ -50,12 +52,12 @@ class Reading:
 
 @dataclass(frozen=True)
 class Weighed:
-    """A reading, by how much better a recording agrees with itself under it, and how its balances close then.
+    """A reading, and how well the balances of a recording close without and with it.
 
     Attributes:
         gain: sum over the balances of the logarithm of their misfits' ratio, less what a far-fetched reading must be
             better by.
-        before, after: the misfits.
+        before, after: the misfits without and with it.
     """
 
     reading: Reading
@@ -83,11 +85,20 @@ class Weighed:
 
 #: log by which a reading must be better that is far-fetched beside the others
 FAR_FETCHED: Mapping[Kind, float] = {"sign": 0.0, "swapped": 0.0, "absolute": 0.0, "scale": 0.1, "offset": 0.3}
-#: log from which a balance counts as better; log within which readings are rivals; how many channels may be mistaken at
-#: once
-_MOVED, _TIED, _MOST = 0.3, 0.3, 6
-#: sizes of a machine: Pa below the lowest and above it, pump pressures, rad, commands
-_BELOW, _ABOVE, _PUMPS, _TURNED, _OPENED = 1e5, 1e5, 4.0, 1.5 * math.pi, 1.05
+#: log from which on a balance counts as better
+_MOVED = 0.3
+#: log within which readings are rivals
+_TIED = 0.3
+#: readings that a recording may ask for, one after the other
+_MOST = 6
+#: Pa below vapour pressure above which the smallest pressures of a machine lie
+_BELOW = 1e5
+#: Pa above vapour pressure that its largest pressures exceed
+_ABOVE = 1e5
+#: pump pressures below which they lie
+_PUMPS = 4.0
+#: rad that no angle of a machine exceeds
+_TURNED = 1.5 * math.pi
 
 
 def readings(machine: Figures, ch: Channels) -> Iterator[Reading]:
@@ -182,7 +193,7 @@ def plausible(machine: Figures, grid: Grid, names: Iterable[str]) -> bool:
             return False
         if _unit(machine, n) == "rad" and max(abs(low), abs(high)) > _TURNED:
             return False
-        if n in machine.layout.commands and np.abs(grid.channels[n]).max() > _OPENED:
+        if n in machine.layout.commands and np.abs(grid.channels[n]).max() > FULLY_OPEN:
             return False
     return True
 
@@ -221,7 +232,7 @@ def _counted(kind: Kind, key: tuple[str, str], before: Misfit, after: Misfit) ->
     oil shut in), and values that another unit makes small enough to vanish in the noise, close nothing.
     """
     ratio = _ratio(key, before, after)
-    return ratio if after.seen and (after.told or kind != "scale") else min(ratio, 0.0)
+    return ratio if after.seen and (after.clear or kind != "scale") else min(ratio, 0.0)
 
 
 def mistaken(machine: Figures, grid: Grid, least: float) -> list[list[Weighed]]:

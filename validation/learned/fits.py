@@ -35,10 +35,10 @@ def spread(w: Fitted, key: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tabulated(w: Fitted, key: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the knots (J,) at which a law is told, its values there and their covariance (J, J), SI."""
+    """Return the knots (J,) at which a law is reported, its values there and their covariance (J, J), SI."""
     law, (y, cov) = laws_of(w)[key].law, curve(w, key)
-    M = law.telling()
-    return law.x if law.told is None else law.told, M @ y, M @ cov @ M.T
+    M = law.at_reported()
+    return law.x if law.reported is None else law.reported, M @ y, M @ cov @ M.T
 
 
 def kept(windows: Sequence[Window], block: float, out: int, number: int) -> np.ndarray:

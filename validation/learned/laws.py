@@ -39,7 +39,7 @@ class Law:
         against: whether it acts against motion.
         visited: (n,) values of the argument along the recording, sorted; often: (low, high) that were met within more
             than a block of time.
-        told: (J,) knots at which the curve is told, where its own go on beyond what is known; None for its own.
+        reported: (J,) knots at which the curve is reported, where its own go on beyond what is known; None for its own.
     """
 
     key: str
@@ -48,7 +48,7 @@ class Law:
     x: np.ndarray
     visited: np.ndarray = field(repr=False)
     often: tuple[float, float] = field(repr=False)
-    told: np.ndarray | None = field(default=None, repr=False)
+    reported: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def name(self) -> str:
@@ -117,13 +117,13 @@ class Law:
         if self.over.slope:
             start, end = max(start, -1.0), min(end, 1.0)
         x = spread_along(form, float(start), float(end), (float(low), float(high)))
-        return replace(self, x=x, told=self.x)
+        return replace(self, x=x, reported=self.x)
 
-    def telling(self) -> np.ndarray:
-        """Return M (J, K): the curve at the knots where it is told is M times its values at its own."""
-        if self.told is None:
+    def at_reported(self) -> np.ndarray:
+        """Return M (J, K): the curve at the knots where it is reported is M times its values at its own."""
+        if self.reported is None:
             return np.eye(len(self.x))
-        return np.column_stack([curve_at(self.x, unit, self.told) for unit in np.eye(len(self.x))])
+        return np.column_stack([curve_at(self.x, unit, self.reported) for unit in np.eye(len(self.x))])
 
     def _unsure(self, y: np.ndarray) -> float:
         """Return the standard deviation up to which a value of a curve y (K,) counts as known."""

@@ -45,8 +45,9 @@ class LearnedLaw:
     def table(self) -> tuple[tuple[str, str, str], list[tuple[float, float, float]]]:
         """Return columns and rows of the knots and their 95 % intervals, in the units in which people read them."""
         (x_unit, fx), (y_unit, fy) = read_in(self.unit_over), read_in(self.unit)
-        told = np.abs(self.y / fy).max()
-        digits = 3 - math.floor(math.log10(told)) if told > 0.0 else 0  # a thousandth of the greatest says nothing
+        greatest = np.abs(self.y / fy).max()
+        # less than a thousandth of the greatest says nothing
+        digits = 3 - math.floor(math.log10(greatest)) if greatest > 0.0 else 0
         knots = zip(self.x / fx, np.round(self.y / fy, digits), np.round(1.96 * self.std / fy, digits), strict=True)
         columns = (f"{self.over} [{x_unit or '-'}]", f"value [{y_unit or '-'}]", "± (95 %)")
         return columns, [(float(x), float(y), float(half)) for x, y, half in knots]
