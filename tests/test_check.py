@@ -374,7 +374,7 @@ def test_a_balance_that_holds_nowhere_any_more_does_not_close():
     """A pressure that is read from a nearly empty chamber shuts no oil in: nothing speaks against that, nor for it."""
     reading = Reading("swapped", ("p2", "p3"), "exchanged", {"p2": Source("p3"), "p3": Source("p2")})
     before = {("trapped", "p3"): Misfit(0.97)}
-    for after, closes in ((Misfit(0.0, told=False, seen=False), False), (Misfit(0.0, told=False), True)):
+    for after, closes in ((Misfit(0.0, clear=False, seen=False), False), (Misfit(0.0, clear=False), True)):
         assert Weighed(reading, 1.0, before, {("trapped", "p3"): after}).closes == closes
 
 
