@@ -26,7 +26,7 @@ def agreed_start(estimator: Any, plan: Plan) -> dict[str, float]:
     layout = estimator.crane.layout
     for name, (time, values) in plan.series.items():
         early, std = time <= plan.time[0] + _EARLY, estimator.std_of[name]
-        at = leaps(time[early], values[early], std, FASTEST[layout.sensors[name].unit], estimator.gate)
+        at = leaps(time[early], values[early], std, FASTEST[layout.sensors[name].unit], estimator.options.gate)
         if at.size:
             longest = at[np.argmax(np.diff([*at, early.sum()]))]
             for k in sorted({int(at[0]), int(longest)}):
@@ -49,5 +49,5 @@ def _agreement(estimator: Any, plan: Plan, since: Mapping[str, float]) -> float:
     estimator.start_at(float(plan.time[0]), *tried.first_readings())
     count = plan.until(float(plan.time[0]) + 2.0 * _EARLY)
     left_out = sum(np.count_nonzero(plan.series[name][0] < begin) for name, begin in since.items())
-    unlikely = 0.5 * estimator.gate**2 * left_out  # as readings that the filter rejects
+    unlikely = estimator.options.unlikely * left_out  # as readings that the filter rejects
     return float(sum(estimator.on_plan(tried, k).log_likelihood for k in range(1, count)) - unlikely)

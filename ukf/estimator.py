@@ -31,7 +31,8 @@ from .filter import Belief, FilterError
 from .live import Stream
 from .methods import method_of
 from .monitor import ABSENT, OUTLIER, USED, Doubt, Monitor
-from .noise import ProcessNoise, added_by, measurement_noise
+from .noise import ProcessNoise, SensorNoise, added_by
+from .options import Options
 from .process import EngineMisfit, Process, engine_of
 from .recorder import Outcome, Recorder
 from .revisit import Beginning, Revisit, Step
@@ -118,66 +119,51 @@ class Estimator:
         revisit: Revisit | None = None,
     ) -> None:
         self.crane = checked_crane(crane, "Estimator")
-        self.engine = of_this_crane(engine_of(engine, crane), crane)
-        lay = crane.layout
+        self.engine = _engine_for(crane, engine)
         self.std_of = default_sensors(crane) if sensors is None else sensor_std(crane, sensors)
-        self.noise = noise if noise is not None else ProcessNoise.of(lay)
-        self.max_step = positive(max_step, "max_step", "a positive time in seconds, such as 1e-3")
-        deviations = "a positive number of standard deviations, or None for no gate"
-        self.gate = np.inf if gate is None else positive(gate, "gate", deviations, endless=True)
-        #: minus the log-likelihood of a reading that is not believed: it is as likely as one at the gate
-        self._unlikely = 0.5 * self.gate**2 if self.gate < np.inf else 0.0
-        self.pressure_std = positive(pressure_std, "pressure_std", "a positive deviation in Pa, such as 1e6")
-        self._adapt = positive(adapt, "adapt", "a positive time in seconds, or numpy.inf for never", endless=True)
-        self._floor = vapour_pressure(crane)
-        self._units = tuple(lay.sensors[n].unit for n in self.std_of)
-        self._std = np.array(list(self.std_of.values()))
-        self._log_peak = np.log(np.sqrt(2.0 * np.pi) * self._std)  # minus that of the density of each sensor's noise
-        self._log_peaks = float(self._log_peak.sum())
-        self._variance = measurement_noise(self._std)
+        self.noise = noise if noise is not None else ProcessNoise.of(crane.layout)
         self.augment = (augment,) if isinstance(augment, str | Augment) else tuple(augment)
         self.extras = resolve(crane, self.augment)
+        gate = np.inf if gate is None else gate
+        self.options = Options(method, start, gate, max_step, pressure_std, adapt, strokes, revisit)
+        self._sensors = SensorNoise(self.std_of.values())
+        self._floor = vapour_pressure(crane)
         self._engine_states = len(self.engine.state_names)
         self._channels = Channels(crane, list(self.std_of), self._engine_states, self.extras)
         self._bounds = self._all_bounds(partial(cylinder_lengths, crane) if strokes else None)
         self._limits = self._bounds.without(crane.layout.positions)
-        self._process = self._again = Process(self.engine, self._channels, self.extras, self._bounds)
-        if revisit is not None and revisit.engine is not None:
-            engine = of_this_crane(engine_of(revisit.engine, crane), crane)
-            self._again = Process(engine, self._channels, self.extras, self._bounds)
-        self._method_name = method
-        constants = [k for k, e in enumerate(self.extras, self.size - len(self.extras)) if e.memory == np.inf]
-        self._constants = constants if revisit is not None else []
-        self._method = method_of(method, np.ones(self.size))
-        self._start = start
-        if start is not None:
-            check_start(start, self.engine.state_names)
-        self._known_noise(self.max_step)  # refused here, not in the middle of a run
-        self.revisit = revisit
-        if revisit is not None and method != "ekf":
-            raise CraneError(
-                f'revisit needs the filter "ekf", found {method!r}. Use method="ekf", or leave revisit out.'
-            )
-        self._given: dict[str, Any] = {
-            "start": start, "gate": gate, "max_step": max_step, "pressure_std": pressure_std, "adapt": adapt,
-            "strokes": strokes, "revisit": revisit,
-        }  # fmt: skip
+        self._process = self._process_on(self.engine)
+        self._again = self._process_of_revisit()
+        self._method = method_of(method, np.ones(self.size))  # until a start gives deviations
         self._noises: dict[int, np.ndarray] = {}
+        self._refuse_misfits()
         self.reset()
+
+    def _process_on(self, engine: Any) -> Process:
+        """Return the transition of all that is estimated, on an engine."""
+        return Process(engine, self._channels, self.extras, self._bounds)
+
+    def _process_of_revisit(self) -> Process:
+        """Return the transition with which the beginning is gone through again: on the filter's engine or another."""
+        revisit = self.options.revisit
+        if revisit is None or revisit.engine is None:
+            return self._process
+        return self._process_on(_engine_for(self.crane, revisit.engine))
+
+    def _refuse_misfits(self) -> None:
+        """Raise CraneError for a start or a noise of other states here, not in the middle of a run."""
+        if self.options.start is not None:
+            check_start(self.options.start, self.engine.state_names)
+        self._known_noise(self.options.max_step)
 
     def __repr__(self) -> str:
         sensors = ", ".join(f"{n} ± {std:.2g}" for n, std in self.std_of.items())
         kind, names = type(self.engine).__name__, " ".join(self.state_names)
-        return f"<Estimator of {self.crane.name} by {self._method_name} on {kind}: {names} from sensors {sensors}>"
+        return f"<Estimator of {self.crane.name} by {self.options.method} on {kind}: {names} from sensors {sensors}>"
 
     def varied(self, **changes: Any) -> Estimator:
         """Return a fresh estimator with some arguments changed."""
-        same: dict[str, Any] = {
-            "noise": self.noise,
-            "method": self._method_name,
-            "augment": self.augment,
-            **self._given,
-        }
+        same: dict[str, Any] = {"noise": self.noise, "augment": self.augment, **vars(self.options)}
         return Estimator(self.crane, self.engine, self.std_of, **(same | changes))
 
     @property
@@ -197,9 +183,16 @@ class Estimator:
         return self._engine_states + len(self._channels.lags) + len(self.extras)
 
     @property
+    def _constants(self) -> list[int]:
+        """Positions of what does not change, whose slopes stay where the beginning is gone through again; else none."""
+        if self.options.revisit is None:
+            return []
+        return [k for k, e in enumerate(self.extras, self.size - len(self.extras)) if e.memory == np.inf]
+
+    @property
     def sensor_variance(self) -> np.ndarray:
         """Variance (k,) of the noise of each sensor."""
-        return self._variance.diagonal()
+        return self._sensors.covariance.diagonal()
 
     def observe(self, points: np.ndarray) -> np.ndarray:
         """Return what the sensors (m, k) show of states (m, n)."""
@@ -211,12 +204,13 @@ class Estimator:
         self.time: float | None = None
         self.count = 0
         self.events: list[tuple[float, str, str]] = []
-        self._monitor = Monitor(self._channels.names, self._units, self._std, self.gate, self._floor)
-        self._belief_in_doubt = Doubt(self.gate)
+        units = tuple(self.crane.layout.sensors[n].unit for n in self.std_of)
+        self._monitor = Monitor(self._channels.names, units, self._sensors.std, self.options.gate, self._floor)
+        self._belief_in_doubt = Doubt(self.options.gate)
         self._opinion: SecondOpinion | None = None
-        self._stream = Stream(self.crane, self._channels.names, self._units)
+        self._stream = Stream(self.crane, self._channels.names, units)
         self._broken = False  # whether the belief was set up anew on the way
-        self._sizes = Sizes(self.extras, self._engine_states + len(self._channels.lags), self._adapt)
+        self._sizes = Sizes(self.extras, self._engine_states + len(self._channels.lags), self.options.adapt)
 
     # -- live ----------------------------------------------------------------------------------------------------
 
@@ -246,7 +240,7 @@ class Estimator:
         if self.time is None:
             time = 0.0 if time is None else first_stamp(time)
         else:
-            time = self.time + self.max_step if time is None else number(time, "time")
+            time = self.time + self.options.max_step if time is None else number(time, "time")
         command, values, supply, odd = self._stream.usable(command, readings)
         late = self.time is not None and not (np.isfinite(time) and (time > self.time or self._stream.went_back(time)))
         if late:
@@ -266,7 +260,7 @@ class Estimator:
         self._stream.in_order()
         if not self._stream.begun:  # what was before is a recording
             self._stream.rest(self.time, command, supply)
-        times = inner_times(self.time, time, self.max_step)
+        times = inner_times(self.time, time, self.options.max_step)
         outcome = self._advance(times, self._stream.inputs(times, command, supply), values)
         self.events += [(time, *what) for what in self._stream.rejected(outcome.flags)]
         return self._now(outcome)
@@ -302,22 +296,22 @@ class Estimator:
 
         `spread` is what the measurements may be off by, beside their noise, because the crane moves already.
         """
-        start = self._start if self._start is not None else self._shown(first, spread or {}, begins=True)
+        start = self.options.start if self.options.start is not None else self._shown(first, spread or {}, begins=True)
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         extras = slice(self._engine_states + len(self._channels.lags), None)
         mean[extras] = [e.begins for e in self.extras]
         covariance[extras, extras] = np.diag([e.std**2 for e in self.extras])
         self._set_states(start, mean, covariance)
         self._start_covariance = covariance
-        self._method = method_of(self._method_name, np.sqrt(np.diag(covariance)), self._constants, bool(self.extras))
+        self._method = method_of(self.options.method, np.sqrt(np.diag(covariance)), self._constants, bool(self.extras))
         self.belief = self._method.begin(mean, covariance)
-        self._forget_doubts(time, taken(self.crane.layout, first) if self._start is None else ())
+        self._forget_doubts(time, taken(self.crane.layout, first) if self.options.start is None else ())
         self.time = time
 
     def _forget_doubts(self, time: float, read: Collection[str]) -> None:
         """Note that the belief was set at `time` from the channels `read`."""
         self._monitor.begin(time, read)
-        self._belief_in_doubt = Doubt(self.gate)
+        self._belief_in_doubt = Doubt(self.options.gate)
         self._opinion = None
 
     def _shown(self, first: Mapping[str, float], spread: Mapping[str, float], begins: bool = False) -> Belief:
@@ -330,7 +324,7 @@ class Estimator:
         if moved:  # another load is held by other pressures
             crane = crane.with_parameters(moved)
             at_rest = partial(static_start, crane)
-        return start_belief(crane, at_rest, first, std, self.pressure_std, begins)
+        return start_belief(crane, at_rest, first, std, self.options.pressure_std, begins)
 
     def _set_states(self, start: Belief, mean: np.ndarray, covariance: np.ndarray) -> None:
         """Fill the engine's states and the lagged readings that belong to them into a mean (n,) and a covariance (n,
@@ -340,7 +334,7 @@ class Estimator:
         mean[:n], covariance[:n, :n] = start.mean, start.covariance
         for k, (row, _) in enumerate(self._channels.lags):
             mean[n + k] = self._channels.read(mean[None])[0, row]
-            covariance[n + k, n + k] = self._std[row] ** 2
+            covariance[n + k, n + k] = self._sensors.std[row] ** 2
 
     def _advance(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, recorder: Recorder | None = None
@@ -352,7 +346,7 @@ class Estimator:
             raise
         except _FAILURES as problem:
             self._restart(float(times[-1]), str(problem))
-            unlikely = self._unlikely * np.count_nonzero(~np.isnan(values))
+            unlikely = self.options.unlikely * np.count_nonzero(~np.isnan(values))
             outcome = Outcome.none(values.size)._replace(log_likelihood=-unlikely)
             if recorder is not None and recorder.smooth:
                 recorder.cut(self.belief)
@@ -492,15 +486,16 @@ class Estimator:
         """Correct by what is there, let the monitor judge it, and correct anew without what cannot be believed."""
         energy = values.dot(values)
         if energy == energy:  # no NaN: every sensor was read, which is worth a short cut
-            result = self._method.update(prior, self._channels.observe, values, self._variance, self.count)
+            result = self._method.update(prior, self._channels.observe, values, self._sensors.covariance, self.count)
             innovation, variance = result.innovation, result.innovation_covariance.diagonal()
         else:
             result, innovation, variance = self._correct_some(prior, values, ~np.isnan(values))
         flags, bad = self._monitor.judge(time, values, innovation, variance)
         if bad:
             result, _, _ = self._correct_some(prior, values, flags == USED)
-        peaks = self._log_peaks if energy == energy and not bad else float(self._log_peak[flags == USED].sum())
-        unlikely = self._unlikely * np.count_nonzero(flags == OUTLIER) if bad else 0.0
+        every = energy == energy and not bad
+        peaks = self._sensors.log_peaks if every else float(self._sensors.log_peak[flags == USED].sum())
+        unlikely = self.options.unlikely * np.count_nonzero(flags == OUTLIER) if bad else 0.0
         if result is None:
             self.belief = prior
             return Outcome(innovation, variance, flags, float("nan"), -unlikely)
@@ -520,7 +515,7 @@ class Estimator:
         innovation, variance = np.full(values.size, np.nan), np.full(values.size, np.nan)
         if not rows.any():
             return None, innovation, variance
-        noise = np.ascontiguousarray(self._variance[np.ix_(rows, rows)])
+        noise = np.ascontiguousarray(self._sensors.covariance[np.ix_(rows, rows)])
         seen = self._channels.observe
         result = self._method.update(
             prior, lambda p: np.ascontiguousarray(seen(p)[:, rows]), values[rows], noise, self.count
@@ -596,7 +591,7 @@ class Estimator:
 
     def estimate_of(self, recorder: Recorder, plan: Plan, events: list[tuple[float, str, str]]) -> Estimate:
         """Return the estimate that a recorder has collected over a plan, with what happened on the way."""
-        return recorder.estimate(plan, events, self.crane, self._method_name, self._std, self._floor)
+        return recorder.estimate(plan, events, self.crane, self.options.method, self._sensors.std, self._floor)
 
     def recorded(
         self,
@@ -610,7 +605,7 @@ class Estimator:
         plan = self.set_out(recording)
         recorder = Recorder(self.state_names, self.channel_names, plan.time, smooth, keep_covariance)
         recorder.start(self.belief)
-        until = plan.time[0] + (self.revisit.until if self.revisit else 0.0)
+        until = plan.time[0] + (self.options.revisit.until if self.options.revisit else 0.0)
         beginning = Beginning(self.belief, float(until), self._constants)
         for k in range(1, plan.time.size):
             outcome = self.on_plan(plan, k, recorder)
@@ -625,8 +620,8 @@ class Estimator:
         """Return the instants of a recording (as of `run`), with the belief set up at the first of them."""
         signals = recording if isinstance(recording, Signals) else Signals.of(recording, self.crane)
         self.reset()
-        plan = signals.plan(self.crane, self.channel_names, self.max_step)
-        since = agreed_start(self, plan) if self._start is None else {}
+        plan = signals.plan(self.crane, self.channel_names, self.options.max_step)
+        since = agreed_start(self, plan) if self.options.start is None else {}
         self.reset()
         self.events.extend(plan.events)
         for name, begin in since.items():
@@ -670,7 +665,7 @@ class Estimator:
             self.process_noise(time - float(plan.time[k - 1])),
             lambda points: np.ascontiguousarray(self.observe(points)[:, used]),
             plan.values[k, used],
-            np.ascontiguousarray(self._variance[np.ix_(used, used)]),
+            np.ascontiguousarray(self._sensors.covariance[np.ix_(used, used)]),
         )
         if not beginning.add(time, step, self.belief):
             return
@@ -687,6 +682,11 @@ class Estimator:
         self.believe(found)
         if recorder.smooth:
             recorder.cut(self.belief)
+
+
+def _engine_for(crane: Crane, engine: Any) -> Any:
+    """Return an engine by its name, or one that was given, which must be of this crane."""
+    return of_this_crane(engine_of(engine, crane), crane)
 
 
 def inner_times(start: float, end: float, max_step: float) -> np.ndarray:

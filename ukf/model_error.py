@@ -519,7 +519,7 @@ def estimate(
     result, account = _chosen(mode, first, wider)
     if mode != "off":
         with stage("Uncertainties of the crane file") as done:
-            chosen = found[0] if account.used else ModelError((), (), plain.noise, plain.pressure_std)
+            chosen = found[0] if account.used else ModelError((), (), plain.noise, plain.options.pressure_std)
             result = _widened(result, plain, chosen, recording, done)
     if account.used:
         return _without_unknowns(plain.crane, result, found[0], account)

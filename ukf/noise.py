@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,22 @@ _PRESSURE = 1e8
 def measurement_noise(standard_deviations: np.ndarray) -> np.ndarray:
     """Return Rv (k, k) of independent sensors, (32), from their standard deviations (k,) in SI."""
     return np.diag(np.asarray(standard_deviations, float) ** 2)
+
+
+class SensorNoise:
+    """Independent noise of sensors, from their standard deviations in SI.
+
+    Attributes:
+        std: (k,) standard deviations.
+        covariance: (k, k), (32).
+        log_peak: (k,) minus the logarithm of each density at its peak; log_peaks: their sum.
+    """
+
+    def __init__(self, standard_deviations: Iterable[float]) -> None:
+        self.std = np.array(list(standard_deviations))
+        self.covariance = measurement_noise(self.std)
+        self.log_peak = np.log(np.sqrt(2.0 * np.pi) * self.std)
+        self.log_peaks = float(self.log_peak.sum())
 
 
 def _in_blocks(dt: float, accelerations: Sequence[float], pressures: Sequence[float]) -> np.ndarray:

@@ -75,7 +75,7 @@ class SideBySide:
         self.names, self.estimators = tuple(estimators), list(estimators.values())
         if len({id(e) for e in self.estimators}) < len(self.names):
             raise CraneError(f"{', '.join(self.names)}: two names share one estimator. Give each its own.")
-        if again := [n for n, e in estimators.items() if e.revisit is not None]:
+        if again := [n for n, e in estimators.items() if e.options.revisit is not None]:
             raise CraneError(f"{again[0]}: models side by side cannot repeat the beginning. Leave revisit out.")
         check_same_machine({name: e.crane for name, e in estimators.items()})
         first = self.estimators[0]
