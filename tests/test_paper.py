@@ -102,7 +102,7 @@ def test_sensors_noise_and_filter_may_be_ones_own():
 
     case = paper.run_case(0.15, 1, FAST, 0, sensors=("z1", "z4", "p3"), filter=made, duration=0.5)
     assert case.estimate.channel_names == ("z1", "z4", "p3") and case.estimate.method == "ckf"
-    with pytest.raises(CraneError, match="p3, which is not among"):
+    with pytest.raises(CraneError, match="a noise for p3, but no such sensor among"):
         paper.run_case(0.15, 1, FAST, 0, noise={"p3": 1e5}, duration=0.1)
 
 
