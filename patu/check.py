@@ -47,7 +47,7 @@ def command(
     from crane_exudyn.vetting.corrections import mended_columns
     from validation.fitness import examine
 
-    printer, told, notes = Printer(json), list[dict[str, Any]](), list[dict[str, str]]()
+    printer, found, notes = Printer(json), list[dict[str, Any]](), list[dict[str, str]]()
     columns: list[tuple[Recording, dict[str, Column]]] = []
     read = [load_recording(path, chosen, mapping, map_file) for path in recordings]
     printer.line(f"Checked against the crane {chosen.name}:")
@@ -55,14 +55,14 @@ def command(
         findings = examine(recording, chosen)
         tell(printer, path, findings, recording)
         notes += [{"recording": str(path), "text": note} for note in recording.notes]
-        told += [document(path, f) for f in findings]
+        found += [document(path, f) for f in findings]
         columns.append((recording, mended_columns(recording, findings)))
     with saving(printer) as save:
-        save.json(json, {"findings": told, "notes": notes, "crane": chosen.name})
+        save.json(json, {"findings": found, "notes": notes, "crane": chosen.name})
         if write_map is not None:
             text = map_text(_together(columns), chosen.layout)
             save(write_map, lambda path: write_text(path, text), text)
-    if any(finding["severity"] == "error" for finding in told):
+    if any(finding["severity"] == "error" for finding in found):
         raise typer.Exit(1)
 
 
