@@ -85,7 +85,6 @@ class Criteria:
     # where errors drift and levels follow the model
     window: float = 2.0  # s: a ring dies out, and a metering law shows; in a quarter of a second they do not
     joined: float = 100.0  # how many times smaller than usual the jumps between such windows are
-    step: float = 5e-3  # s, longest simulation step: its error is far below what such a model leaves
     independent: float = 0.25  # s after which errors in windows are taken as independent at the latest
     drifts: float = 1.0  # s after which errors in a run over the whole recording are
     settled: int = 3  # how often the last fit takes up the error levels that it leaves: they hardly change after that

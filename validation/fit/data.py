@@ -18,6 +18,10 @@ _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
 #: longest step of runs that are held against the recording closely, s. A ring of 7 Hz loses a thousandth of its
 #: frequency to a step of 2.5 ms: nothing in a quarter of a second, but not in 25 s
 FINE = 1e-3
+#: longest step of all other runs, s, and of those that derivatives are taken of: that of a recording at 200 Hz. What is
+#: left is computed by a run in the data's own steps, so that the minimum is theirs; derivatives but for some hundredths
+#: lead to it as well. What probes do is taken at every second step of these
+COARSE = 5e-3
 #: local error of a step, in units of the engine's; beyond it a step is halved. In short windows 0.06 bar and 2e-7 rad,
 #: a fifth of what good sensors show; in long ones, where it adds up, the engine's own: in 25 s a valve that swings is
 #: off by ten noise units with the other
@@ -334,7 +338,7 @@ def _without(blind: tuple[tuple[float, float], ...], samples: Samples, grid: np.
     return samples.picked(seen)
 
 
-def grid_step(interval: float, longest: float = 2.5e-3) -> float:
+def grid_step(interval: float, longest: float = COARSE) -> float:
     """Return a simulation step (s) of at most `longest` that divides the sampling interval where it can."""
     for step in sorted(_STEPS, reverse=True):
         if step <= longest and abs(interval / step - round(interval / step)) < 1e-6:

@@ -16,7 +16,7 @@ from crane_exudyn.crane import Crane
 
 from ..criteria import BEGINS, CRITERIA
 from ..workers import single_threaded
-from .data import ACCURACY, ACCURATE, FINE, Data, FitData
+from .data import ACCURACY, ACCURATE, COARSE, FINE, Data, FitData
 from .knots import begun_anew, reknot
 from .linear import with_states
 from .model import Model, model_of
@@ -41,7 +41,7 @@ class Stage:
     seconds: float
     stiffness: float
     iterations: int
-    step: float = 2.5e-3
+    step: float = COARSE
     reach: float = math.inf
     accuracy: float = ACCURACY
 

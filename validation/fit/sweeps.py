@@ -18,16 +18,12 @@ from crane_exudyn.measurement import Measurement
 
 from ..semi_recursive import sensitivity
 from .columns import Columns, acting
-from .data import ACCURACY, Samples
+from .data import ACCURACY, COARSE, Samples
 from .model import Model
 from .windows import Group, Window, jump_of, pieces_of
 
 #: most numbers that the sensitivities of a piece of a window may hold: 50 MB
 _LARGE = 6_000_000
-#: longest step of the runs that derivatives are taken of, s. What is left is told by a run in the data's own steps, so
-#: that the minimum is theirs; derivatives but for some hundredths lead to it as well. What probes do is then taken at
-#: every second step
-DERIVED = 2.5e-3
 #: error that a window counts with whose run fails, in noise units: it explains nothing, whatever the model
 _LOST = 1e3
 #: hooks by which sensors lag
@@ -118,7 +114,7 @@ def sweep(group: Group, x0: np.ndarray, base: Model, columns: Columns, largest: 
     a single window whose sensitivities hold at most `largest` numbers are swept one after the other.
     """
     nx = x0.shape[1]
-    longest = max(1, int(largest / (nx * (nx + len(columns.size))) * max(1.0, DERIVED / group.step)))
+    longest = max(1, int(largest / (nx * (nx + len(columns.size))) * max(1.0, COARSE / group.step)))
     pieces = [group] if len(group.windows) > 1 else [Group((p,)) for p in pieces_of(group.windows[0], longest)]
     swept, end = _sweep_piece(pieces[0], _Begun(x0), base, columns)
     for piece in pieces[1:]:
@@ -147,11 +143,11 @@ class _Grid(NamedTuple):
 
     @classmethod
     def of(cls, group: Group, W: np.ndarray) -> _Grid:
-        """Return the grid of windows with steps of at most DERIVED, or the data's own where these are not shorter; W
+        """Return the grid of windows with steps of at most COARSE, or the data's own where these are not shorter; W
         are signals on the grid of the whole recording.
         """
         lengths, step = group.last - group.first, group.step
-        numbers = np.ceil(lengths * step / DERIVED - 1e-6).astype(int)
+        numbers = np.ceil(lengths * step / COARSE - 1e-6).astype(int)
         if (numbers >= lengths).all():
             return cls(group.time, group.first, group.last, np.full(len(lengths), step), W[:, group.place], True)
         numbers = np.minimum(numbers, lengths)
@@ -234,7 +230,7 @@ def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[
         begun.x, grid.first, grid.W, grid.steps, grid.time[grid.first], base.P, own_E, here.P[sloped],
         here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology,
         allowed=base.accuracy if grid.fine else max(base.accuracy, ACCURACY),
-        thinned=bool(grid.steps[0] < 1.01 * DERIVED),
+        thinned=bool(grid.steps[0] < 1.01 * COARSE),
     )  # fmt: skip
     if begun.by_all is None and len(sloped) == m:
         return swept.X, swept.S, swept.status

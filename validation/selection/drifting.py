@@ -51,11 +51,8 @@ class DriftingPath(Path[Standing]):
 
 
 def _begun(problem: Problem) -> DriftingPath:
-    """Return the path before its first round, in coarse steps: nominal parameters fitted, levels of the channels
-    found.
-    """
+    """Return the path before its first round: nominal parameters fitted, levels of the channels found."""
     crane = problem.crane
-    problem = replace(problem, data=problem.data.stepped(CRITERIA.step))
     learned = first_part(problem.data)
     base = all_parameters(crane, learned, loose(5))
     problem = replace(problem, shared=(*informed_directions(base), *stated_effects(crane)))

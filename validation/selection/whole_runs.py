@@ -26,17 +26,17 @@ Judged = tuple[Errors, Errors]
 
 def loose(iterations: int) -> tuple[Stage, ...]:
     """Return the stage of short windows that follow the machine."""
-    return (Stage(SHORT, 1.0, iterations, CRITERIA.step),)
+    return (Stage(SHORT, 1.0, iterations),)
 
 
 def joined(iterations: int) -> tuple[Stage, ...]:
     """Return the stage of windows that are all but joined."""
-    return (Stage(CRITERIA.window, CRITERIA.joined, iterations, CRITERIA.step),)
+    return (Stage(CRITERIA.window, CRITERIA.joined, iterations),)
 
 
 def run(iterations: int) -> tuple[Stage, ...]:
     """Return the stage of one open-loop run."""
-    return (Stage(LONG, 1.0, iterations, CRITERIA.step),)
+    return (Stage(LONG, 1.0, iterations),)
 
 
 @dataclass(frozen=True)
