@@ -411,7 +411,7 @@ def test_events_in_other_windows_are_swept_once(nominal, monkeypatch):
     W = columns.W[:, window.start : window.start + len(window.data.time)]
     true = compiled(
         x0[None], np.zeros(1), W, data.step, begin, base.P, base.E, columns.P, columns.E, columns.size,
-        topology=base.topology, allowed=ACCURACY, thinned=True,
+        topology=base.topology, allowed=ACCURACY,
     ).S[-1]  # fmt: skip
     assert found.end_jacobian == pytest.approx(true, rel=1e-9, abs=1e-12)
     assert not found.end_jacobian[:, -1].any()

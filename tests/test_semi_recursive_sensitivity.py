@@ -146,37 +146,6 @@ def test_a_column_of_other_inputs(crane: Crane, start: np.ndarray, inputs: np.nd
     assert_close(result.S[:, :, 8], run(crane, start, late) - run(crane, start, inputs), 2e-3)
 
 
-def test_probes_of_every_second_sample(crane: Crane, start: np.ndarray, inputs: np.ndarray) -> None:
-    """Linear between, b and c are wrong by the square of the step: in half the steps a quarter as much; nothing else is
-    touched, nor is anything where steps are halved.
-    """
-    probes = [
-        crane.with_parameters({"payload.mass": crane["payload.mass"] + 1e-3}),
-        crane.with_parameters({"fluid.hose_bulk_modulus": crane["fluid.hose_bulk_modulus"] + 1e4}),
-        crane.with_effect("internal_leakage@lift", {"k": 1e-15}),
-    ]
-    sizes, fine = [1e-3, 1e4, 1.0], np.repeat(inputs, 2, axis=0)[:-1]
-    fine[1::2] = 0.5 * (inputs[:-1] + inputs[1:])
-    every, thin = (swept(crane, start, inputs, probes, sizes, thinned=thinned) for thinned in (False, True))
-    np.testing.assert_array_equal(thin.X, every.X)
-    np.testing.assert_array_equal(thin.S[:, :, :8], every.S[:, :, :8])
-    arguments = {"h": 0.5 * H, "t0": 0.0, "P": crane.parameter_vector(), "E": crane.effect_vector()}
-    P_cols, E_cols = (np.array([v(c) for c in probes]) for v in (Crane.parameter_vector, Crane.effect_vector))
-    halves = [
-        sweep(
-            start[None], np.array([0]), fine[None], P_cols=P_cols, E_cols=E_cols, delta=np.array(sizes),
-            topology=crane.machine.topology, allowed=math.inf, thinned=thinned, **arguments,
-        ).S[::2, :, 8:]
-        for thinned in (False, True)
-    ]  # fmt: skip
-    scale = np.abs(every.S[:, :, 8:]).max(axis=0)
-    wrong = [np.sqrt(np.mean(((a - b) / scale) ** 2)) for a, b in ((every.S[:, :, 8:], thin.S[:, :, 8:]), halves)]
-    assert 3.0 < wrong[0] / wrong[1] < 5.0
-    halved = [swept(crane, start, inputs, probes, sizes, allowed=1e-3, thinned=thinned) for thinned in (False, True)]
-    assert halved[0].halved > 0
-    np.testing.assert_allclose(halved[1].X, halved[0].X, rtol=1e-12)
-
-
 def test_probes_that_leave_the_bodies_take_the_mechanics_of_the_base() -> None:
     """Every parameter and effect, told apart by what they change: all terms of a probe are those of its own machine."""
     crane = Crane.load("patu655")

@@ -20,7 +20,7 @@ _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
 FINE = 1e-3
 #: longest step of all other runs, s, and of those that derivatives are taken of: that of a recording at 200 Hz. What is
 #: left is computed by a run in the data's own steps, so that the minimum is theirs; derivatives but for some hundredths
-#: lead to it as well. What probes do is taken at every second step of these
+#: lead to it as well
 COARSE = 5e-3
 #: local error of a step, in units of the engine's; beyond it a step is halved. In short windows 0.06 bar and 2e-7 rad,
 #: a fifth of what good sensors show; in long ones, where it adds up, the engine's own: in 25 s a valve that swings is

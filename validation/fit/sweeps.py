@@ -230,7 +230,6 @@ def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[
         begun.x, grid.first, grid.W, grid.steps, grid.time[grid.first], base.P, own_E, here.P[sloped],
         here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology,
         allowed=base.accuracy if grid.fine else max(base.accuracy, ACCURACY),
-        thinned=bool(grid.steps[0] < 1.01 * COARSE),
     )  # fmt: skip
     if begun.by_all is None and len(sloped) == m:
         return swept.X, swept.S, swept.status

@@ -12,8 +12,7 @@ the base to the probe, so an effect whose law is not smooth at its neutral value
 Many windows may be swept in one call, one after the other: each has samples and a first state of its own.
 
 Most of the time goes into the probes' b and c. A probe that leaves the bodies as they are (an orifice, a leak) takes
-the base's mechanics. And b and c change slowly along the motion: where nothing is halved they may be taken at every
-second sample, and be linear between (`thinned`).
+the base's mechanics.
 """
 
 from __future__ import annotations
@@ -195,7 +194,6 @@ class Base(NamedTuple):
     h: float
     t0: float
     substeps: int
-    thinned: bool  # whether probes are taken at every second sample
     allowed: float  # local error of a step, in units of step_control.*_ERROR
     most: float  # parts that a step may have on the average
 
@@ -210,15 +208,12 @@ class Tangents(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """A Point and its sensitivities (nx, M) as they move along, tangents before, in the middle of and after two steps,
-    and scratch.
-    """
+    """A Point and its sensitivities (nx, M) as they move along, tangents before and after a step, and scratch."""
 
     sheet: Sheet
     now: Point
     S: np.ndarray
     before: Tangents
-    middle: Tangents
     after: Tangents
     R: np.ndarray
     L: np.ndarray
@@ -238,32 +233,19 @@ def new_moving(topology, nx, m, columns, n_inputs):
     """Return the arrays of a sweep with `columns` sensitivities, of which the last may be transitions."""
     n = topology[0, CYLINDERS]
     return Moving(
-        sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m),
-        new_tangents(nx, 2 * n, m), new_tangents(nx, 2 * n, m),
+        sheet(topology), point(nx, n), np.zeros((nx, columns)), new_tangents(nx, 2 * n, m), new_tangents(nx, 2 * n, m),
         np.empty((nx, columns)), np.empty((nx, nx)), np.empty(nx, np.int64), point(nx, n), point(nx, n),
         np.empty((4, n_inputs)),
     )  # fmt: skip
 
 
 @inner
-def stand(base, v, k, share, t):
-    """Fill v.now from its state, at `share` of the way from sample k to k + 1."""
-    w = v.inputs[2]
-    between(base.W_all[0, k], base.W_all[0, min(k + 1, base.W_all.shape[1] - 1)], share, w)
-    begin(v.now, w, t, base.P, base.E, v.sheet)
-
-
-@inner
-def evaluate_base(base, v, k, share, t, into):
-    """Fill v.now from its state, and Y and G of the tangents there."""
-    stand(base, v, k, share, t)
-    tangents_at(v.now, v.inputs[2], t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
-
-
-@inner
 def evaluate(base, v, k, share, t, into):
-    """Fill v.now from its state, and the tangents there with those of the probes."""
-    stand(base, v, k, share, t)
+    """Fill v.now from its state, at `share` of the way from sample k to k + 1, and the tangents there with those of the
+    probes.
+    """
+    between(base.W_all[0, k], base.W_all[0, min(k + 1, base.W_all.shape[1] - 1)], share, v.inputs[2])
+    begin(v.now, v.inputs[2], t, base.P, base.E, v.sheet)
     for bodies in (False, True):  # written as two calls, each is compiled for its constant
         take_probes(base, v, k, share, t, bodies, into)  # first those for which the mechanics of the base stand
         if not bodies:
@@ -369,52 +351,6 @@ def advance_sample(base, k, v, work):
 
 
 @inner
-def halve_next(work):
-    """Begin the next sample with a half: its whole step was tried and failed."""
-    work.said[LEVEL] = 1.0
-    work.said[HALVED] += 1.0
-
-
-@inner
-def advance_two(base, k, v, work, X, S):
-    """Move state and sensitivities by two samples, as long as none has to be halved, with the probes' b and c in the
-    middle as the mean of those at the ends; return how many samples they have moved, and a status. X and S (of a
-    sample) are filled with what is in the middle.
-    """
-    M, h = S.shape[1], base.h
-    whole = k - k  # level 0: a literal would have step_part, and all that it calls, compiled once more
-    status, _ = step_part(base, k, 0.0, whole, v, work)
-    if status != OK:
-        halve_next(work)
-        return 0, OK
-    between_samples = base.t0 + (k + 1) * h
-    X[:] = v.now.x
-    evaluate_base(base, v, k + 1, 0.0, between_samples, v.middle)
-    status, _ = step_part(base, k + 1, 0.0, whole, v, work)
-    both = status == OK
-    if both:
-        evaluate(base, v, k + 1, 1.0, between_samples + h, v.after)
-        for j in range(base.delta.size):
-            for i in range(v.now.x.size):
-                v.middle.b[i, j] = 0.5 * (v.before.b[i, j] + v.after.b[i, j])
-            for i in range(v.now.N.size):
-                v.middle.c[i, j] = 0.5 * (v.before.c[i, j] + v.after.c[i, j])
-    else:
-        halve_next(work)
-        evaluate(base, v, k + 1, 0.0, between_samples, v.middle)
-    if not linear_step(base, h, v.before, v.middle, v):
-        return 1, NOT_CONVERGED
-    S[:] = v.S[:, :M]
-    if not both:
-        copy_tangents(v.middle, v.before)
-        return 1, OK
-    if not linear_step(base, h, v.middle, v.after, v):
-        return 2, NOT_CONVERGED
-    copy_tangents(v.after, v.before)
-    return 2, OK
-
-
-@inner
 def begin_window(base, k, start, v, work):
     """Set the state anew at sample k, sensitivities to identity and zeros, and forget the tangent of earlier
     windows.
@@ -448,16 +384,12 @@ def run_window(first, end, v, base, work, X, S, Phi):
             return OK, -1
         if want_phi:
             set_identity(v.S, M)
-        came, moved = OK, 0
-        if base.thinned and k + 2 < end and work.said[LEVEL] == 0.0:
-            moved, came = advance_two(base, k, v, work, X[k + 1], S[k + 1])
-        if moved == 0:
-            moved, came = 1, advance_sample(base, k, v, work)
-        if came == OK and exhausted((k + moved - first) * base.substeps, base.most, work):
-            came = TOO_COARSE
-        if came != OK:
-            return came, k
-        k += moved
+        status = advance_sample(base, k, v, work)
+        if status == OK and exhausted((k + 1 - first) * base.substeps, base.most, work):
+            status = TOO_COARSE
+        if status != OK:
+            return status, k
+        k += 1
         if want_phi:
             Phi[k] = v.S[:, M:]
 
@@ -476,7 +408,7 @@ def _sweep(x0, first, steps, begins, base, topology, want_phi):
         k, end = first[w], first[w + 1] if w + 1 < K else N
         own = Base(
             base.P, base.E, base.P_cols, base.E_cols, base.bodies, base.delta, base.W_all, base.W_index, steps[w],
-            begins[w] - k * steps[w], base.substeps, base.thinned, base.allowed, base.most,
+            begins[w] - k * steps[w], base.substeps, base.allowed, base.most,
         )  # fmt: skip
         begin_window(own, k, x0[w], v, work)
         if want_phi:
@@ -510,7 +442,6 @@ def sweep(
     substeps: int = 1,
     allowed: float = 1.0,
     want_phi: bool = False,
-    thinned: bool = False,
 ) -> Sweep:
     """Return states and sensitivities along the runs of K windows; see `Sweep` for the shapes. Releases the global
     lock.
@@ -530,8 +461,6 @@ def sweep(
         substeps: steps of the trapezoidal rule per sample interval.
         allowed: local error of a step in units of `step_control.*_ERROR`; a step beyond it is halved.
         want_phi: whether to return the one-sample transition matrices.
-        thinned: whether probes are taken at every second sample where no step is halved, and are linear between; not
-            with substeps or transition matrices.
     """
     m, K = len(delta), len(x0)
     index = np.zeros(m, np.int64) if W_index is None else np.ascontiguousarray(W_index, np.int64)
@@ -539,10 +468,9 @@ def sweep(
         np.ascontiguousarray(a, float) for a in (x0, W_all, P, E, P_cols, E_cols, delta)
     )
     steps, begins = (np.broadcast_to(a, K).astype(float) for a in (h, t0))  # what is read only is compiled anew
-    thinned = thinned and substeps == 1 and not want_phi
     bodies = moves_bodies(P, E, P_cols, E_cols, topology[0, CYLINDERS])
     base = Base(
-        P, E, P_cols, E_cols, bodies, delta, W, index, 0.0, 0.0, int(substeps), thinned, float(allowed),
+        P, E, P_cols, E_cols, bodies, delta, W, index, 0.0, 0.0, int(substeps), float(allowed),
         most_parts(allowed, float(steps.max()) / substeps),
     )  # fmt: skip
     return Sweep(*_sweep(x0, np.ascontiguousarray(first, np.int64), steps, begins, base, topology, bool(want_phi)))
