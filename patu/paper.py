@@ -322,7 +322,7 @@ def tell(printer: Printer, found: Found) -> None:
     printer.line(f"Sensors, except where a row says otherwise: {found.words}.")
     for line in findings(found.cases):
         printer.line(line)
-    printer.line(f"Total time {found.cases.seconds:.0f} s.")
+    printer.line(f"Time of the cases above: {found.cases.seconds:.0f} s.")
 
 
 def findings(result: Reproduction) -> list[str]:
@@ -371,7 +371,7 @@ def _found(case: Case) -> str:
     std = case.estimate.std[-1, case.estimate.state_names.index("payload.mass")]
     pump = case.estimate["supply.pump_pressure"][-1] / 1e5
     return (
-        f"Also estimated: payload {payload:.1f} ± {1.96 * std:.1f} kg (true: {true:g}), pump {pump:.2f} bar (true: "
+        f"Also estimated: payload {payload:.1f} ± {1.96 * std:.1f} kg (95 %; true: {true:g}), pump {pump:.2f} bar (true: "
         f"{case.experiment.crane['supply.pump_pressure'] / 1e5:g})."
     )
 
