@@ -371,8 +371,8 @@ def _found(case: Case) -> str:
     std = case.estimate.std[-1, case.estimate.state_names.index("payload.mass")]
     pump = case.estimate["supply.pump_pressure"][-1] / 1e5
     return (
-        f"Also estimated: payload {payload:.1f} ± {1.96 * std:.1f} kg (95 %; true: {true:g}), pump {pump:.2f} bar (true: "
-        f"{case.experiment.crane['supply.pump_pressure'] / 1e5:g})."
+        f"Also estimated: payload {payload:.1f} ± {1.96 * std:.1f} kg (95 %; true: {true:g}), pump {pump:.2f} bar "
+        f"(true: {case.experiment.crane['supply.pump_pressure'] / 1e5:g})."
     )
 
 
