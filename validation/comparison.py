@@ -471,14 +471,16 @@ def joined(runs: Sequence[Estimate]) -> Estimate:
 
 
 def _phases(crane: Crane, data: FitData, balances: Balances) -> list[Phase]:
-    """Return what the crane was doing when, anew after each span of unknown commands."""
-    spool = spool_path(crane, data)
+    """Return what the crane was doing when, anew after each span of unknown commands, up to the last sample: the grid
+    goes a step on.
+    """
+    spool, end = spool_path(crane, data), max(float(data.times(s).max()) for s in data.samples)
     at_instants = np.column_stack([np.interp(balances.time, data.time, u) for u in spool.T])
     begins = [int(np.searchsorted(balances.time, data.time[first] - 1e-9)) for first, _ in data.stretches]
     found = []
     for a, b in pairwise([*begins, len(balances.time)]):
         own = phases_of(crane, balances.time[a:b], at_instants[a:b], balances.states[a:b])
-        found += [replace(p, first=p.first + a, last=p.last + a) for p in own]
+        found += [replace(p, first=p.first + a, last=p.last + a, end=min(p.end, end)) for p in own]
     return found
 
 
