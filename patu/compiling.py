@@ -130,12 +130,14 @@ def _run_each(parts: tuple[Part, ...]) -> None:
 def _simulate(engine: EngineName, recording: Recording) -> None:
     from crane_exudyn.crane import Crane
     from crane_exudyn.engines import engine_class
+    from crane_exudyn.geometry import pose
     from crane_exudyn.simulation import simulate
 
     crane = Crane.load(DEFAULT_CRANE)
     holder = engine_class(engine)(crane)
     run = simulate(crane, recording, engine=holder)
     run.channels()
+    pose(crane, *run.states[:, crane.layout.positions].T)  # for pictures
     holder.propagate(run.states[:2], np.tile(crane.layout.closed, (2, 1)), 1e-3)
 
 
