@@ -14,7 +14,7 @@ from crane_exudyn.vetting import vetted
 
 from ..criteria import CRITERIA
 from ..fit.staged import LOOSE, STIFF, TIGHT
-from ..history import added
+from ..history import added, refuse_present
 from .model import Model, at_bound, fitted, open_loop_error
 from .moves import scaled, starts
 from .screen import screen
@@ -39,10 +39,7 @@ def fitted_effect(
     """
     if registry.split_key(key, crane.layout)[0].curve is not None:
         raise CraneError(f"{key!r} is a curve, which has no typical size to be fitted from. Find it with `patu learn`.")
-    if crane.effect(key) is not None:
-        raise CraneError(
-            f"{crane.name} has {key!r} already. Remove it first, or fit everything again with `patu improve`."
-        )
+    refuse_present(crane, key)
     recording = vetted(recording, crane)
     problem = Problem.of(crane, [recording], (), jobs=1)
     offered = [s for s in starts(crane, problem.data) if s.key == key]
