@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .compiled import lean, njit, part
+from .compiled import lean, njit
 from .crane import Crane
 from .errors import CraneError
 from .layout import Layout
@@ -73,18 +73,18 @@ def arm_rows(topology):
     return topology[0, BODIES] + topology[0, LOOPS] + topology[0, CYLINDERS] + 1
 
 
-@part
+@lean
 def joint_rows(topology):
     """Return how many joint equations there are, without a pendulum's."""
     return 2 * (topology[0, BODIES] + topology[0, LOOPS])
 
 
-@part
+@lean
 def _place(P, point, axis):
     return P[point + axis] if point >= 0 else 0.0
 
 
-@part
+@lean
 def _at(P, arms, body, point):
     """Return x, y of a point of a body (-1: the ground, where it is the point itself)."""
     x, y = _place(P, point, 0), _place(P, point, 1)
@@ -94,7 +94,7 @@ def _at(P, arms, body, point):
     return arms[body, X] + c * x - s * y, arms[body, Y] + s * x + c * y
 
 
-@part
+@lean
 def _set_frame(P, arms, b, angle, own_pin, x, y):
     """Fill the frame of body b at an angle, whose own pin lies at x, y."""
     c, s = math.cos(angle), math.sin(angle)
@@ -103,7 +103,7 @@ def _set_frame(P, arms, b, angle, own_pin, x, y):
     arms[b, COS], arms[b, SIN] = c, s
 
 
-@part
+@lean
 def _close_loop(topology, P, arms, l):
     """Fill the frames of the dependent bodies of loop l; return whether it can be closed."""
     loop = 1 + topology[0, BODIES] + l
@@ -155,7 +155,7 @@ def fill_frames(topology, P, z, arms):
     return -1
 
 
-@part
+@lean
 def turn_frames(topology, q, arms):
     """Fill angle, cosine and sine of the frames in arms for redundant coordinates q."""
     for b in range(topology[0, BODIES]):
@@ -163,7 +163,7 @@ def turn_frames(topology, q, arms):
         arms[b, COS], arms[b, SIN] = math.cos(q[3 * b + 2]), math.sin(q[3 * b + 2])
 
 
-@part
+@lean
 def fill_arms(topology, P, inertia, q, arms):
     """Fill the table of arms (but for the pendulum's rod) for redundant coordinates q, which may violate the joints a
     little.
@@ -185,7 +185,7 @@ def fill_arms(topology, P, inertia, q, arms):
             _fill_slide(topology, P, q, arms, b)
 
 
-@part
+@lean
 def _fill_slide(topology, P, q, arms, b):
     """Fill direction and way of body b, which slides, in arms."""
     k, direction = topology[1 + b, CARRIER], P[topology[1 + b, DIRECTION]]
@@ -198,14 +198,14 @@ def _fill_slide(topology, P, q, arms, b):
     arms[b, WAY] = ux * (own_x - x) + uy * (own_y - y)
 
 
-@part
+@lean
 def _point(q, body, arms, row, column):
     """Return x, y of the point at the end of an arm of a body (-1: the ground)."""
     x, y = arms[row, column], arms[row, column + 1]
     return (x, y) if body < 0 else (q[3 * body] + x, q[3 * body + 1] + y)
 
 
-@part
+@lean
 def point_velocity(v, body, arms, row, column):
     """Return the velocity of the point at the end of an arm of a body (-1: the ground, at rest)."""
     if body < 0:
@@ -214,7 +214,7 @@ def point_velocity(v, body, arms, row, column):
     return v[3 * body] - rate * arms[row, column + 1], v[3 * body + 1] + rate * arms[row, column]
 
 
-@part
+@lean
 def close_position(topology, P, inertia, z, arms, q):
     """Fill arms and the bodies' part of q for the independent coordinates in z; return -1 or the loop that cannot be
     closed.
@@ -251,7 +251,7 @@ def line_rate(topology, arms, v, lines, c):
     return lines[c, E_X] * (vx - ux) + lines[c, E_Y] * (vy - uy)
 
 
-@part
+@lean
 def chain(topology, arms, unit, v, g, x):
     """Fill the bodies' part of x with the solution of G x = g for given independent parts.
 
@@ -285,13 +285,13 @@ def chain(topology, arms, unit, v, g, x):
         _hang(arms, v, b, rate, px, py, x)
 
 
-@part
+@lean
 def square(v, b):
     """Return the square of the angular rate of body b; 0 without velocities."""
     return v[3 * b + 2] * v[3 * b + 2] if v.size else 0.0
 
 
-@part
+@lean
 def sliding_rate(topology, arms, v, b):
     """Return the rate in m/s at which body b slides along its carrier."""
     px, py = point_velocity(v, b, arms, b, OWN)
@@ -299,7 +299,7 @@ def sliding_rate(topology, arms, v, b):
     return arms[b, ALONG] * (px - kx) + arms[b, ALONG + 1] * (py - ky)
 
 
-@part
+@lean
 def carried(x, v, body, arms, row, column):
     """Return velocity (or, with velocities v, acceleration) of the point at the end of an arm of a body (-1: the
     ground).
@@ -310,7 +310,7 @@ def carried(x, v, body, arms, row, column):
     return x[3 * body] - rate * ry - squared * rx, x[3 * body + 1] + rate * rx - squared * ry
 
 
-@part
+@lean
 def _hang(arms, v, b, rate, px, py, x):
     """Fill the part of body b of x from its angular rate and the velocity of its own pin."""
     rx, ry, squared = arms[b, OWN], arms[b, OWN + 1], square(v, b)
@@ -318,7 +318,7 @@ def _hang(arms, v, b, rate, px, py, x):
     x[3 * b], x[3 * b + 1] = px + rate * ry + squared * rx, py - rate * rx + squared * ry
 
 
-@part
+@lean
 def _chain_loop(topology, arms, v, first, g, x, bx, by):
     """Fill the parts of both dependent bodies of a loop of x; bx, by: what their first pin B does."""
     row, second = topology[0, BODIES], first + 1
@@ -338,7 +338,7 @@ def _chain_loop(topology, arms, v, first, g, x, bx, by):
     _hang(arms, v, second, a2, bx - a1 * y1 - w1 * x1 + cx, by + a1 * x1 - w1 * y1 + cy, x)
 
 
-@part
+@lean
 def _stand(topology, P, z, origins, arms, q, v, lines):
     """Fill arms and lines for the machine at rest at the independent coordinates z (n, …); return -1 or the loop that
     cannot be closed.
@@ -377,7 +377,7 @@ def _poses(topology, P, places, Z, points, angles, lengths, length_rates):
     return -1, -1
 
 
-@part
+@lean
 def _line_rates(topology, arms, v, lines, none, by_z):
     """Fill by_z (cylinders, n) with the derivatives of all lengths by the independent coordinates."""
     for i in range(by_z.shape[1]):

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from .compiled import lean, njit, part
+from .compiled import lean, njit
 from .effects import hooks
 from .geometry import LENGTH, RATE
 from .laws.friction import cylinder_friction
@@ -46,14 +46,14 @@ def areas(P, c):
     return 0.25 * math.pi * bore2, 0.25 * math.pi * (bore2 - rod2)
 
 
-@part
+@lean
 def pressure_force(P, c, pa, pb):
     """Return p_piston A_piston - p_rod A_rod of cylinder c in N, pushing the pins apart."""
     area_a, area_b = areas(P, c)
     return pa * area_a - pb * area_b
 
 
-@part
+@lean
 def supplies(P, w, n):
     """Return (pp, pt) in Pa for n cylinders: those of w, or the machine's own where w has NaN."""
     pp = P[SUPPLY] if math.isnan(w[n]) else w[n]
@@ -93,7 +93,7 @@ def port_flows(topology, P, E, c, spool, pp, pt, pa, pb):
     return -returned, -drawn, drawn, returned
 
 
-@part
+@lean
 def _mismatch(topology, P, E, w, p, of_tank, start, other, trial):
     """Return how far a trial pump (or tank) pressure is below what the supply has at the flow that it causes."""
     pp, pt = (other, trial) if of_tank else (trial, other)
@@ -104,7 +104,7 @@ def _mismatch(topology, P, E, w, p, of_tank, start, other, trial):
     return (hooks.tank_pressure(E, start, returned) if of_tank else hooks.supply_pressure(E, start, drawn)) - trial
 
 
-@part
+@lean
 def _solve_supply(topology, P, E, w, p, of_tank, start, other):
     """Return the pressure without mismatch, by the Illinois method; `start` itself where no effect acts on it.
 
@@ -138,7 +138,7 @@ def supply_loop(topology, P, E, w, p):
     return _solve_supply(topology, P, E, w, p, False, pp, pt), _solve_supply(topology, P, E, w, p, True, pt, pp)
 
 
-@part
+@lean
 def fluid(P):
     """Return (1/B, 1/Bw, vapour pressure, zero) of `laws.oil`; pressures as the crane's gauges read them."""
     zero = P[REFERENCE] * P[AIR]
@@ -158,7 +158,7 @@ def outside_pressure(P):
     return (1.0 - P[REFERENCE]) * P[AIR]
 
 
-@part
+@lean
 def real_pressures(P, y, p):
     """Fill p (chambers,) with the pressures in the chambers: those of the state, y, or vapour pressure where there is a
     void.
@@ -167,7 +167,7 @@ def real_pressures(P, y, p):
         p[j] = max(y[j], vapour_pressure(P))
 
 
-@part
+@lean
 def lengths(P, E, c, s, ya, yb):
     """Return the chambers' lengths (l_a, l_b) in m; with a spring in series at the hydraulic length s + F/k."""
     k = CYLINDER + N_CYLINDER * c
@@ -176,7 +176,7 @@ def lengths(P, E, c, s, ya, yb):
     return chamber_lengths(hydraulic, P[k + EMPTY], P[k + RANGE])
 
 
-@part
+@lean
 def fillings(P, E, c, s, ya, yb):
     """Return the `filling` (N, dN/dy, dN/dV, density) of both chambers of cylinder c at pin-to-pin length s in m."""
     k = CYLINDER + N_CYLINDER * c
@@ -202,7 +202,7 @@ def chambers(P, E, c, s, ya, yb):
     return la, lb, va, vb, density_a * va / slope_a, density_b * vb / slope_b
 
 
-@part
+@lean
 def changed_amounts(P, E, c, balances, ya, yb, ds, dya, dyb):
     """Return the amounts (m^3) in both chambers of cylinder c after small changes of length (m) and pressures (Pa),
     linearly.
@@ -220,7 +220,7 @@ def changed_amounts(P, E, c, balances, ya, yb, ds, dya, dyb):
     )
 
 
-@part
+@lean
 def settled_pressures(P, E, c, s, amount_a, amount_b, ya, yb):
     """Return (ya, yb) at which the chambers of cylinder c hold given amounts (m^3) at pin-to-pin length s; ya, yb: a
     guess.
@@ -260,7 +260,7 @@ def leakage(P, E, c, pa, pb):
     return hooks.leakage(E, c, pa - outside, pb - outside)
 
 
-@part
+@lean
 def flows_in(topology, P, E, w, p, into):
     """Fill into (chambers,) with all flows into the chambers in m^3/s: ports, leakage and disturbances.
 
@@ -282,7 +282,7 @@ def flows_in(topology, P, E, w, p, into):
     return tied
 
 
-@part
+@lean
 def _ports(topology, P, E, w, p, pp, pt, into):
     """Fill into (chambers,) with the flows of the valves; return what they draw from the pump and return to tank,
     m^3/s.
@@ -295,7 +295,7 @@ def _ports(topology, P, E, w, p, pp, pt, into):
     return drawn, returned
 
 
-@part
+@lean
 def _piston_speed(P, E, c, ds, ya, yb, fill_a, fill_b, into_a, into_b):
     """Return the piston's speed v = ds + dF/dt / k behind a spring, with dF/dt by (34), solved for v.
 
@@ -328,7 +328,7 @@ def chamber_balances(topology, P, E, w, lines, y, balances):
     return tied
 
 
-@part
+@lean
 def _cylinder_balances(P, E, c, s, ds, y, balances):
     a, b = 2 * c, 2 * c + 1
     area_a, area_b = areas(P, c)
@@ -383,7 +383,7 @@ def all_pressure_rates(topology, P, E, w, lines, y, out):
     pressure_rates(balances, out)
 
 
-@part
+@lean
 def settle(P, E, lines, amounts, guess, y):
     """Fill y (chambers,) with the state's pressures at which the chambers hold given amounts (m^3); guess (chambers,)
     in Pa.

@@ -20,7 +20,7 @@ import numpy as np
 
 from . import geometry as geo
 from . import hydraulics as hyd
-from .compiled import lean, njit, part
+from .compiled import lean, njit
 from .effects import hooks
 from .geometry import COM_X, COM_Y, E_X, E_Y, FIRST_END, INERTIA, MASS, SECOND_END
 from .machine import (
@@ -111,7 +111,7 @@ def all_inertias(topology, P, E, t, out):
         inertias(topology, P[k], E[k], t, out[k])
 
 
-@part
+@lean
 def swings(topology, q):
     """Whether redundant coordinates q (or velocities) hold a payload on a pendulum, behind those of the bodies."""
     return q.size > 3 * topology[0, BODIES]
@@ -123,13 +123,13 @@ def new_arms(topology):
     return np.zeros((geo.arm_rows(topology), geo.N_ARM))
 
 
-@part
+@lean
 def _tip(topology):
     """Return the row of arms that holds the payload's arm and the pendulum's rod."""
     return topology[0, BODIES] + topology[0, LOOPS] + topology[0, CYLINDERS]
 
 
-@part
+@lean
 def close_position(topology, P, E, inertia, z, theta, arms, q):
     """Fill arms and q for independent coordinates; return whether all loops can be closed."""
     if geo.close_position(topology, P, inertia, z, arms, q) >= 0:
@@ -154,7 +154,7 @@ def arms_of(topology, P, inertia, q, arms):
         arms[row, SECOND_END + 1] = q[j + 1] - q[3 * b + 1] - arms[row, FIRST_END + 1]
 
 
-@part
+@lean
 def chain(topology, arms, unit, v, g, x):
     """Fill x with the solution of G x = g, as `geometry.chain`, and behind the bodies the pendulum's mass.
 
@@ -178,7 +178,7 @@ def joint_equations(topology, swinging):
     return geo.joint_rows(topology) + (1 if swinging else 0)
 
 
-@part
+@lean
 def null_space(topology, arms, N):
     """Fill N (nu, nq), one row per independent velocity: dq = N^T u, G N^T = 0."""
     none = N[0, :0]
@@ -222,7 +222,7 @@ def centripetal(topology, arms, v, out):
     chain(topology, arms, -1, v, v[:0], out)
 
 
-@part
+@lean
 def pendulum_rate(topology, arms, v):
     """Return dtheta: the rate at which the pendulum's rod turns, absolute, in rad/s."""
     j, row = 3 * topology[0, BODIES], _tip(topology)
@@ -254,7 +254,7 @@ def read_motion(topology, arms, x, q, v, out):
         out[4 * n + 1] = pendulum_rate(topology, arms, v)
 
 
-@part
+@lean
 def add_point_force(arms, row, column, body, fx, fy, f):
     """Add a force at the end of an arm of a body (-1: the ground, which takes any) to f."""
     if body < 0:
@@ -264,7 +264,7 @@ def add_point_force(arms, row, column, body, fx, fy, f):
     f[3 * body + 2] += arms[row, column] * fy - arms[row, column + 1] * fx
 
 
-@part
+@lean
 def add_cylinder_forces(topology, arms, lines, F, f):
     """Add the forces F (cylinders,), pushing their pins apart, to f."""
     first = topology[0, BODIES] + topology[0, LOOPS]
@@ -287,7 +287,7 @@ def add_gravity(topology, P, E, inertia, f):
         f[3 * n + 1] += inertia[n, MASS] * gy
 
 
-@part
+@lean
 def add_on_coordinate(topology, arms, b, amount, f):
     """Add a moment (a force, where it slides) that turns body b against its carrier to f."""
     k = topology[1 + b, CARRIER]
@@ -301,7 +301,7 @@ def add_on_coordinate(topology, arms, b, amount, f):
     add_point_force(arms, b, geo.CARRIED, k, -amount * ux, -amount * uy, f)  # in the same line
 
 
-@part
+@lean
 def coordinate_rate(topology, arms, v, b):
     """Return the rate of the coordinate of body b."""
     if topology[1 + b, KIND] == SLIDES:
@@ -310,7 +310,7 @@ def coordinate_rate(topology, arms, v, b):
     return v[3 * b + 2] - (v[3 * k + 2] if k >= 0 else 0.0)
 
 
-@part
+@lean
 def coordinate(topology, arms, b):
     """Return the coordinate of body b."""
     if topology[1 + b, KIND] == SLIDES:
@@ -361,7 +361,7 @@ def extra_forces(machine, t, w, q, v, p, arms, lines, f):
     add_joint_forces(topology, E, t, w, arms, v, f)
 
 
-@part
+@lean
 def dot(a, b):
     """Return the scalar product, summed in order: the result must not depend on where the arrays lie in memory."""
     total = 0.0
@@ -392,7 +392,7 @@ def reduced_mass(inertia, N, work, M):
             M[i, k] = dot(N[k], work)
 
 
-@part
+@lean
 def solve(A, b):
     """Solve A x = b in place by Gaussian elimination with row pivoting; x replaces b. Return False if A is singular."""
     n = b.size

@@ -28,7 +28,7 @@ import numpy as np
 from . import geometry as geo
 from . import hydraulics as hyd
 from . import reduction as red
-from .compiled import lean, njit, part
+from .compiled import lean, njit
 from .effects import hooks
 from .geometry import LENGTH, RATE
 from .machine import BODIES, CYLINDERS
@@ -215,7 +215,7 @@ def predict(machines, start_inertia, step, ends, status, last):
     return good
 
 
-@part
+@lean
 def _required_rates(machine, w, h, lines, end, balances):
     """Fill the pressure rates at the end of a step with which the rule holds for the amounts of oil."""
     hyd.chamber_balances(machine.topology, machine.P, machine.E, w, lines, end.p, balances)
@@ -272,7 +272,7 @@ def _tangents(machine, w, h, lines, p, base, slopes):
                 Rp[i, j] = _defect_by_pressure(base, moved, h, i)
 
 
-@part
+@lean
 def _defect_by_pressure(base, moved, h, i):
     """Return the derivative of the defect of chamber i, from the balances before and after a change by _DP."""
     change = moved[GAIN, i] - base[GAIN, i] - 2.0 / h * (moved[AMOUNT, i] - base[AMOUNT, i])
@@ -345,7 +345,7 @@ def _linearise(machine, h, w, now, scratch, linear):
     _fill_system(machine, h, now.v, scratch, linear)
 
 
-@part
+@lean
 def _fill_right_side(N, linear, ds, rate, b):
     """Fill b for residuals of the forces, in `linear.work`, and `rate` (chambers,), and cylinder speeds ds that closing
     the joints adds.
@@ -359,7 +359,7 @@ def _fill_right_side(N, linear, ds, rate, b):
         b[nu + j] = -rate[j] - slopes.Rv[j] * ds[j // 2]
 
 
-@part
+@lean
 def _judge(size, last, tolerance):
     """Return the status after an increment: the error left is about its size times the last contraction."""
     if not size < math.inf:
@@ -368,7 +368,7 @@ def _judge(size, last, tolerance):
     return DONE if left <= tolerance else ITERATING
 
 
-@part
+@lean
 def _fill_system(machine, h, v, scratch, linear):
     """Fill A: reduced balance (2/h M - dF/dv) and pressure equations, unknowns (du, dp)."""
     topology, _, E, inertia = machine
@@ -463,7 +463,7 @@ def finish(machines, step, allowed, enough, ends, status, errors, out):
     return beyond
 
 
-@part
+@lean
 def _settle(machine, step, scratch, end, balances, out):
     """Write the pressures that belong to the amounts of oil at the end of a step to out (nx,), at its pose with all
     joints closed.

@@ -35,8 +35,7 @@ def compile_for(*parts: Part) -> None:
     """Compile what these parts of the program need, unless that has been done for these sources and effects.
 
     Args:
-        parts: the engines, what checks recordings, the filter (on the first engine that is named), and what fits and
-            compares.
+        parts: the engines, what checks recordings, the filter, and what fits and compares.
     """
     with compiling(*parts):
         pass
@@ -79,14 +78,12 @@ def _mark(part: Part) -> Path:
 
 
 def _sides(parts: tuple[Part, ...]) -> list[tuple[Part, ...]]:
-    """Return the parts in groups that share little: one process each.
-
-    What fits is built on the semi-recursive engine; the filter works on either.
+    """Return the parts in groups that share little: one process each. Filter and fit are built on the semi-recursive
+    engine.
     """
-    fitted: tuple[Part, ...] = ("semi-recursive", "fit") if "exudyn" in parts else ("semi-recursive", "filter", "fit")
-    rest = tuple(p for p in fitted if p in parts)
-    other = tuple(p for p in ("check", "exudyn", "filter") if p in parts and p not in fitted)
-    return [side for side in (rest, other) if side]
+    groups: tuple[tuple[Part, ...], ...] = (("semi-recursive", "filter", "fit"), ("check", "exudyn"))
+    sides = [tuple(p for p in group if p in parts) for group in groups]
+    return [side for side in sides if side]
 
 
 def _attempt(*parts: Part) -> None:
@@ -113,12 +110,11 @@ def _run_each(parts: tuple[Part, ...]) -> None:
 
     whole = with_the_package()[0]
     recording = whole.window(0.0, _SHORT)
-    engine: EngineName = "exudyn" if "exudyn" in parts else "semi-recursive"
     for part in parts:
         if part == "check":
             vet(whole, Crane.load(DEFAULT_CRANE))
         elif part == "filter":
-            _estimate(engine, recording)
+            _estimate(recording)
         elif part == "fit":
             _compare(recording)
         else:
@@ -141,13 +137,13 @@ def _simulate(engine: EngineName, recording: Recording) -> None:
     holder.propagate(run.states[:2], np.tile(crane.layout.closed, (2, 1)), 1e-3)
 
 
-def _estimate(engine: EngineName, recording: Recording) -> None:
+def _estimate(recording: Recording) -> None:
     from crane_exudyn.crane import Crane
     from ukf.estimator import Estimator
 
     crane = Crane.load(DEFAULT_CRANE)
-    Estimator(crane, engine).run(recording)
-    Estimator(crane, engine, method="ekf").run(recording.window(recording.start, recording.start + _STEPS))
+    Estimator(crane, "semi-recursive").run(recording)
+    Estimator(crane, "semi-recursive", method="ekf").run(recording.window(recording.start, recording.start + _STEPS))
 
 
 def _compare(recording: Recording) -> None:

@@ -47,10 +47,10 @@ def test_each_part_is_compiled_once(asked: list[tuple[str, ...]]) -> None:
     assert asked == [("semi-recursive",)]
     compiling.compile_for("exudyn", "semi-recursive", "filter", "fit")
     compiling.compile_for("exudyn", "fit")
-    assert asked[1:] == [("semi-recursive", "fit"), ("exudyn", "filter")]
+    assert asked[1:] == [("semi-recursive", "filter", "fit"), ("exudyn",)]
 
 
-def test_the_filter_is_compiled_on_the_engine_that_is_asked_for(asked: list[tuple[str, ...]]) -> None:
+def test_what_shares_much_is_compiled_in_one_process(asked: list[tuple[str, ...]]) -> None:
     compiling.compile_for("check", "semi-recursive", "filter", "fit")
     assert asked == [("semi-recursive", "filter", "fit"), ("check",)]
 
@@ -154,6 +154,24 @@ def test_code_compiled_in_two_processes_is_not_mixed_up(tmp_path: Path) -> None:
 
     twice, thrice = "made.called_twice(1.0)", "made.called_thrice(1.0)"
     assert [*said(twice), *said(thrice)] == said(twice, thrice)
+
+
+@compiled.njit(cache=False)
+def _squared(x: float) -> float:
+    return x * x
+
+
+@compiled.njit(cache=False)
+def _sum_of_squares(x: float, y: float) -> float:
+    return _squared(x) + _squared(y)
+
+
+def test_machine_code_is_made_only_of_what_python_calls() -> None:
+    assert _sum_of_squares(2.0, 3.0) == 13.0
+    assert _sum_of_squares.signatures
+    assert not _squared.signatures
+    assert _squared(4.0) == 16.0
+    assert _squared.signatures
 
 
 def test_compiled_functions_have_names_of_their_own() -> None:

@@ -32,7 +32,7 @@ import math
 
 import numpy as np
 
-from crane_exudyn.compiled import inner, part
+from crane_exudyn.compiled import lean, njit
 from crane_exudyn.effects import hooks
 from crane_exudyn.machine import CYLINDERS, TIP_BODY
 
@@ -95,7 +95,7 @@ def add_joint_forces(x, w, t, E, s):
         s.general[JOINTS, i] = dot(by, force) + hooks.joint_torque(E, i, x[n + i], x[i]) + disturbance(w, i, s)
 
 
-@part
+@lean
 def balance(x, w, t, P, E, s):
     """Write the rest of M z'' = Qg + Qv + Qh + Qj (12) and of (34), coupled as in (20), where mechanics and oil are in
     the sheet.
@@ -123,7 +123,7 @@ def balance(x, w, t, P, E, s):
         s.numbers[0, SWINGING] = own / s.numbers[0, PENDULUM]
 
 
-@part
+@lean
 def at_pressures(x, w, t, P, E, s):
     """Write all terms at a state x (nx,)."""
     place(x, P, s)
@@ -132,7 +132,7 @@ def at_pressures(x, w, t, P, E, s):
     balance(x, w, t, P, E, s)
 
 
-@part
+@lean
 def at_amounts(x, N, w, t, P, E, s):
     """Write the same for amounts of oil N (2n,) instead of the pressures in x, which are replaced by what follows from
     N.
@@ -143,7 +143,7 @@ def at_amounts(x, N, w, t, P, E, s):
     balance(x, w, t, P, E, s)
 
 
-@part
+@lean
 def settle_pressures(x, N, P, E, s):
     """Write the pressures that follow from the amounts of oil N (2n,) at the pose in x to x."""
     place(x, P, s)
@@ -170,7 +170,7 @@ def amounts(s, N):
         N[2 * c], N[2 * c + 1] = s.numbers[first + c, OIL_A + AMOUNT], s.numbers[first + c, OIL_B + AMOUNT]
 
 
-@inner
+@njit
 def at_rest(x, P, E, s):
     """Write the terms at a state x of which only the coordinates count, without motion, at time 0: weights, the
     joints' torques, and the force on the payload's point.
@@ -187,7 +187,7 @@ def at_rest(x, P, E, s):
         )
 
 
-@part
+@lean
 def chamber_lengths(x, P, E, s, out):
     """Write the lengths of all chambers (2n,) at a state x to out; negative: beyond the stroke's end."""
     place(x, P, s)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from crane_exudyn.compiled import part
+from crane_exudyn.compiled import lean
 from crane_exudyn.effects import hooks
 from crane_exudyn.machine import CYLINDERS, LOADED
 
@@ -105,7 +105,7 @@ def root_flow(dp, laminar):
     return dp / math.sqrt(laminar)
 
 
-@part
+@lean
 def pump_edge(c, pp, P, E, s):
     """Flow from the pump through valve c: into the piston side where it is open that way (u > 0), or into the rod
     side.
@@ -121,7 +121,7 @@ def pump_edge(c, pp, P, E, s):
     return hooks.supply_gain(E, c, drop) * P[i] * edge * abs(u) * root_flow(drop, P[LAMINAR])
 
 
-@part
+@lean
 def tank_edge(c, pt, P, E, s):
     """Flow to the tank through valve c: out of the rod side where it is open that way (u > 0), or out of the piston
     side.
@@ -133,7 +133,7 @@ def tank_edge(c, pt, P, E, s):
     return gain * P[i] * edge * abs(u) * root_flow(own - pt, P[LAMINAR])
 
 
-@part
+@lean
 def pump_gap(p, nominal, P, E, s):
     """How far the pressure p is above what the supply gives at the flow that p drives; the flows remain in the
     sheet.
@@ -145,7 +145,7 @@ def pump_gap(p, nominal, P, E, s):
     return p - hooks.supply_pressure(E, nominal, total)
 
 
-@part
+@lean
 def tank_gap(p, nominal, P, E, s):
     first, total = first_cylinder(s), 0.0
     for c in range(s.topology[0, CYLINDERS]):
@@ -159,7 +159,7 @@ def _balanced(gap, doc):
     it tried last.
     """
 
-    @part
+    @lean
     def balanced(nominal, P, E, s):
         a, fa = nominal, gap(nominal, nominal, P, E, s)
         if fa == 0.0:
@@ -221,7 +221,7 @@ def pulled_oil(y, empty, Al, Vh, f):
     return Oil(y, f.least, empty.amount + pull * soft, k * soft, k + pull * f.soft, k)
 
 
-@part
+@lean
 def oil_at(y, Al, Vh, f, E):
     """Return the Oil of a chamber of volume Al with a hose of volume Vh, where the state says y for its pressure.
 
@@ -239,7 +239,7 @@ def oil_at(y, Al, Vh, f, E):
     return there if y >= f.least else pulled_oil(y, there, Al, Vh, f)
 
 
-@part
+@lean
 def oil_of(N, Al, Vh, guess, f, E):
     """Return the Oil of a chamber that holds the amount N: the inverse of `oil_at`, in closed form where there is no
     gas.
@@ -264,7 +264,7 @@ def oil_of(N, Al, Vh, guess, f, E):
     return there
 
 
-@part
+@lean
 def chambers_at(c, s, ya, yb, f, P, E):
     """Return the Chambers of cylinder c at pin-to-pin length s and the state's pressures ya, yb.
 
@@ -281,7 +281,7 @@ def chambers_at(c, s, ya, yb, f, P, E):
     )
 
 
-@part
+@lean
 def chambers_of(c, s, Na, Nb, ya, yb, f, P, E):
     """Return the Chambers that hold the amounts Na, Nb; ya, yb: a guess of their pressures.
 
@@ -316,7 +316,7 @@ def piston_areas(i, P):
     return Aa, Aa - 0.25 * math.pi * P[i + ROD] * P[i + ROD]
 
 
-@part
+@lean
 def friction(P, i, v):
     """Friction force (19) of the cylinder whose block begins at i, with the sign of v."""
     x = v / P[i + STRIBECK]
@@ -333,7 +333,7 @@ def keep(k, first, o, s):
     s.numbers[k, first + DENSITY] = o.density
 
 
-@part
+@lean
 def read_pressures(x, P, E, s):
     """Write the oil of all chambers at the pressures of a state x that is placed."""
     first, n, f = first_cylinder(s), s.topology[0, CYLINDERS], fluid(P, E)
@@ -344,7 +344,7 @@ def read_pressures(x, P, E, s):
         keep(first + c, OIL_B, b, s)
 
 
-@part
+@lean
 def read_amounts(x, N, P, E, s):
     """Write the oil of all chambers that hold the amounts N (2n,) at a state x that is placed, and its pressures to
     x.
@@ -394,7 +394,7 @@ def cylinder(c, flow_a, flow_b, P, E, s):
     s.numbers[k, FMU], s.numbers[k, SPEED_LA], s.numbers[k, GA], s.numbers[k, GB] = Fmu, v, Ga, Gb
 
 
-@part
+@lean
 def held_pressures(c, s, F, less_loaded, P, E):
     """Return pa, pb of cylinder c that give the force F at rest, the lower of the two being `less_loaded`.
 

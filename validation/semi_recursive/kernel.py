@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crane_exudyn.compiled import inner, njit, part
+from crane_exudyn.compiled import lean, njit
 from crane_exudyn.machine import CYLINDERS
 from crane_exudyn.step_control import (
     MOST_HALVINGS,
@@ -96,7 +96,7 @@ HALVED, ERROR, ALLOWED, PATIENCE, LEVEL, LIMIT, BEFORE, PARTS, LOOSE = range(9)
 PATIENT = 3.0
 
 
-@inner
+@njit
 def places_of(nx, n):
     """Return where positions (the coordinates, the pendulum's angle) and their rates stand in x; the other primary
     variables are amounts.
@@ -107,13 +107,13 @@ def places_of(nx, n):
     return places
 
 
-@inner
+@njit
 def point(nx, n):
     """Return an empty Point."""
     return Point(np.empty(nx), np.empty(2 * n), np.empty(nx))
 
 
-@inner
+@njit
 def workspace(topology, nx, n_inputs):
     """Return the Work of a machine with nx states and n_inputs inputs."""
     n, levels = topology[0, CYLINDERS], MOST_HALVINGS + 1
@@ -134,7 +134,7 @@ def copy(source, target):
         target[i] = source[i]
 
 
-@part
+@lean
 def factorise(A, pivot):
     """Replace A by its LU factors with row exchanges `pivot`; False if A is singular or not finite."""
     n = A.shape[0]
@@ -156,7 +156,7 @@ def factorise(A, pivot):
     return True
 
 
-@part
+@lean
 def solve_factorised(A, pivot, b):
     """Replace b by the solution of the system whose factors `factorise` left in A."""
     n = A.shape[0]
@@ -172,7 +172,7 @@ def solve_factorised(A, pivot, b):
         b[k] /= A[k, k]
 
 
-@part
+@lean
 def begin(p, w, t, P, E, s):
     """Fill amounts and rates of a Point from its state."""
     at_pressures(p.x, w, t, P, E, s)
@@ -180,7 +180,7 @@ def begin(p, w, t, P, E, s):
     rates(p.x, s, p.g)
 
 
-@part
+@lean
 def settle(p, w, t, P, E, s):
     """Fill pressures and rates of a Point from its positions, rates and amounts; then the amounts as the pressures have
     them.
@@ -190,7 +190,7 @@ def settle(p, w, t, P, E, s):
     rates(p.x, s, p.g)
 
 
-@part
+@lean
 def end_rates(start, end, h, places):
     """Write the rates at the end of a step that its positions ask for (22)."""
     for i in range(places.shape[0]):
@@ -198,7 +198,7 @@ def end_rates(start, end, h, places):
         end.x[r] = 2.0 / h * (end.x[k] - start.x[k]) - start.x[r]
 
 
-@part
+@lean
 def residual(start, end, w1, t1, h, P, E, work, r):
     """Write the residual (23) of the step to r, completing the end from its positions and amounts.
 
@@ -210,7 +210,7 @@ def residual(start, end, w1, t1, h, P, E, work, r):
     defects(start, end, h, work, r)
 
 
-@part
+@lean
 def residual_of_amounts(start, end, w1, t1, h, P, E, work, r):
     """Write the residual (23) to r where only amounts differ from what was evaluated last: positions and mass matrix
     stand.
@@ -220,7 +220,7 @@ def residual_of_amounts(start, end, w1, t1, h, P, E, work, r):
     defects(start, end, h, work, r)
 
 
-@part
+@lean
 def defects(start, end, h, work, r):
     """Write what the sheet's rates leave of the residual (23) to r."""
     places = work.places
@@ -233,7 +233,7 @@ def defects(start, end, h, work, r):
         r[n + i] = (end.N[i] - start.N[i] - 0.5 * h * (start.g[first + i] + end.g[first + i])) / AMOUNT
 
 
-@part
+@lean
 def tangent(start, base, w1, t1, h, P, E, work, level):
     """Renew the factorised tangent matrix by forward differences (25), (26) around the end of the step, whose residual,
     the last evaluated, is `base`; False if it is singular.
@@ -258,7 +258,7 @@ def tangent(start, base, w1, t1, h, P, E, work, level):
     return good
 
 
-@part
+@lean
 def predict(start, h, work):
     """Write a first guess of the primary variables to the end of the step: rates go on as they changed in the part
     before.
@@ -275,7 +275,7 @@ def predict(start, h, work):
         end.N[i] = start.N[i] + h * (start.g[k] + 0.5 * bend * (start.g[k] - work.past[k]))
 
 
-@part
+@lean
 def change_size(n, r, h, loosely):
     """Return the largest change, n of positions and then of amounts, in units of its tolerance in a step h, which is so
     many times the usual one; NaN if any is not a number.
@@ -290,7 +290,7 @@ def change_size(n, r, h, loosely):
     return largest
 
 
-@part
+@lean
 def newton(start, w1, t1, h, P, E, work, level):
     """Solve one trapezoidal step from the Point `start` for `work.end` (24), pressures left out; False if it does not
     converge.
@@ -325,7 +325,7 @@ def newton(start, w1, t1, h, P, E, work, level):
     return False
 
 
-@part
+@lean
 def local_error(start, w0, w1, t0, h, P, E, work, level):
     """Return the local error of the step from `start` to `work.end` in units of `step_control.*_ERROR`.
 
@@ -386,7 +386,7 @@ def of_position(start, end, rate, h):
     return -h * h / 12.0 * (start.g[rate] - end.g[rate])
 
 
-@part
+@lean
 def middle_rates(start, w0, w1, t0, h, P, E, work):
     """Fill `work.moved` with the state in the middle of the step, by Hermite's interpolation, and its rates."""
     end, middle, w, first = work.end, work.moved, work.w[2], 2 * work.sheet.topology[0, CYLINDERS]
@@ -404,7 +404,7 @@ def middle_rates(start, w0, w1, t0, h, P, E, work):
     rates(middle.x, work.sheet, middle.g)
 
 
-@part
+@lean
 def defect_size(defect, h, start, end, P, work):
     """Return the largest of the defects of rates and amounts, and of those of the positions, in units of
     `step_control.*_ERROR`.
@@ -424,13 +424,13 @@ def defect_size(defect, h, start, end, P, work):
     return worst
 
 
-@part
+@lean
 def between(w0, w1, share, w):
     for k in range(w.size):
         w[k] = w0[k] if share == 0.0 else (w1[k] if share == 1.0 else w0[k] + share * (w1[k] - w0[k]))
 
 
-@part
+@lean
 def try_step(now, wa, wb, t, h, P, E, work, level):
     """Take one step from `now` to `work.end`, pressures left out; return OK or why it has to be halved."""
     if not newton(now, wb, t + h, h, P, E, work, level):
@@ -461,7 +461,7 @@ def forget(work):
     work.said[LEVEL], work.said[BEFORE] = 0.0, 0.0
 
 
-@part
+@lean
 def advance(now, w0, w1, t0, h, P, E, work, last):
     """Move the Point `now` by h in place; a step that fails is halved, and its halves again. Return a status.
 
@@ -495,7 +495,7 @@ def advance(now, w0, w1, t0, h, P, E, work, last):
     return OK
 
 
-@inner
+@njit
 def run(x0, first, end, W, time, step, P, E, topology, allowed, most, X):
     """Write states from sample `first` to the last one before `end` to X (N, nx), as `simulate_each` does; return a
     status, the sample before the step that failed, and halved steps.

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from crane_exudyn.compiled import part
+from crane_exudyn.compiled import lean
 from crane_exudyn.effects import hooks
 from crane_exudyn.machine import (
     BASE,
@@ -223,7 +223,7 @@ def place_lines(P, s):
         s.numbers[k, LENGTH] = length
 
 
-@part
+@lean
 def place(x, P, s):
     """Write the positions of all bodies and cylinders at a state x, loops being closed."""
     s.vectors[0, TURN], s.vectors[0, FRAME] = 1.0, 0.0
@@ -537,7 +537,7 @@ def solve(s):
         s.general[ACCELERATION, i] -= force * s.general[PIVOT, i]
 
 
-@part
+@lean
 def mechanics(x, t, P, E, s):
     """Write everything that does not depend on pressures and inputs at a state x that is placed: motions, M, weights,
     velocities.

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crane_exudyn.compiled import inner, njit
+from crane_exudyn.compiled import njit
 from crane_exudyn.effects.registry import slots_of
 from crane_exudyn.machine import CYLINDERS
 from crane_exudyn.parameters import CYLINDER, FLUID, N_CYLINDER, PAYLOAD
@@ -85,7 +85,7 @@ class Sweep(NamedTuple):
     halved: int
 
 
-@inner
+@njit
 def tangents_at(here, w, t, P, E, s, Y, G, moved):
     """Write Y = dN/dx (2n, nx) in AMOUNT and G = dg/dx (nx, nx) around the Point that was filled last, by forward
     differences.
@@ -130,13 +130,13 @@ def in_units(i, n, rate):
     return rate / AMOUNT if holds_oil(i, n) else rate
 
 
-@inner
+@njit
 def add_rows(target, factor, source):
     for c in range(target.size):
         target[c] += factor * source[c]
 
 
-@inner
+@njit
 def solve_columns(A, pivot, R):
     """Replace R (n, M) by the solution of the system whose LU factors are in A."""
     n = A.shape[0]
@@ -155,7 +155,7 @@ def solve_columns(A, pivot, R):
             R[k, c] *= factor
 
 
-@inner
+@njit
 def right_side(S, Y, G, h, R):
     """Write (dy/dx + h/2 G) S to R."""
     n = Y.shape[0]
@@ -170,7 +170,7 @@ def right_side(S, Y, G, h, R):
                 add_rows(R[i], 0.5 * h * G[i, j], S[j])
 
 
-@inner
+@njit
 def left_factors(Y, G, h, L, pivot):
     """Write the LU factors of dy/dx - h/2 G to L; False if singular."""
     n = Y.shape[0]
@@ -223,12 +223,12 @@ class Moving(NamedTuple):
     inputs: np.ndarray
 
 
-@inner
+@njit
 def new_tangents(nx, chambers, m):
     return Tangents(np.empty((chambers, nx)), np.empty((nx, nx)), np.zeros((chambers, m)), np.zeros((nx, m)))
 
 
-@inner
+@njit
 def new_moving(topology, nx, m, columns, n_inputs):
     """Return the arrays of a sweep with `columns` sensitivities, of which the last may be transitions."""
     n = topology[0, CYLINDERS]
@@ -239,7 +239,7 @@ def new_moving(topology, nx, m, columns, n_inputs):
     )  # fmt: skip
 
 
-@inner
+@njit
 def evaluate(base, v, k, share, t, into):
     """Fill v.now from its state, at `share` of the way from sample k to k + 1, and the tangents there with those of the
     probes.
@@ -252,7 +252,7 @@ def evaluate(base, v, k, share, t, into):
             tangents_at(v.now, v.inputs[2], t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
 
 
-@inner
+@njit
 def take_probes(base, v, k, share, t, bodies, into):
     """Write b and c of the probes whose bodies differ from the base's, or of those whose do not: then its mechanics
     must stand in the sheet.
@@ -277,7 +277,7 @@ def take_probes(base, v, k, share, t, bodies, into):
             into.b[i, j] = in_units(i, now.N.size, probed.g[i] - now.g[i]) / base.delta[j]
 
 
-@inner
+@njit
 def add_probe(j, h, n, first, second, column):
     """Add c0 - c1 + h/2 (b0 + b1) of probe j to a column (nx,); n chambers."""
     for i in range(column.size):
@@ -286,7 +286,7 @@ def add_probe(j, h, n, first, second, column):
             column[i] += first.c[i - n, j] - second.c[i - n, j]
 
 
-@inner
+@njit
 def linear_step(base, h, first, second, v):
     """Move the sensitivities over one step between two tangents; False if a system is singular."""
     nx, m, n, R = v.now.x.size, base.delta.size, v.now.N.size, v.R
@@ -300,12 +300,12 @@ def linear_step(base, h, first, second, v):
     return True
 
 
-@inner
+@njit
 def copy_tangents(source, target):
     target.Y[:], target.G[:], target.c[:], target.b[:] = source.Y, source.G, source.c, source.b
 
 
-@inner
+@njit
 def step_part(base, k, done, level, v, work):
     """Move the state by a part of the step that begins at `done` (in steps) of sample k; return a status and the length
     of the part, s. A part that is not OK leaves it where it is.
@@ -325,7 +325,7 @@ def step_part(base, k, done, level, v, work):
     return status, h
 
 
-@inner
+@njit
 def advance_sample(base, k, v, work):
     """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a
     status.
@@ -350,7 +350,7 @@ def advance_sample(base, k, v, work):
     return OK
 
 
-@inner
+@njit
 def begin_window(base, k, start, v, work):
     """Set the state anew at sample k, sensitivities to identity and zeros, and forget the tangent of earlier
     windows.
@@ -364,7 +364,7 @@ def begin_window(base, k, start, v, work):
     forget(work)
 
 
-@inner
+@njit
 def set_identity(S, first):
     """Set the nx columns of S from `first` on to the identity."""
     for i in range(S.shape[0]):
@@ -372,7 +372,7 @@ def set_identity(S, first):
             S[i, first + j] = 1.0 if i == j else 0.0
 
 
-@inner
+@njit
 def run_window(first, end, v, base, work, X, S, Phi):
     """Move states and sensitivities from sample `first`, at which v stands, to the last one before `end`; return a
     status, and the sample before the step that failed.

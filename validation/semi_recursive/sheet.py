@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from crane_exudyn import parameters as par
-from crane_exudyn.compiled import inner, part
+from crane_exudyn.compiled import lean, njit
 from crane_exudyn.machine import BODIES, CYLINDERS, LOOPS
 
 #: a part that becomes one with what calls it
-inline = part(forceinline=True)
+inline = lean(forceinline=True)
 
 # Places in P. They stand here as plain integers because compiled code reads globals as constants.
 PAYLOAD, FLUID, SUPPLY, GRAVITY = par.PAYLOAD, par.FLUID, par.SUPPLY, par.GRAVITY
@@ -67,7 +67,7 @@ class Sheet(NamedTuple):
     general: np.ndarray
 
 
-@inner
+@njit
 def sheet(topology):
     """Return an empty Sheet of a machine."""
     rows, n = topology.shape[0], topology[0, CYLINDERS]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from crane_exudyn.compiled import inner, njit
+from crane_exudyn.compiled import njit
 from crane_exudyn.machine import BODIES, CARRIER, COORDINATE, CYLINDERS, GROUND, Machine
 
 from .equations import at_pressures
@@ -82,12 +82,12 @@ def point_rows(machine: Machine) -> np.ndarray:
     return np.array([(row[body], machine.index[f"{p}.x"]) for p, body in machine.points.items()], dtype=np.int64)
 
 
-@inner
+@njit
 def _angle(e):
     return math.atan2(e.imag, e.real)
 
 
-@inner
+@njit
 def _fill_motion(P, points, s, out, k):
     """Write points, angles and dependent coordinates to out from place k on; return the place behind them."""
     for i in range(points.shape[0]):
@@ -104,7 +104,7 @@ def _fill_motion(P, points, s, out, k):
     return k
 
 
-@inner
+@njit
 def _fill_cylinders(P, s, out, k):
     first, n = first_cylinder(s), s.topology[0, CYLINDERS]
     for row in range(first, first + n):
@@ -122,7 +122,7 @@ def _fill_cylinders(P, s, out, k):
     return k
 
 
-@inner
+@njit
 def _fill_chamber(c, side, P, s, out, k):
     row, i, oil = first_cylinder(s) + c, CYLINDER + N_CYLINDER * c, OIL_A if side == 0 else OIL_B
     length = s.numbers[row, LA] if side == 0 else P[i + RANGE] - s.numbers[row, LA]
@@ -133,7 +133,7 @@ def _fill_chamber(c, side, P, s, out, k):
     return k + 6
 
 
-@inner
+@njit
 def pressure_rate(c, side, P, s):
     """Return the rate of a state's pressure, (34): N_p y' = G - N_V A v, A v being the growth of the volume."""
     row, oil = first_cylinder(s) + c, OIL_A if side == 0 else OIL_B
@@ -141,7 +141,7 @@ def pressure_rate(c, side, P, s):
     return (s.numbers[row, GA + side] - s.numbers[row, oil + BY_VOLUME] * growth) / s.numbers[row, oil + BY_PRESSURE]
 
 
-@inner
+@njit
 def _fill_balance(s, out, k):
     n = s.topology[0, CYLINDERS]
     for i in range(n):
