@@ -67,10 +67,8 @@ def command(
         result = added(chosen, with_typical(chosen, effect, values_given), recording="", evidence=0.0)
         _write(printer, result, output, json, {"effect": effect})
         return
-    from validation.history import refuse_present
     from validation.selection.fitted import fitted_effect, helped
 
-    refuse_present(chosen, effect)
     [measured] = load_checked([fit], chosen, mapping, map_file, anyway=anyway, needs=("semi-recursive", "fit"))
     with doing(f"fitting {effect} to {fit}"):
         result, document = fitted_effect(chosen, effect, measured, values_given)
@@ -143,11 +141,10 @@ def _parse(crane: Crane, key: str, entries: list[str]) -> dict[str, float]:
     from crane_exudyn.effects import registry
     from crane_exudyn.errors import nearest
     from crane_exudyn.units import to_si
-    from validation.history import refuse_curve
+    from validation.history import refuse_addition
 
+    refuse_addition(crane, key)
     effect, place = registry.split_key(key, crane.layout)
-    if effect.curve is not None:
-        refuse_curve(key)
     units = {p.name: unit_at(p.unit, place, crane.layout) for p in effect.parameters}
     found = {}
     for entry in entries:

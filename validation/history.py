@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NoReturn
+from typing import Any
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.crane_toml import as_given
@@ -113,15 +113,13 @@ def moved_in_words(before: Crane, after: Crane) -> str:
     return ", ".join(texts) + f", and {len(names) - _LISTED} more by smaller amounts" * (len(names) > _LISTED)
 
 
-def refuse_curve(key: str) -> NoReturn:
-    """Raise CraneError for an effect that is no set of numbers that could be given or fitted."""
-    raise CraneError(
-        f"{key!r} is a curve: `patu learn` finds it. To give one, write its table (over, x, y) into the crane file."
-    )
-
-
-def refuse_present(crane: Crane, key: str) -> None:
-    """Raise CraneError for an effect that a crane has."""
+def refuse_addition(crane: Crane, key: str) -> None:
+    """Raise CraneError for an effect that a crane has, or that is no set of numbers that could be given or fitted."""
+    effect, _ = registry.split_key(key, crane.layout)
+    if effect.curve is not None:
+        raise CraneError(
+            f"{key!r} is a curve: `patu learn` finds it. To give one, write its table (over, x, y) into the crane file."
+        )
     if crane.effect(key) is not None:
         raise CraneError(f"{crane.label} has {key!r} already. Remove it first, or fit it again with `patu improve`.")
 
@@ -130,9 +128,7 @@ def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
     """Return the crane with an effect at the given values, or where none are given at values that are met in
     practice.
     """
+    refuse_addition(crane, key)
     effect, _ = registry.split_key(key)
-    refuse_present(crane, key)
-    if effect.curve is not None:
-        refuse_curve(key)
     typical = dict(effect.probes[0]) if effect.probes else {effect.parameters[0].name: effect.parameters[0].typical}
     return crane.with_effect(key, dict(values) or typical)

@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from crane_exudyn.crane import Crane
-from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.vetting import vetted
 
 from ..criteria import CRITERIA
 from ..fit.staged import LOOSE, STIFF, TIGHT
-from ..history import added, refuse_present
+from ..history import added, refuse_addition
 from .model import Model, at_bound, fitted, open_loop_error
 from .moves import scaled, starts
 from .screen import screen
@@ -37,9 +36,7 @@ def fitted_effect(
     Raises:
         CraneError: no such effect, the crane has it already, or the recording cannot be true.
     """
-    if registry.split_key(key, crane.layout)[0].curve is not None:
-        raise CraneError(f"{key!r} is a curve, which has no typical size to be fitted from. Find it with `patu learn`.")
-    refuse_present(crane, key)
+    refuse_addition(crane, key)
     recording = vetted(recording, crane)
     problem = Problem.of(crane, [recording], (), jobs=1)
     offered = [s for s in starts(crane, problem.data) if s.key == key]
