@@ -195,7 +195,7 @@ class Faulty(SemiRecursiveEngine):
 
 def plain(module: types.ModuleType, text: str, **given: object) -> dict[str, object]:
     """Return what a text defines that compiles nothing, in the place of a module."""
-    text = re.sub(r" *@(inline|inner|njit|part)\n(?= *def )", "", text)
+    text = re.sub(r" *@(inline|lean|njit)\n(?= *def )", "", text)
     found = {"__name__": module.__name__, "__package__": module.__package__, **given}
     exec(compile(text, "faulty", "exec"), found)
     return found
