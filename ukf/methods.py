@@ -19,6 +19,8 @@ _LEASH = 3.0
 #: step of the EKF's slopes in standard deviations of the first belief: far above the engines' solver tolerance, far
 #: below any curvature
 INCREMENT = 1e-3
+#: steps after which the simplex is mirrored: in between, its points hardly move, and engines keep what stays the same
+_TURN = 8
 METHODS = ("ukf", "sr-ukf", "ckf", "simplex", "ekf")
 
 
@@ -154,8 +156,8 @@ def method_of(name: str, std: np.ndarray, constants: Sequence[int] = (), near: b
     if name == "ckf":
         return SigmaPoints((cubature(std.size),))
     if name == "simplex":
-        # mirrored from one step to the next, so that what third moments do to the mean takes turns
-        return SigmaPoints((simplex(std.size), simplex(std.size, -1.0)))
+        # what third moments do to the mean takes turns
+        return SigmaPoints((simplex(std.size),) * _TURN + (simplex(std.size, -1.0),) * _TURN)
     if name == "sr-ukf":
         return SquareRoot(merwe(std.size, alpha))
     if name == "ekf":
