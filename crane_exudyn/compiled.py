@@ -32,11 +32,6 @@ from numba.np import arrayobj
 
 from .effects import registry
 
-# LLVM's first level of optimisation instead of numba's third, unless the user asks for another: compiling takes a
-# sixth less, and the semi-recursive engine runs a fifth faster (docs/estimator-findings.md): its loops are over a few
-# bodies and cylinders and gain nothing from being unrolled. numba looks here before it compiles; workers inherit it.
-os.environ.setdefault("NUMBA_OPT", "1")
-
 _ROOT = Path(__file__).resolve().parent.parent
 _FOUNDATION = "crane_exudyn"
 #: how numba names functions of this project's packages
