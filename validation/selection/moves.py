@@ -100,6 +100,12 @@ def _moment_of(effect: type[Effect]) -> Parameter | None:
     return next((p for p in effect.parameters if p.moment), None)
 
 
+def moment_of(start: Start) -> float | None:
+    """Return the moment from which on a start acts, s; None for an effect without a moment of its own."""
+    timed = _moment_of(registry.split_key(start.key)[0])
+    return None if timed is None else start.values.get(timed.name)
+
+
 def around(start: Start) -> list[Start]:
     """Return starts at moments close to that of a start, to either side; none for an effect without a moment of its
     own.
@@ -110,14 +116,6 @@ def around(start: Start) -> list[Start]:
     steps = round(CRITERIA.moments / 2 / CRITERIA.closer)
     moments = [start.values[timed.name] + k * CRITERIA.closer for k in range(-steps, steps + 1) if k]
     return [Start(start.key, {**start.values, timed.name: t}, start.two_sided) for t in moments if t >= timed.lower]
-
-
-def apart(start: Start, other: Start) -> bool:
-    """Whether two starts of an effect are more than the same one looked at closely: at moments of their own."""
-    timed = _moment_of(registry.split_key(start.key)[0])
-    if timed is None or not {timed.name} <= set(start.values) & set(other.values):
-        return True
-    return abs(start.values[timed.name] - other.values[timed.name]) > CRITERIA.moments
 
 
 def of_typical_size(key: str, values: Mapping[str, float]) -> dict[str, float]:

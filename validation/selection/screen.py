@@ -22,7 +22,7 @@ from ..fit.linear import linearised
 from ..fit.model import Model, model_of
 from ..fit.solve import Fit, Reduced, reduce, with_prior
 from ..workers import single_threaded
-from .moves import Start, apart, around, of_typical_size, sizes, starts
+from .moves import Start, around, moment_of, of_typical_size, sizes, starts
 
 #: hooks by which oil or a mount gets softer, thousandfold perhaps: no slope tells what follows, only a run of the
 #: softer machine, since a little of it has nearly the whole effect
@@ -69,22 +69,46 @@ def screen(fit: Fit, starts: Sequence[Start], stiffness: float) -> list[Score]:
 
 
 def screened(fit: Fit, stiffness: float) -> list[Score]:
-    """Return the screen of all starts at a fit, best first; what happens at a moment is looked at more closely around
-    the best one, and around the best of those that are well away from it.
+    """Return the screen of all starts at a fit, best first; of what happens at a moment only the moments that promise
+    more than those beside them, of which the best two of an effect are looked at more closely.
 
-    A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins.
+    A machine that rings has a minimum of its cost once a period: the fit finds only the one where it begins. While a
+    machine rests, many moments promise alike.
     """
-    found = screen(fit, starts(fit.crane, fit.data), stiffness)
-    best = best_starts(found)
-    seconds = best_starts([s for s in found if any(_rivals(s, b) for b in best)])
-    closer = [start for score in [*best, *seconds] for start in around(score.start)]
-    return sorted([*found, *screen(fit, closer, stiffness)], key=lambda s: -s.gain) if closer else found
+    found = tops(screen(fit, starts(fit.crane, fit.data), stiffness))
+    closer = [(top, more) for top in _leading(found) if (more := around(top.start))]
+    if not closer:
+        return found
+    seen = screen(fit, [start for _, more in closer for start in more], stiffness)
+    best = [max(top, *(s for s in seen if s.start in more), key=_gain) for top, more in closer]
+    rest = [s for s in found if all(s is not top for top, _ in closer)]
+    return sorted([*rest, *best], key=_gain, reverse=True)
 
 
-def _rivals(score: Score, best: Score) -> bool:
-    """Whether a start of the same effect promises nearly as much as the best one, well away from it."""
-    alike = score.start.key == best.start.key and score.gain > CRITERIA.twice * best.gain
-    return alike and apart(score.start, best.start)
+def _gain(score: Score) -> float:
+    return score.gain
+
+
+def tops(scores: Sequence[Score]) -> list[Score]:
+    """Return the scores, of effects with a moment those that promise at least as much as the moments beside them."""
+    found = [s for s in scores if moment_of(s.start) is None]
+    for key in dict.fromkeys(s.start.key for s in scores if moment_of(s.start) is not None):
+        own = sorted((s for s in scores if s.start.key == key), key=lambda s: moment_of(s.start) or 0.0)
+        gains = [-np.inf, *map(_gain, own), -np.inf]
+        found += [s for s, before, after in zip(own, gains, gains[2:], strict=False) if s.gain >= max(before, after)]
+    return sorted(found, key=_gain, reverse=True)
+
+
+def _leading(scores: Sequence[Score]) -> list[Score]:
+    """Return the best two starts of each effect that promises something, the second where it promises nearly as much;
+    best first.
+    """
+    chosen: list[Score] = []
+    for score in (s for s in scores if s.gain >= CRITERIA.promise):
+        same = [c for c in chosen if c.start.key == score.start.key]
+        if not same or (len(same) < 2 and score.gain > CRITERIA.twice * same[0].gain):
+            chosen.append(score)
+    return chosen
 
 
 def _softens(start: Start) -> bool:
@@ -140,7 +164,7 @@ def likely(scores: Sequence[Score], most: int, least: float) -> list[Score]:
             break
         most_of_one = 2 if score.gain > CRITERIA.twice * scores[0].gain else 1
         same = [c.start for c in chosen if c.start.key == score.start.key]
-        if len(same) < most_of_one and all(apart(start, score.start) for start in same):
+        if len(same) < most_of_one:
             chosen.append(score)
     unsized = {c.start.key for c in chosen if _stops(c.start) or (c.amplitude > 1.0 and not sizes(c.start.key))}
     return [*chosen, *(s for s in scores if s.start.key in unsized and s not in chosen)]
