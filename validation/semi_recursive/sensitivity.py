@@ -59,9 +59,6 @@ from .sheet import Sheet, sheet
 POSITION_EPSILON, RATE_EPSILON, PRESSURE_EPSILON = 1e-6, 1e-6, 1e2
 #: hooks that `mechanics` calls
 MECHANICAL = frozenset({"gravity", "payload_mass", "pendulum"})
-#: s between two looks at the probes where steps are shorter, at least: a load-holding valve that swings takes 6000
-#: steps a second
-PROBED = 5e-4
 #: amounts of oil are counted in this unit, m^3: an angle of 1 rad moves some of it
 AMOUNT = 1e-3
 
@@ -243,15 +240,12 @@ def new_moving(topology, nx, m, columns, n_inputs):
 
 
 @njit
-def evaluate(base, v, k, share, t, into, probing):
-    """Fill v.now from its state, at `share` of the way from sample k to k + 1, and the tangents there, also those of
-    the probes if `probing`.
+def evaluate(base, v, k, share, t, into):
+    """Fill v.now from its state, at `share` of the way from sample k to k + 1, and the tangents there with those of the
+    probes.
     """
     between(base.W_all[0, k], base.W_all[0, min(k + 1, base.W_all.shape[1] - 1)], share, v.inputs[2])
     begin(v.now, v.inputs[2], t, base.P, base.E, v.sheet)
-    if not probing:
-        tangents_at(v.now, v.inputs[2], t, base.P, base.E, v.sheet, into.Y, into.G, v.moved)
-        return
     for bodies in (False, True):  # written as two calls, each is compiled for its constant
         take_probes(base, v, k, share, t, bodies, into)  # first those for which the mechanics of the base stand
         if not bodies:
@@ -284,25 +278,21 @@ def take_probes(base, v, k, share, t, bodies, into):
 
 
 @njit
-def add_probe(j, h, held, n, first, second, column):
-    """Add c0 - c1 + h/2 (b0 + b1) of probe j to a column (nx,); n chambers. Over `held` seconds before the step b0 was
-    added, as if b had stayed; what its change adds follows: held/2 (b1 - b0).
-    """
+def add_probe(j, h, n, first, second, column):
+    """Add c0 - c1 + h/2 (b0 + b1) of probe j to a column (nx,); n chambers."""
     for i in range(column.size):
-        column[i] += 0.5 * ((h - held) * first.b[i, j] + (h + held) * second.b[i, j])
+        column[i] += 0.5 * h * (first.b[i, j] + second.b[i, j])
         if holds_oil(i, n):
             column[i] += first.c[i - n, j] - second.c[i - n, j]
 
 
 @njit
-def linear_step(base, h, held, first, second, v):
-    """Move the sensitivities over one step between two tangents; False if a system is singular. For `held` seconds
-    before it no probe was looked at.
-    """
+def linear_step(base, h, first, second, v):
+    """Move the sensitivities over one step between two tangents; False if a system is singular."""
     nx, m, n, R = v.now.x.size, base.delta.size, v.now.N.size, v.R
     right_side(v.S, first.Y, first.G, h, R)
     for j in range(m):
-        add_probe(j, h, held, n, first, second, R[:, nx + j])
+        add_probe(j, h, n, first, second, R[:, nx + j])
     if not left_factors(second.Y, second.G, h, v.L, v.pivot):
         return False
     solve_columns(v.L, v.pivot, R)
@@ -340,19 +330,15 @@ def advance_sample(base, k, v, work):
     """Move state and sensitivities from sample k to k + 1; a step that fails is halved, and its halves again. Return a
     status.
     """
-    done, level, held = 0.0, int(work.said[LEVEL]), 0.0  # in steps; held in s
+    done, level = 0.0, int(work.said[LEVEL])  # in steps
     while done < base.substeps:
         status, h = step_part(base, k, done, level, v, work)
         if status == OK:
             done += 0.5**level
             end = done / base.substeps
-            probing = done >= base.substeps or held + h >= PROBED
-            evaluate(base, v, k, end, base.t0 + (k + end) * base.h, v.after, probing)
-            if not probing:
-                v.after.b[:], v.after.c[:] = v.before.b, v.before.c
-            if not linear_step(base, h, held if probing else 0.0, v.before, v.after, v):
+            evaluate(base, v, k, end, base.t0 + (k + end) * base.h, v.after)
+            if not linear_step(base, h, v.before, v.after, v):
                 return NOT_CONVERGED
-            held = 0.0 if probing else held + h
             copy_tangents(v.after, v.before)
             level = next_level(level, done, h, work.said[ERROR], work.said[ALLOWED])
         elif level < MOST_HALVINGS:
@@ -372,7 +358,7 @@ def begin_window(base, k, start, v, work):
     v.now.x[:] = start
     v.S[:] = 0.0
     set_identity(v.S, 0)
-    evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before, True)
+    evaluate(base, v, k, 0.0, base.t0 + k * base.h, v.before)
     work.made[:] = 0.0
     work.said[PARTS] = 0.0
     forget(work)
