@@ -16,17 +16,14 @@ from .crane import Crane, checked_crane
 from .description import number
 from .effects import hooks
 from .errors import CraneError, counted
-from .item_values import ItemValues
+from .item_values import ItemValues, round_to_spread
 from .row_values import RowValues
 from .static_start import static_start
-from .step_control import MOST_HALVINGS, enough_to_grow, limit, next_level
+from .step_control import MOST_HALVINGS, enough_to_grow, is_rough, limit, next_level
 
 _MOST_ITERATIONS = 15
 #: systems that are kept for further steps, one a batch size
 _MOST_SYSTEMS = 6
-#: parameters that differ from row to row are rounded to this share of their standard deviation, at most; a filter's
-#: estimates then move by less than a hundredth of theirs
-_ROUNDING = 1 / 64
 
 
 class ExudynEngine:
@@ -117,7 +114,9 @@ class ExudynEngine:
         """
         P, E = np.tile(self._P, (w.shape[1], 1)), np.tile(self._E, (w.shape[1], 1))
         self._row_values.fill(parameters, P, E, w)
-        return (_rounded(P) if _is_rough(self.accuracy) else P), E
+        if is_rough(self.accuracy):
+            round_to_spread(P)
+        return P, E
 
     def simulate(self, x0: np.ndarray, time: np.ndarray, inputs: np.ndarray, *, step: float = 1e-3) -> np.ndarray:
         """Return the states (N, nx) at `time`, from x0 at time[0].
@@ -301,24 +300,6 @@ class ExudynEngine:
         )
 
 
-def _is_rough(accuracy: float) -> bool:
-    """Whether steps may err by more than usual; those that are not judged are solved as well as those judged best."""
-    return 1.0 < accuracy < math.inf
-
-
-def _rounded(P: np.ndarray) -> np.ndarray:
-    """Return parameters (n, .) rounded to a small part of how far they differ from row to row.
-
-    From step to step a filter's sigma points move by less. What stays the same need not be set in Exudyn's items again,
-    which otherwise takes more time than the step itself.
-    """
-    spread = P.std(axis=0)
-    varied = spread > 0.0
-    unit = np.exp2(np.floor(np.log2(_ROUNDING * spread[varied])))  # the same while the spread hardly changes
-    P[:, varied] = unit * np.round(P[:, varied] / unit)
-    return P
-
-
 def _check_grid(names: tuple[str, ...], t: np.ndarray, w: np.ndarray, step: float) -> None:
     if t.ndim != 1 or t.size < 1 or w.shape != (t.size, len(names)):
         raise CraneError(
@@ -376,7 +357,7 @@ class System:
     """A kept Exudyn system of n cranes and the solver that assembles its residuals."""
 
     def __init__(self, crane: Crane, size: int, accuracy: float) -> None:
-        self._tolerance = trapezoidal.ROUGHLY * accuracy if _is_rough(accuracy) else trapezoidal.TOLERANCE
+        self._tolerance = trapezoidal.ROUGHLY * accuracy if is_rough(accuracy) else trapezoidal.TOLERANCE
         self._container, self.mbs = mechanism.main_system()
         states = np.tile(mechanism.start_pose(crane), (size, 1))
         self.plant = mechanism.build(self.mbs, crane, states=states, graphics=False)

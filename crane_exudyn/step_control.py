@@ -7,6 +7,8 @@ length, and so on.
 
 from __future__ import annotations
 
+import math
+
 from .compiled import njit
 
 #: largest local error of a step: rad, rad/s, and of an amount what this pressure (Pa) presses into the oil of its
@@ -19,6 +21,14 @@ MOST_HALVINGS = 14
 _SHORT, _SHARED = 1e-3, 0.25
 #: parts halved so often may have all of it: the error of a jump falls only as fast as they get shorter
 _JUMP = 12
+
+
+@njit
+def is_rough(allowed):
+    """Return whether steps may err by more than usual, so that they are solved roughly. Steps without a limit, which
+    nobody judges, are solved as well as those that are judged best.
+    """
+    return 1.0 < allowed < math.inf
 
 
 @njit

@@ -138,13 +138,11 @@ def _fit_text(before: Crane, after: Crane, key: str, document: Mapping[str, Any]
 
 def _parse(crane: Crane, key: str, entries: list[str]) -> dict[str, float]:
     from crane_exudyn.crane_toml import unit_at
-    from crane_exudyn.effects import registry
     from crane_exudyn.errors import nearest
     from crane_exudyn.units import to_si
-    from validation.history import refuse_addition
+    from validation.history import addable
 
-    refuse_addition(crane, key)
-    effect, place = registry.split_key(key, crane.layout)
+    effect, place = addable(crane, key)
     units = {p.name: unit_at(p.unit, place, crane.layout) for p in effect.parameters}
     found = {}
     for entry in entries:

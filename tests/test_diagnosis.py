@@ -123,14 +123,19 @@ def test_moments_around_the_best_one_are_looked_at_more_closely():
 
 
 def test_a_moment_is_begun_at_a_second_one_well_away_from_the_best_and_not_beside_it():
-    """Of a machine at rest the moments beside the best promise nearly as much; seeds 197226, 197450."""
-    found = [
-        Score(Start("tip_contact_force", {"F": 500.0, "T": t}, two_sided=True), gain, -1.7)
-        for t, gain in ((4.5, 2345.0), (4.0, 2344.0), (6.5, 2289.0), (6.0, 2286.0), (5.5, 2100.0), (9.0, 900.0))
-    ]
-    assert [s.start.values["T"] for s in likely(tops(found), CRITERIA.singles, CRITERIA.promise)] == [4.5, 6.5]
+    """Seed 197226: 4.465 s beside 4.5 s came to the same fit, and that at 6.5 s was never made. Seed 197450: of a
+    machine at rest the moments beside the best promise nearly as much.
+    """
+
+    def begun(*promised: tuple[float, float]) -> list[float]:
+        found = [Score(Start("tip_contact_force", {"F": 500.0, "T": t}, two_sided=True), g, -1.7) for t, g in promised]
+        return [s.start.values["T"] for s in likely(tops(found), CRITERIA.singles, CRITERIA.promise)]
+
+    assert begun((4.5, 2345.0), (4.465, 2344.0), (6.5, 2289.0), (6.0, 2286.0), (9.0, 900.0)) == [4.5, 6.5]
+    rest = (9.5, 1544.0), (10.0, 1543.0), (10.5, 1537.0), (7.0, 1519.0), (7.5, 1518.0), (9.0, 1498.0)
+    assert begun(*rest) == [9.5, 7.0]
     leaks = [Score(Start("internal_leakage@lift", {"k": k}), 100.0, 1.0) for k in (1e-12, 2e-12, 4e-12)]
-    assert likely(tops(leaks), CRITERIA.singles, CRITERIA.promise) == leaks[:2]
+    assert likely(leaks, CRITERIA.singles, CRITERIA.promise) == leaks[:2]
 
 
 # -- what a path means -----------------------------------------------------------------------------------------------

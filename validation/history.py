@@ -11,6 +11,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.crane_toml import as_given
 from crane_exudyn.description import GaussMarkov
 from crane_exudyn.effects import registry
+from crane_exudyn.effects.base import Effect
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.frozen import frozen
 from crane_exudyn.parameters import unit_of
@@ -113,22 +114,26 @@ def moved_in_words(before: Crane, after: Crane) -> str:
     return ", ".join(texts) + f", and {len(names) - _LISTED} more by smaller amounts" * (len(names) > _LISTED)
 
 
-def refuse_addition(crane: Crane, key: str) -> None:
-    """Raise CraneError for an effect that a crane has, or that is no set of numbers that could be given or fitted."""
-    effect, _ = registry.split_key(key, crane.layout)
+def addable(crane: Crane, key: str) -> tuple[type[Effect], str]:
+    """Return an effect that can be added to a crane, and its place.
+
+    Raises:
+        CraneError: there is no such effect, the crane has it, or it is no set of numbers that could be given or fitted.
+    """
+    effect, place = registry.split_key(key, crane.layout)
     if effect.curve is not None:
         raise CraneError(
             f"{key!r} is a curve: `patu learn` finds it. To give one, write its table (over, x, y) into the crane file."
         )
     if crane.effect(key) is not None:
         raise CraneError(f"{crane.label} has {key!r} already. Remove it first, or fit it again with `patu improve`.")
+    return effect, place
 
 
 def with_typical(crane: Crane, key: str, values: Mapping[str, float]) -> Crane:
     """Return the crane with an effect at the given values, or where none are given at values that are met in
     practice.
     """
-    refuse_addition(crane, key)
-    effect, _ = registry.split_key(key)
+    effect, _ = addable(crane, key)
     typical = dict(effect.probes[0]) if effect.probes else {effect.parameters[0].name: effect.parameters[0].typical}
     return crane.with_effect(key, dict(values) or typical)

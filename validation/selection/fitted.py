@@ -13,7 +13,7 @@ from crane_exudyn.vetting import vetted
 
 from ..criteria import CRITERIA
 from ..fit.staged import LOOSE, STIFF, TIGHT
-from ..history import added, refuse_addition
+from ..history import addable, added
 from .model import Model, at_bound, fitted, open_loop_error
 from .moves import scaled, starts
 from .screen import screen
@@ -34,9 +34,9 @@ def fitted_effect(
     """Return the crane with an effect fitted from every start that the effect offers, and what the fit found.
 
     Raises:
-        CraneError: no such effect, the crane has it already, or the recording cannot be true.
+        CraneError: as `addable`, or the recording cannot be true.
     """
-    refuse_addition(crane, key)
+    addable(crane, key)
     recording = vetted(recording, crane)
     problem = Problem.of(crane, [recording], (), jobs=1)
     offered = [s for s in starts(crane, problem.data) if s.key == key]

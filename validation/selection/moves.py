@@ -88,7 +88,7 @@ def _values(effect: type[Effect], first: Parameter, data: Data, length: float) -
     if along is not None:
         places = (length + away for away in PLACES)  # a fit may have moved the pins far
         return [{first.name: size, along.name: x} for x in places if along.lower <= x <= along.upper]
-    timed = _moment_of(effect)
+    timed = _timing(effect)
     if timed is None:
         return [{first.name: size}]
     begin, end, apart = float(data.time[0]), float(data.time[-1]), CRITERIA.moments
@@ -96,13 +96,13 @@ def _values(effect: type[Effect], first: Parameter, data: Data, length: float) -
     return [{first.name: size, timed.name: float(t)} for t in (begin, *times)]
 
 
-def _moment_of(effect: type[Effect]) -> Parameter | None:
+def _timing(effect: type[Effect]) -> Parameter | None:
     return next((p for p in effect.parameters if p.moment), None)
 
 
 def moment_of(start: Start) -> float | None:
     """Return the moment from which on a start acts, s; None for an effect without a moment of its own."""
-    timed = _moment_of(registry.split_key(start.key)[0])
+    timed = _timing(registry.split_key(start.key)[0])
     return None if timed is None else start.values.get(timed.name)
 
 
@@ -110,11 +110,11 @@ def around(start: Start) -> list[Start]:
     """Return starts at moments close to that of a start, to either side; none for an effect without a moment of its
     own.
     """
-    timed = _moment_of(registry.split_key(start.key)[0])
-    if timed is None or timed.name not in start.values:
+    timed, moment = _timing(registry.split_key(start.key)[0]), moment_of(start)
+    if timed is None or moment is None:
         return []
     steps = round(CRITERIA.moments / 2 / CRITERIA.closer)
-    moments = [start.values[timed.name] + k * CRITERIA.closer for k in range(-steps, steps + 1) if k]
+    moments = [moment + k * CRITERIA.closer for k in range(-steps, steps + 1) if k]
     return [Start(start.key, {**start.values, timed.name: t}, start.two_sided) for t in moments if t >= timed.lower]
 
 

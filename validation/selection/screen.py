@@ -91,11 +91,17 @@ def _gain(score: Score) -> float:
 
 def tops(scores: Sequence[Score]) -> list[Score]:
     """Return the scores, of effects with a moment those that promise at least as much as the moments beside them."""
-    found = [s for s in scores if moment_of(s.start) is None]
-    for key in dict.fromkeys(s.start.key for s in scores if moment_of(s.start) is not None):
-        own = sorted((s for s in scores if s.start.key == key), key=lambda s: moment_of(s.start) or 0.0)
-        gains = [-np.inf, *map(_gain, own), -np.inf]
-        found += [s for s, before, after in zip(own, gains, gains[2:], strict=False) if s.gain >= max(before, after)]
+    found, timed = list[Score](), dict[str, list[tuple[float, Score]]]()
+    for score in scores:
+        moment = moment_of(score.start)
+        if moment is None:
+            found.append(score)
+        else:
+            timed.setdefault(score.start.key, []).append((moment, score))
+    for own in timed.values():
+        ordered = [score for _, score in sorted(own, key=lambda pair: pair[0])]
+        gains = [-np.inf, *map(_gain, ordered), -np.inf]
+        found += [s for k, s in enumerate(ordered) if s.gain >= max(gains[k], gains[k + 2])]
     return sorted(found, key=_gain, reverse=True)
 
 
@@ -103,12 +109,10 @@ def _leading(scores: Sequence[Score]) -> list[Score]:
     """Return the best two starts of each effect that promises something, the second where it promises nearly as much;
     best first.
     """
-    chosen: list[Score] = []
-    for score in (s for s in scores if s.gain >= CRITERIA.promise):
-        same = [c for c in chosen if c.start.key == score.start.key]
-        if not same or (len(same) < 2 and score.gain > CRITERIA.twice * same[0].gain):
-            chosen.append(score)
-    return chosen
+    best = {score.start.key: score for score in best_starts(scores)}
+    seconds = best_starts([s for s in scores if s is not best.get(s.start.key)])
+    rivals = [s for s in seconds if s.gain > CRITERIA.twice * best[s.start.key].gain]
+    return sorted([*best.values(), *rivals], key=_gain, reverse=True)
 
 
 def _softens(start: Start) -> bool:

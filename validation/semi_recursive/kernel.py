@@ -28,6 +28,7 @@ from crane_exudyn.step_control import (
     PRESSURE_ERROR,
     RATE_ERROR,
     enough_to_grow,
+    is_rough,
     limit,
     next_level,
 )
@@ -577,7 +578,7 @@ def propagate_batch(states, W0, W1, t0, dt, n, P, E, topology, allowed=1.0):
     out = np.empty_like(states)
     work, now = workspace(topology, nx, W0.shape[1]), point(nx, topology[0, CYLINDERS])
     work.said[ALLOWED] = allowed
-    if 1.0 < allowed < math.inf:  # without a limit steps are solved all the same
+    if is_rough(allowed):
         work.said[LOOSE] = ROUGHLY * allowed
     wa, wb = np.empty(W0.shape[1]), np.empty(W0.shape[1])
     h = dt / n
