@@ -13,8 +13,9 @@ import pytest
 from crane_exudyn.crane import Crane
 from crane_exudyn.engine import ExudynEngine
 from crane_exudyn.errors import CraneError
+from crane_exudyn.signals import noise_std
 from crane_exudyn.statics import visible
-from validation import hidden, hidden_plant, study
+from validation import hidden, hidden_machines, hidden_plant, study
 from validation.json_lines import read_lines
 
 CRANE = Crane.load("patu655")
@@ -80,7 +81,7 @@ def test_every_effect_has_severities_inside_its_range() -> None:
     manoeuvre = hidden.draw_manoeuvre(rng)
     for key in hidden.hideable(hidden.SENSOR_SETS[0]):
         for _ in range(20):
-            CRANE.with_effect(key, hidden.severity(key, CRANE, manoeuvre, rng))  # refuses values out of range
+            CRANE.with_effect(key, hidden.severity(key, CRANE, manoeuvre.start, rng))  # refuses values out of range
     assert {k.partition("@")[0] for k in hidden.hideable(hidden.SENSOR_SETS[0])} == set(hidden.SEVERITIES)
     assert "sensor_bias@p2" not in hidden.hideable(hidden.SENSOR_SETS[1])
 
@@ -321,3 +322,29 @@ def test_a_study_goes_on_where_it_was_interrupted(tmp_path: Any) -> None:
     study.run(results, [(n, task, (n,)) for n in ("a", "b")])
     assert called == ["b"]
     assert [line["name"] for line in read_lines(results)] == ["a", "b"]
+
+
+# -- other machines --------------------------------------------------------------------------------------------------
+
+
+def test_a_case_of_another_machine_is_drawn_from_its_seed_and_as_visible_as_promised() -> None:
+    case = hidden_machines.make_case(7)
+    (key,), nominal = case.answer["effects"], case.nominal
+    assert nominal.name == case.answer["crane"] in hidden_machines.MACHINES and nominal.effect(key) is None
+    assert case.answer["visibility"][key] >= study.PROMISED
+    again = hidden_machines.make_case(7)
+    for name, std in hidden_machines.noise_of(nominal).items():
+        assert np.array_equal(case.check[name].values, again.check[name].values)
+        assert noise_std(case.learn[name].values) == pytest.approx(std, rel=0.2), name
+
+
+def test_results_of_other_machines_are_counted_by_machine() -> None:
+    lines = [
+        _line("a", "effect", [LEAK], _found("effect", [LEAK], value=2e-12)),
+        _line("b", "none", [], _found("effect", [LEAK])),
+    ]
+    for line, machine in zip(lines, ("loader", "excavator"), strict=True):
+        line["answer"]["crane"] = machine
+    rows = hidden_machines.table(lines).splitlines()
+    assert next(r for r in rows if "loader" in r).split("|")[2:5] == [" 1 of 1 (100 %) ", " - ", " - "]
+    assert next(r for r in rows if "excavator" in r).split("|")[2:5] == [" - ", " 0 of 1 (0 %) ", " - "]

@@ -27,7 +27,15 @@ from .fit.solve import Fit
 from .fit.variables import NominalDirection
 from .report import amount, evidence_difference, three_digits
 from .selection.lean import leaner
-from .selection.model import Fitted, best_of_each, every_parameter, misled, together
+from .selection.model import (
+    Fitted,
+    best_of_each,
+    every_parameter,
+    misled,
+    open_loop_error,
+    parameters_of,
+    together,
+)
 from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .selection.white import WHITE, WhitePath
@@ -92,6 +100,8 @@ class Diagnosis:
             all of a recording goes astray in them; nan elsewhere.
         misses_check: whether what explains the recording does not predict the check recording; then the verdict is
             "unknown".
+        left_open: open-loop error on the check recording with what the recordings leave open of the chosen effects
+            fitted to it, where what was found leaves much there, and that little; nan elsewhere.
     """
 
     recording: str
@@ -114,6 +124,7 @@ class Diagnosis:
     late: float = 0.0
     seconds: float = 0.0
     misses_check: bool = False
+    left_open: float = math.nan
     recordings: tuple[Mapping[str, Any], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -299,7 +310,8 @@ def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] 
         next_manoeuvre=problem.telling(lean.fit.crane, verdict.ties[0].fit.crane) if verdict.ties else "",
         notes=(*verdict.notes, *notes), late=lean.fit.late,
     )  # fmt: skip
-    result = held_to_runs(_between_stretches(_with_errors(result, path, check), problem, lean))
+    result = _between_stretches(_with_errors(result, path, check), problem, lean)
+    result = held_to_runs(_with_what_is_open(result, lean, check))
     if result.verdict == "unknown" and not result.misses_check:
         result = _with_what_is_left(result, path, check)
     return result
@@ -313,7 +325,7 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
     """
     after, before = d.check_error_after, d.check_error_before
     drifts = np.fmin(d.error_after, d.between) > CRITERIA.misled
-    if d.verdict == "unknown" or not (drifts or misled(before, after)):
+    if d.verdict == "unknown" or not (drifts or misled(before, np.fmin(after, d.left_open))):
         return d
     found = _choice(d)
     note = (
@@ -332,6 +344,28 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
             for r in d.recordings
         ),
     )  # fmt: skip
+
+
+def _with_what_is_open(d: Diagnosis, w: Fitted, check: Recording | None) -> Diagnosis:
+    """Return the diagnosis; where much is left of the check recording, and the recordings tell next to nothing of some
+    parameters of its effects, with the error that these, fitted to the check recording, leave there, and a note, if
+    that is little.
+
+    A valve that was opened one way only tells nothing of its other side, on which the check recording may depend.
+    """
+    free = w.undetermined if d.effects else []
+    if not free or check is None or not d.check_error_after > CRITERIA.misled:
+        return d
+    error, fit = open_loop_error(w.fit.crane, check, own=w.fit.data.own, free=free)
+    if error > CRITERIA.left_level:
+        return d
+    values = [f"{v.name} = {amount(parameters_of(fit.crane, v.key)[v.parameter.name], v.parameter.unit)}" for v in free]
+    note = (
+        f"the recording leaves {' and '.join(v.name for v in free)} open; fitted to the check recording "
+        f"({', '.join(values)}), that leaves {error:.3g} instead of {d.check_error_after:.3g} times the noise there: "
+        "learn from both"
+    )
+    return replace(d, left_open=error, notes=(note, *d.notes))
 
 
 def _choice(d: Diagnosis) -> str:

@@ -23,6 +23,7 @@ from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError
 from crane_exudyn.geometry import pose
+from crane_exudyn.layout import Layout
 from crane_exudyn.machine_toml import usual_layout
 from crane_exudyn.measurement import Measurement
 from crane_exudyn.recording import Recording
@@ -65,12 +66,14 @@ class HiddenCase:
         answer: "verdict" and "effects" as a right diagnosis gives them; "parameters" of each effect; "machine"
             parameters that are not nominal; "visibility": by how many noise standard deviations (RMS, best channel)
             each of these moves the learn recording; and what else was drawn.
+        nominal: what its crane file says.
     """
 
     seed: int
     learn: Recording
     check: Recording
     answer: dict[str, Any]
+    nominal: Crane
 
 
 # -- severities ------------------------------------------------------------------------------------------------------
@@ -103,7 +106,7 @@ def _stuck(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, floa
 
 
 def _bias(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:
-    size = math.radians(log_uniform(rng, 0.05, 5.0)) if about["place"][0] == "z" else log_uniform(rng, 0.3e5, 20e5)
+    size = log_uniform(rng, 0.3e5, 20e5) if about["unit"] == "Pa" else math.radians(log_uniform(rng, 0.05, 5.0))
     return {"b": _sign(rng) * size}
 
 
@@ -139,19 +142,25 @@ SEVERITIES: Mapping[str, Draw] = {
 }
 
 
-def hideable(sensors: Sequence[str]) -> list[str]:
-    """Return "name@place" of every effect that can be drawn, faults of sensors that are not recorded left out."""
-    keys = [k for k in registry.all_keys(usual_layout()) if k.partition("@")[0] in SEVERITIES]
+def hideable(sensors: Sequence[str], layout: Layout | None = None) -> list[str]:
+    """Return "name@place" of every effect that can be drawn for a machine (by default the PATU 655), faults of sensors
+    that are not recorded left out.
+    """
+    keys = [k for k in registry.all_keys(layout or usual_layout()) if k.partition("@")[0] in SEVERITIES]
     return [k for k in keys if not k.startswith("sensor_") or k.partition("@")[2] in sensors]
 
 
-def severity(key: str, crane: Crane, manoeuvre: Manoeuvre, rng: np.random.Generator) -> dict[str, float]:
-    """Return parameters (SI) of an effect as drawn for a machine; `manoeuvre` is the one that is learned from."""
+def severity(key: str, crane: Crane, start: Sequence[float], rng: np.random.Generator) -> dict[str, float]:
+    """Return parameters (SI) of an effect as drawn for a machine; what is learned from begins at the coordinates
+    `start`.
+    """
     name, _, place = key.partition("@")
-    about = {"place": place, "payload": crane["payload.mass"]}
+    about: dict[str, Any] = {"payload": crane["payload.mass"]}
     if place in crane.layout.cylinders:
-        pin_to_pin = pose(crane, manoeuvre.z1, manoeuvre.z4).lengths[0, crane.layout.cylinders.index(place)]
+        pin_to_pin = pose(crane, *start).lengths[0, crane.layout.cylinders.index(place)]
         about["length"] = float(pin_to_pin) - crane[f"cylinders.{place}.empty_length"]
+    if place in crane.layout.sensors:
+        about["unit"] = crane.layout.sensors[place].unit
     return SEVERITIES[name](rng, about)
 
 
@@ -172,6 +181,11 @@ class Manoeuvre:
     z4: float
     less_loaded: tuple[float, float]
     corners: tuple[tuple[np.ndarray, np.ndarray], ...]
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """The coordinates at the start."""
+        return self.z1, self.z4
 
     def driven(self) -> tuple[np.ndarray, np.ndarray]:
         """Return all corner times (n,) and the commands (n, 2) there, linear between."""
@@ -445,7 +459,7 @@ def _try_case(seed: int, s: _Setting) -> HiddenCase:
         return _unknown_case(seed, s, manoeuvres)
     machine = s.machine
     for key in s.keys:
-        machine = machine.with_effect(key, severity(key, machine, manoeuvres[0], s.rng))
+        machine = machine.with_effect(key, severity(key, machine, manoeuvres[0].start, s.rng))
     seen = _seen(s, machine, manoeuvres[0])
     _draft(machine, manoeuvres[1])
     runs = [_exact(machine, s, m) for m in manoeuvres]
@@ -575,7 +589,7 @@ def _recorded(
         answer |= {
             f"{part}_start": {"z1": manoeuvre.z1, "z4": manoeuvre.z4, "less_loaded": list(manoeuvre.less_loaded)}
         }
-    return HiddenCase(seed, recordings[0].window(0.0, s.learned), recordings[1], answer)
+    return HiddenCase(seed, recordings[0].window(0.0, s.learned), recordings[1], answer, s.nominal)
 
 
 # -- many, as files --------------------------------------------------------------------------------------------------

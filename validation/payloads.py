@@ -64,7 +64,7 @@ def _recorded(machine: Crane, seed: int, rng: np.random.Generator) -> tuple[Cran
     if seed % 2:
         names = [k for k in hidden.hideable(CHANNELS) if not k.startswith(("end_stop", "payload_", "sensor_"))]
         key = str(rng.choice(names))
-        machine = machine.with_effect(key, hidden.severity(key, machine, manoeuvre, rng))
+        machine = machine.with_effect(key, hidden.severity(key, machine, manoeuvre.start, rng))
     states = hidden.run_machine(machine, SemiRecursiveEngine(machine), manoeuvre)
     every = slice(None, None, 1000 // RATE)
     time = np.arange(len(states)) * 1e-3

@@ -70,7 +70,7 @@ def folder_case(folder: Path, name: str) -> HiddenCase:
     answer = json.loads((folder / "answers.json").read_text(encoding="utf-8"))[name]
     learn, check = (Recording.load(folder / f"{name}_{part}.csv") for part in ("learn", "check"))
     seed = name.rpartition("_")[2]
-    return HiddenCase(int(seed) if seed.isdigit() else -1, learn, check, answer)
+    return HiddenCase(int(seed) if seed.isdigit() else -1, learn, check, answer, Crane.load("patu655"))
 
 
 # -- judging one -----------------------------------------------------------------------------------------------------
@@ -141,14 +141,14 @@ def run_one(case: HiddenCase, name: str, jobs: int = 1) -> dict[str, Any]:
 def _diagnosed(case: HiddenCase, jobs: int) -> dict[str, Any]:
     from .diagnosis import diagnose
 
-    return diagnose(Crane.load("patu655"), case.learn, case.check, jobs=jobs).to_dict()
+    return diagnose(case.nominal, case.learn, case.check, jobs=jobs).to_dict()
 
 
 def _improved(case: HiddenCase, jobs: int) -> dict[str, Any]:
     """Return what was added, in the form of a diagnosis."""
     from .improvement import improve
 
-    found = improve(Crane.load("patu655"), case.learn, case.check, jobs=jobs)
+    found = improve(case.nominal, case.learn, case.check, jobs=jobs)
     keys = [e.key for e in found.crane.effects]
     values = {f"{e.key}:{n}": {"value": v} for e in found.crane.effects for n, v in e.parameters.items()}
     first, last = found.steps[0], found.steps[-1]

@@ -22,7 +22,7 @@ from .linear import with_states
 from .model import Model, model_of
 from .solve import Fit, fit, reduce
 from .start import knots_of
-from .variables import NominalDirection, Timing, Variable, principal, uncertain_parameters
+from .variables import EffectVariable, NominalDirection, Timing, Variable, principal, uncertain_parameters
 from .windows import Window, cut
 
 Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -114,7 +114,7 @@ def first_knots(crane: Crane, data: Data, seconds: float = SHORT) -> np.ndarray:
 
 def run_fitted(crane: Crane, data: FitData, variables: Sequence[Variable] = ()) -> Fit:
     """Return the fit of an open-loop run: the crane as it is but for the variables, its first state chosen to explain
-    the recording best.
+    the recording best. Effects begin as large as their variables say, all else as the crane has it.
 
     Where nothing but the start and the clock is looked for, only the beginning is looked at before the run itself.
     """
@@ -122,7 +122,8 @@ def run_fitted(crane: Crane, data: FitData, variables: Sequence[Variable] = ()) 
     stages = START if short else tuple(replace(s, reach=math.inf) for s in START)
     data = data.stepped(stages[0].step)
     knots = knots_of(crane, data, stages[0].windows(data))
-    return staged(crane, data, variables, np.zeros(len(variables)), knots, stages)
+    u = [v.begin if isinstance(v, EffectVariable) else 0.0 for v in variables]
+    return staged(crane, data, variables, np.array(u), knots, stages)
 
 
 @single_threaded()

@@ -78,14 +78,12 @@ def _curve_errors(law: Mapping[str, Any], truth: Mapping[str, Any]) -> tuple[flo
 
 def run_one(case: HiddenCase, name: str) -> dict[str, Any]:
     """Return one line of results."""
-    from crane_exudyn.crane import Crane
-
     from ..learning import learn
 
     began = time.perf_counter()
     line: dict[str, Any] = {"name": name, "answer": case.answer}
     try:
-        found = learn(Crane.load("patu655"), case.learn, case.check, jobs=1).to_dict()
+        found = learn(case.nominal, case.learn, case.check, jobs=1).to_dict()
     except Exception as problem:  # a study must tell of a failure, not end with it
         return line | {"failed": repr(problem), "trace": traceback.format_exc(limit=-4)}
     return line | {"found": found, "judged": judge(case.answer, found), "seconds": time.perf_counter() - began}

@@ -183,6 +183,20 @@ class Fitted:
         return not self.plausible or len(self.far) >= CRITERIA.several
 
     @property
+    def undetermined(self) -> list[EffectParameter]:
+        """Parameters of its effects of which the recordings say next to nothing, as variables that begin where they
+        stand.
+        """
+        spread = zip(self.fit.variables, np.diag(self.fit.cov), strict=True)
+        return [
+            replace(v, start=self.values(v.key)[v.parameter.name])
+            for v, variance in spread
+            if isinstance(v, EffectParameter)
+            and v.key in self.keys
+            and variance >= (1.0 - CRITERIA.informed) * (v.prior if math.isfinite(v.prior) else CRITERIA.broad) ** 2
+        ]
+
+    @property
     def inactive(self) -> set[str]:
         """Effects whose parameters cannot be told from their neutral values."""
         return {key for key in self.keys if self._at_neutral(key)}
@@ -379,7 +393,7 @@ def best_of_each(found: Sequence[F]) -> list[F]:
 
 
 def open_loop_error(
-    crane: Crane, recording: Recording, knots: Fit | None = None, own: Sequence[str] = ()
+    crane: Crane, recording: Recording, knots: Fit | None = None, own: Sequence[str] = (), free: Sequence[Variable] = ()
 ) -> tuple[float, Fit]:
     """Return the RMS error over all samples, in noise units, of an open-loop run of which only the start is fitted, and
     that fit.
@@ -392,12 +406,12 @@ def open_loop_error(
         recording: what it is held against.
         knots: a fit of this crane to this recording, from which to start; guessed from the measurements if there is
             none.
-        own: nominal parameters that are fitted with the start, where no fit is given.
+        own, free: nominal parameters, and variables, that are fitted with the start, where no fit is given.
     """
     data = FitData.of(recording, crane)
     variables: list[Variable] = [timing_of(data)]
     if knots is None:
-        variables += [v for v in uncertain_parameters(crane) if v.name in own]
+        variables += [*(v for v in uncertain_parameters(crane) if v.name in own), *free]
         fit = run_fitted(crane, data, variables)
     else:
         fit = staged(crane, data, variables, np.array([knots.late / timing_of(data).scale]), knots, (WHOLE,))
