@@ -1,6 +1,7 @@
 """The diagnosis on recordings of an independent simulation, whose answers are open; and its refusals."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from validation.fit.data import FitData
 from validation.fit.staged import STIFF, WHOLE
 from validation.fitness import check_check
 from validation.hidden_machines import recorded
+from validation.reports import Examined, after_diagnosis
 from validation.selection.moves import Start, around, starts
 from validation.selection.screen import Score, likely, tops
 from validation.selection.search import Round, silent
@@ -436,8 +438,12 @@ def test_what_the_recording_leaves_open_is_no_contradiction_to_the_check_recordi
     found = diagnose(crane, learn, check, jobs=1)
     assert found.verdict == "effect" and found.effects == ("dead_band@lift",)
     assert found.crane.effect("dead_band@lift").parameters["upper"] == pytest.approx(0.07, rel=0.1)
-    assert found.check_error_after > 2.0 and found.left_open < 1.1  # what is predicted is told as it is
-    assert "leaves dead_band@lift:lower open" in found.notes[0] and "lower = 0.0" in found.notes[0]
+    assert found.check_error_after > 2.0  # what is predicted is told as it is
+    assert found.left_open == found.notes[0] and "leaves dead_band@lift:lower open" in found.left_open
+    value, left = re.search(r"lower = ([\d.]+)\), that leaves ([\d.]+) instead", found.left_open).groups()
+    assert float(value) == pytest.approx(0.04, rel=0.1) and float(left) < 1.1
+    _, advice = after_diagnosis(found, Examined([learn], check))
+    assert f"improve {learn.name} {check.name}" in advice
 
 
 def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):

@@ -100,8 +100,8 @@ class Diagnosis:
             all of a recording goes astray in them; nan elsewhere.
         misses_check: whether what explains the recording does not predict the check recording; then the verdict is
             "unknown".
-        left_open: open-loop error on the check recording with what the recordings leave open of the chosen effects
-            fitted to it, where what was found leaves much there, and that little; nan elsewhere.
+        left_open: in words, what the recordings leave open of the chosen effects and the check recording tells, where
+            what was found leaves much there, and little with that.
     """
 
     recording: str
@@ -124,7 +124,7 @@ class Diagnosis:
     late: float = 0.0
     seconds: float = 0.0
     misses_check: bool = False
-    left_open: float = math.nan
+    left_open: str = ""
     recordings: tuple[Mapping[str, Any], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -325,7 +325,7 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
     """
     after, before = d.check_error_after, d.check_error_before
     drifts = np.fmin(d.error_after, d.between) > CRITERIA.misled
-    if d.verdict == "unknown" or not (drifts or misled(before, np.fmin(after, d.left_open))):
+    if d.verdict == "unknown" or not (drifts or (misled(before, after) and not d.left_open)):
         return d
     found = _choice(d)
     note = (
@@ -348,8 +348,7 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
 
 def _with_what_is_open(d: Diagnosis, w: Fitted, check: Recording | None) -> Diagnosis:
     """Return the diagnosis; where much is left of the check recording, and the recordings tell next to nothing of some
-    parameters of its effects, with the error that these, fitted to the check recording, leave there, and a note, if
-    that is little.
+    parameters of its effects, with a note if these, fitted to the check recording, leave little there.
 
     A valve that was opened one way only tells nothing of its other side, on which the check recording may depend.
     """
@@ -365,7 +364,7 @@ def _with_what_is_open(d: Diagnosis, w: Fitted, check: Recording | None) -> Diag
         f"({', '.join(values)}), that leaves {error:.3g} instead of {d.check_error_after:.3g} times the noise there: "
         "learn from both"
     )
-    return replace(d, left_open=error, notes=(note, *d.notes))
+    return replace(d, left_open=note, notes=(note, *d.notes))
 
 
 def _choice(d: Diagnosis) -> str:

@@ -343,10 +343,17 @@ def after_diagnosis(d: Diagnosis, examined: Examined | None) -> list[Part]:
     }[d.verdict]  # fmt: skip
     if d.verdict == "parameters" and not d.parameters and any(e.get("parameters") for e in d.recordings):
         todo = "Nothing has to be added to the crane file: the parameters that differ between recordings explain them."
-    if d.misses_check and examined is not None and examined.check is not None:
+    if examined is not None and examined.check is not None:
         everything = replace(examined, recordings=(*examined.recordings, examined.check), check=None)
-        todo = f"`{everything.command('check')}` checks all recordings: signs, exchanged channels, units."
-    return list(filter(None, (todo, unchecked)))
+        if d.misses_check:
+            todo = f"`{everything.command('check')}` checks all recordings: signs, exchanged channels, units."
+        elif d.left_open:
+            todo = f"`{everything.command('improve')}` learns from all recordings."
+    return list(filter(None, (_as_sentence(d.left_open), todo, unchecked)))
+
+
+def _as_sentence(remark: str) -> str:
+    return f"{remark[0].upper()}{remark[1:].rstrip('.')}." if remark else ""
 
 
 def sureness(d: Diagnosis) -> list[Part]:
@@ -396,7 +403,7 @@ def _details(d: Diagnosis) -> list[Section]:
         wide = ("parameter", "value", "nominal", "unit")
         sections.append(("Details: nominal parameters that changed", [Table(wide, rows, note="± 95 %.")]))
     if d.notes:
-        sections.append(("Details: remarks", [f"{r[0].upper()}{r[1:].rstrip('.')}." for r in d.notes]))
+        sections.append(("Details: remarks", [_as_sentence(r) for r in d.notes]))
     return sections
 
 
