@@ -439,11 +439,13 @@ def test_what_the_recording_leaves_open_is_no_contradiction_to_the_check_recordi
     assert found.verdict == "effect" and found.effects == ("dead_band@lift",)
     assert found.crane.effect("dead_band@lift").parameters["upper"] == pytest.approx(0.07, rel=0.1)
     assert found.check_error_after > 2.0  # what is predicted is told as it is
-    assert found.left_open == found.notes[0] and "leaves dead_band@lift:lower open" in found.left_open
+    assert found.left_open == found.notes[0] and "does not determine dead_band@lift:lower;" in found.left_open
     value, left = re.search(r"lower = ([\d.]+)\), that leaves ([\d.]+) instead", found.left_open).groups()
     assert float(value) == pytest.approx(0.04, rel=0.1) and float(left) < 1.1
     _, advice = after_diagnosis(found, Examined([learn], check))
     assert f"improve {learn.name} {check.name}" in advice
+    alone = diagnose(crane, learn, jobs=1)
+    assert not alone.left_open and "the recording does not determine dead_band@lift:lower" in alone.notes
 
 
 def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):

@@ -347,24 +347,26 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
 
 
 def _with_what_is_open(d: Diagnosis, w: Fitted, check: Recording | None) -> Diagnosis:
-    """Return the diagnosis; where much is left of the check recording, and the recordings tell next to nothing of some
-    parameters of its effects, with a note if these, fitted to the check recording, leave little there.
+    """Return the diagnosis, with a note where the recordings tell next to nothing of some parameters of its effects;
+    where much is left of the check recording, and little with these fitted to it, that is no contradiction.
 
     A valve that was opened one way only tells nothing of its other side, on which the check recording may depend.
     """
     free = w.undetermined if d.effects else []
-    if not free or check is None or not d.check_error_after > CRITERIA.misled:
+    if not free:
         return d
-    error, fit = open_loop_error(w.fit.crane, check, own=w.fit.data.own, free=free)
-    if error > CRITERIA.left_level:
-        return d
-    values = [f"{v.name} = {amount(parameters_of(fit.crane, v.key)[v.parameter.name], v.parameter.unit)}" for v in free]
-    note = (
-        f"the recording leaves {' and '.join(v.name for v in free)} open; fitted to the check recording "
-        f"({', '.join(values)}), that leaves {error:.3g} instead of {d.check_error_after:.3g} times the noise there: "
-        "learn from both"
-    )
-    return replace(d, left_open=note, notes=(note, *d.notes))
+    note = f"the recording does not determine {' and '.join(v.name for v in free)}"
+    if check is not None and d.check_error_after > CRITERIA.misled:
+        error, fit = open_loop_error(w.fit.crane, check, own=w.fit.data.own, free=free)
+        if error < CRITERIA.left_level:
+            found = ((v, parameters_of(fit.crane, v.key)[v.parameter.name]) for v in free)
+            values = ", ".join(f"{v.name} = {amount(value, v.parameter.unit)}" for v, value in found)
+            note += (
+                f"; fitted to the check recording ({values}), that leaves {error:.3g} instead of "
+                f"{d.check_error_after:.3g} times the noise there: learn from both"
+            )
+            d = replace(d, left_open=note)
+    return replace(d, notes=(note, *d.notes))
 
 
 def _choice(d: Diagnosis) -> str:
