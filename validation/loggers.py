@@ -54,9 +54,10 @@ def mistakes(recording: Recording, crane: Crane) -> Iterator[Mistake]:
     lay = crane.layout
     pressures = tuple(n for n in lay.chambers if recording.has(n))
     there = [n for n in lay.coordinates if recording.has(n)]
+    angles = [n for n in there if lay.unit_of(n) == "rad"]
     for n in (*lay.commands, *there):
         yield _changed(f"sign of {_what(crane, n)}", "sign", recording, {n: lambda v: -v})
-    for kind, names in (("commands", lay.commands), ("angles", there), ("pressures", pressures)):
+    for kind, names in (("commands", lay.commands), ("angles", angles), ("pressures", pressures)):
         for a, b in combinations(names, 2):
             together = "of a cylinder" if kind == "pressures" and lay.cylinder_of(a) == lay.cylinder_of(b) else ""
             channels = {**recording.channels, a: recording[b], b: recording[a]}
@@ -66,7 +67,7 @@ def mistakes(recording: Recording, crane: Crane) -> Iterator[Mistake]:
                 frozenset((a, b)),
                 replace(recording, channels=channels),
             )
-    for n in (n for n in there if len(lay.absolute(n)) > 1):
+    for n in (n for n in angles if len(lay.absolute(n)) > 1):
         *carriers, _ = lay.absolute(n)
         base = sum(recording[c].held(recording[n].time) for c in carriers)
         yield _changed(
@@ -87,7 +88,7 @@ def mistakes(recording: Recording, crane: Crane) -> Iterator[Mistake]:
     yield _changed("psi as bar, all pressures", "scale", recording, dict.fromkeys(pressures, lambda v: _PSI * v))
     yield _changed("MPa as bar, all pressures", "scale", recording, dict.fromkeys(pressures, lambda v: 0.1 * v))
     yield _changed("% as share, all commands", "scale", recording, dict.fromkeys(lay.commands, lambda v: 0.01 * v))
-    angle = next(n for n in there if lay.unit_of(n) == "rad")
+    angle = angles[0]
     yield _changed("rad as deg", "scale", recording, {angle: lambda v: math.radians(1.0) * v})
     yield _changed("angle against the vertical", "offset", recording, {angle: lambda v: 0.5 * math.pi - v})
     for late in (-1.0, -0.3, 0.3, 1.0):
@@ -109,7 +110,8 @@ def mistakes(recording: Recording, crane: Crane) -> Iterator[Mistake]:
 
 
 def _what(crane: Crane, name: str) -> str:
-    return "a command" if name in crane.layout.commands else "an angle"
+    units = {"rad": "an angle", "m": "an extension"}
+    return "a command" if name in crane.layout.commands else units[crane.layout.unit_of(name)]
 
 
 def _changed(

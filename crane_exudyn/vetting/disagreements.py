@@ -11,11 +11,11 @@ import numpy as np
 from ..crane import Crane
 from ..mapping import Column
 from ..recording import Recording
-from .balances import LONGEST, Figures, Grid, travels
+from .balances import LONGEST, Figures, Grid, misfits, travels
 from .clocks import Clock, clock_of, mended
 from .corrections import reread, shifted, typed
 from .findings import Finding, Severity
-from .readings import Reading, Weighed, mistaken
+from .readings import Reading, Weighed, closer, mistaken
 
 #: log by which another reading must be better to be reported
 _SEEN = 0.9
@@ -53,7 +53,7 @@ def disagreements(recording: Recording, crane: Crane) -> list[Finding]:
         return []
     machine, columns = Figures(crane), {n: recording.columns.get(n, Column(n)) for n in recording.channels}
     found, clock = _readings_and_clock(machine, grid)
-    chosen, findings = [rivals[0].reading for rivals in found], list[Finding]()
+    chosen, findings = _chosen(found), list[Finding]()
     for rivals in found:
         finding = _misread(recording, crane, rivals[0], _almost_as_likely(rivals, chosen), columns)
         columns |= finding.columns
@@ -65,20 +65,44 @@ def disagreements(recording: Recording, crane: Crane) -> list[Finding]:
 def _readings_and_clock(machine: Figures, grid: Grid) -> tuple[list[list[Weighed]], Clock | None]:
     """Return the readings that a recording asks for, each with its rivals, and the clock of its commands.
 
+    Where a machine goes to and fro, a command of the wrong sign looks like one of another time. So what seems to be a
+    clock is held against readings on the clock as it was recorded.
+    """
+    first = clock_of(machine, grid)  # None: pistons do not follow commands before channels are read otherwise
+    found = _in_turn(machine, grid, first)
+    if first is None or np.max(np.abs(first.lateness(grid.time))) < _EARLY:
+        return found
+    other = _in_turn(machine, grid, None)
+    apart = closer(*(misfits(machine, _as_told(machine, grid, *each)) for each in (found, other)))
+    return other if other[0] and apart > _SEEN else found
+
+
+def _in_turn(machine: Figures, grid: Grid, clock: Clock | None) -> tuple[list[list[Weighed]], Clock | None]:
+    """Return readings and clock, beginning with a clock.
+
     Readings are weighed on the commands' own clock. The clock is judged with the channels as they are read, because
     pistons seem far ahead of commands that belong to another one. So both are looked for in turn until they agree.
     """
-    first = clock = clock_of(machine, grid)  # None: pistons do not follow commands before channels are read otherwise
-    found: list[list[Weighed]] = []
+    first, found = clock, list[list[Weighed]]()
     for _ in range(_TURNS):
         timed = grid if clock is None else mended(grid, clock, machine.layout.commands)
         found = mistaken(machine, timed, _SEEN)
         if not found:
             return [], first
-        before, clock = clock, clock_of(machine, _read(grid, [rivals[0].reading for rivals in found]))
+        before, clock = clock, clock_of(machine, _read(grid, _chosen(found)))
         if clock is None or (before is not None and before.apart(clock, grid.time) < _EARLY):
             break
     return found, clock
+
+
+def _chosen(found: list[list[Weighed]]) -> list[Reading]:
+    return [rivals[0].reading for rivals in found]
+
+
+def _as_told(machine: Figures, grid: Grid, found: list[list[Weighed]], clock: Clock | None) -> Grid:
+    """Return the channels under the readings, on a clock."""
+    read = _read(grid, _chosen(found))
+    return read if clock is None else mended(read, clock, machine.layout.commands)
 
 
 def _read(grid: Grid, readings: Iterable[Reading]) -> Grid:

@@ -182,6 +182,11 @@ def _ratio(key: tuple[str, str], before: Misfit, after: Misfit) -> float:
     return math.log((before.off + WORN[key[0]]) / (after.off + WORN[key[0]]))
 
 
+def closer(before: Misfits, after: Misfits) -> float:
+    """Return the logarithm by which balances close better, over all that hold in both."""
+    return sum(_ratio(key, before[key], after[key]) for key in before.keys() & after.keys())
+
+
 def plausible(machine: Figures, grid: Grid, names: Iterable[str]) -> bool:
     """Whether values are of a size that a machine has."""
     pump = machine.crane["supply.pump_pressure"]
