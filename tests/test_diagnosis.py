@@ -430,22 +430,36 @@ def test_what_leaves_much_in_one_run_is_no_explanation_though_short_windows_forg
     assert held_to_runs(between) is between and "1.1 outside" in sentence(replace(between, verdict="effect"))
 
 
-def test_what_the_recording_leaves_open_is_no_contradiction_to_the_check_recording():
+UP, DOWN = (0.5, 1.4, 0.25), (1.8, 2.6, -0.2)
+
+
+@pytest.mark.parametrize(
+    ("learned", "name", "value"),
+    [
+        ((UP,), "lower", 0.04),  # the other side of the valve is never opened
+        (((0.5, 1.4, 0.04), DOWN), "upper", 0.07),  # the command stays within the dead band, which may be any wider
+    ],
+)
+def test_what_the_recording_leaves_open_is_no_contradiction_to_the_check_recording(learned, name, value):
     crane, time = Crane.load("loader"), np.arange(0.0, 3.0, 1e-3)
     banded, rng = crane.with_effect("dead_band@lift", {"lower": 0.04, "upper": 0.07}), np.random.default_rng(1)
-    up, down = pulses(time, (0.5, 1.4, 0.25)), pulses(time, (1.8, 2.6, -0.2))  # the first alone says nothing of `lower`
-    learn, check = (recorded(n, banded, u[:, None], rng) for n, u in (("up", up), ("both", up + down)))
+    commands = (pulses(time, *spans)[:, None] for spans in (learned, (UP, DOWN)))
+    learn, check = (recorded(n, banded, u, rng) for n, u in zip(("learn", "both"), commands, strict=True))
     found = diagnose(crane, learn, check, jobs=1)
     assert found.verdict == "effect" and found.effects == ("dead_band@lift",)
-    assert found.crane.effect("dead_band@lift").parameters["upper"] == pytest.approx(0.07, rel=0.1)
     assert found.check_error_after > 2.0  # what is predicted is told as it is
-    assert found.left_open == found.notes[0] and "does not determine dead_band@lift:lower;" in found.left_open
-    value, left = re.search(r"lower = ([\d.]+)\), that leaves ([\d.]+) instead", found.left_open).groups()
-    assert float(value) == pytest.approx(0.04, rel=0.1) and float(left) < 1.1
+    assert found.left_open == found.notes[0] and f"does not determine dead_band@lift:{name};" in found.left_open
+    other, left = re.search(rf"{name} = ([\d.]+)\), that leaves ([\d.]+) instead", found.left_open).groups()
+    assert float(other) == pytest.approx(value, rel=0.1) and float(left) < 1.1
     _, advice = after_diagnosis(found, Examined([learn], check))
     assert f"improve {learn.name} {check.name}" in advice
-    alone = diagnose(crane, learn, jobs=1)
-    assert not alone.left_open and "the recording does not determine dead_band@lift:lower" in alone.notes
+
+
+def test_what_the_recording_leaves_open_is_named_without_a_check_recording_too():
+    crane, time = Crane.load("loader"), np.arange(0.0, 3.0, 1e-3)
+    banded = crane.with_effect("dead_band@lift", {"lower": 0.04, "upper": 0.07})
+    found = diagnose(crane, recorded("up", banded, pulses(time, UP)[:, None], np.random.default_rng(1)), jobs=1)
+    assert not found.left_open and "the recording does not determine dead_band@lift:lower" in found.notes
 
 
 def test_a_check_recording_is_looked_at_before_the_search_begins(monkeypatch):

@@ -24,7 +24,7 @@ from crane_exudyn.recording import Recording, given_recording
 
 from .criteria import CRITERIA
 from .fit.solve import Fit
-from .fit.variables import NominalDirection
+from .fit.variables import EffectParameter, NominalDirection
 from .report import amount, evidence_difference, three_digits
 from .selection.lean import leaner
 from .selection.model import (
@@ -34,11 +34,13 @@ from .selection.model import (
     misled,
     open_loop_error,
     parameters_of,
+    run_error,
     together,
 )
 from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .selection.white import WHITE, WhitePath
+from .workers import in_parallel
 
 ERRORS = ("error_before", "error_after", "check_error_before", "check_error_after")
 
@@ -311,7 +313,7 @@ def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] 
         notes=(*verdict.notes, *notes), late=lean.fit.late,
     )  # fmt: skip
     result = _between_stretches(_with_errors(result, path, check), problem, lean)
-    result = held_to_runs(_with_what_is_open(result, lean, check))
+    result = held_to_runs(_with_what_is_open(result, problem, lean, check))
     if result.verdict == "unknown" and not result.misses_check:
         result = _with_what_is_left(result, path, check)
     return result
@@ -346,27 +348,52 @@ def held_to_runs(d: Diagnosis) -> Diagnosis:
     )  # fmt: skip
 
 
-def _with_what_is_open(d: Diagnosis, w: Fitted, check: Recording | None) -> Diagnosis:
-    """Return the diagnosis, with a note where the recordings tell next to nothing of some parameters of its effects;
-    where much is left of the check recording, and little with these fitted to it, that is no contradiction.
+def _with_what_is_open(d: Diagnosis, problem: Problem, w: Fitted, check: Recording | None) -> Diagnosis:
+    """Return the diagnosis, with a note where the recordings do not determine some parameters of its effects.
 
-    A valve that was opened one way only tells nothing of its other side, on which the check recording may depend.
+    A valve that was opened one way only tells nothing of its other side, on which the check recording may depend; one
+    that was never opened tells that its dead band is wide enough. So where much is left of the check recording, but
+    other values of the effects leave little there and are as good for the recordings, that is no contradiction.
     """
     free = w.undetermined if d.effects else []
+    found = None
+    if d.effects and check is not None and d.check_error_after > CRITERIA.misled:
+        found = _values_for_both(d, problem, w, check)
+    if found is not None:
+        error, crane = found
+        free = [v for v in w.parameters if v in free or _differs(v, w, crane)]
     if not free:
         return d
     note = f"the recording does not determine {' and '.join(v.name for v in free)}"
-    if check is not None and d.check_error_after > CRITERIA.misled:
-        error, fit = open_loop_error(w.fit.crane, check, own=w.fit.data.own, free=free)
-        if error < CRITERIA.left_level:
-            found = ((v, parameters_of(fit.crane, v.key)[v.parameter.name]) for v in free)
-            values = ", ".join(f"{v.name} = {amount(value, v.parameter.unit)}" for v, value in found)
-            note += (
-                f"; fitted to the check recording ({values}), that leaves {error:.3g} instead of "
-                f"{d.check_error_after:.3g} times the noise there: learn from both"
-            )
-            d = replace(d, left_open=note)
+    if found is not None:
+        values = ((v, parameters_of(crane, v.key)[v.parameter.name]) for v in free)
+        listed = ", ".join(f"{v.name} = {amount(value, v.parameter.unit)}" for v, value in values)
+        note += (
+            f"; fitted to the check recording ({listed}), that leaves {error:.3g} instead of "
+            f"{d.check_error_after:.3g} times the noise there: learn from both"
+        )
+        d = replace(d, left_open=note)
     return replace(d, notes=(note, *d.notes))
+
+
+def _values_for_both(d: Diagnosis, problem: Problem, w: Fitted, check: Recording) -> tuple[float, Crane] | None:
+    """Return the error on the check recording with the effects fitted to it, and the crane with these; None if much is
+    left there, or more than before of the recordings.
+    """
+    error, fit = open_loop_error(w.fit.crane, check, own=problem.data.own, free=w.parameters)
+    if error > CRITERIA.left_level:
+        return None
+    effects = {key: parameters_of(fit.crane, key) for key in w.keys}
+    cranes = [w.fit.of(i).crane.changed({}, effects) for i in range(len(problem.recordings))]
+    tasks = [(run_error, crane, r, None) for crane, r in zip(cranes, problem.recordings, strict=True)]
+    learned = together(problem.recordings, in_parallel(problem.jobs, tasks))
+    return (error, cranes[0]) if learned < CRITERIA.worse * max(d.error_after, 1.0) else None
+
+
+def _differs(v: EffectParameter, w: Fitted, crane: Crane) -> bool:
+    """Whether a crane has another value of an effect's parameter than a model, beyond what that is known to."""
+    apart = abs(parameters_of(crane, v.key)[v.parameter.name] - v.start)
+    return apart > CRITERIA.told_apart * w.deviations(v.key)[v.parameter.name]
 
 
 def _choice(d: Diagnosis) -> str:

@@ -182,19 +182,19 @@ class Fitted:
         """Whether parameters have moved further than they may, together or several of them."""
         return not self.plausible or len(self.far) >= CRITERIA.several
 
+    @cached_property
+    def parameters(self) -> list[EffectParameter]:
+        """The parameters of its effects, as variables that begin where they stand."""
+        own = [v for v in self.fit.variables if isinstance(v, EffectParameter) and v.key in self.keys]
+        return [replace(v, start=self.values(v.key)[v.parameter.name]) for v in own]
+
     @property
     def undetermined(self) -> list[EffectParameter]:
-        """Parameters of its effects of which the recordings say next to nothing, as variables that begin where they
-        stand.
-        """
-        spread = zip(self.fit.variables, np.diag(self.fit.cov), strict=True)
-        return [
-            replace(v, start=self.values(v.key)[v.parameter.name])
-            for v, variance in spread
-            if isinstance(v, EffectParameter)
-            and v.key in self.keys
-            and variance >= (1.0 - CRITERIA.informed) * (v.prior if math.isfinite(v.prior) else CRITERIA.broad) ** 2
-        ]
+        """Those of them of which the recordings say next to nothing."""
+        known = {v.name: variance for v, variance in zip(self.fit.variables, np.diag(self.fit.cov), strict=True)}
+        least = 1.0 - CRITERIA.informed
+        expected = [v.prior if math.isfinite(v.prior) else CRITERIA.broad for v in self.parameters]
+        return [v for v, std in zip(self.parameters, expected, strict=True) if known[v.name] >= least * std**2]
 
     @property
     def inactive(self) -> set[str]:
