@@ -34,13 +34,11 @@ from .selection.model import (
     misled,
     open_loop_error,
     parameters_of,
-    run_error,
     together,
 )
 from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
 from .selection.white import WHITE, WhitePath
-from .workers import in_parallel
 
 ERRORS = ("error_before", "error_after", "check_error_before", "check_error_after")
 
@@ -385,8 +383,8 @@ def _values_for_both(d: Diagnosis, problem: Problem, w: Fitted, check: Recording
         return None
     effects = {key: parameters_of(fit.crane, key) for key in w.keys}
     cranes = [w.fit.of(i).crane.changed({}, effects) for i in range(len(problem.recordings))]
-    tasks = [(run_error, crane, r, None) for crane, r in zip(cranes, problem.recordings, strict=True)]
-    learned = together(problem.recordings, in_parallel(problem.jobs, tasks))
+    pairs = enumerate(zip(cranes, problem.recordings, strict=True))
+    learned = together(*problem.errors_over([(crane, i, (r.start, r.end)) for i, (crane, r) in pairs]))
     return (error, cranes[0]) if learned < CRITERIA.worse * max(d.error_after, 1.0) else None
 
 

@@ -150,6 +150,14 @@ def hideable(sensors: Sequence[str], layout: Layout | None = None) -> list[str]:
     return [k for k in keys if not k.startswith("sensor_") or k.partition("@")[2] in sensors]
 
 
+def grouped(keys: Sequence[str]) -> dict[str, list[str]]:
+    """Return effects "name@place" by their names."""
+    found: dict[str, list[str]] = {}
+    for key in keys:
+        found.setdefault(key.partition("@")[0], []).append(key)
+    return found
+
+
 def severity(key: str, crane: Crane, start: Sequence[float], rng: np.random.Generator) -> dict[str, float]:
     """Return parameters (SI) of an effect as drawn for a machine; what is learned from begins at the coordinates
     `start`.
@@ -350,9 +358,7 @@ def _inside(crane: Crane, name: str, value: float) -> float:
 
 def _pick(rng: np.random.Generator, kind: str, sensors: Sequence[str]) -> list[str]:
     """Return the effects to hide: names are equally likely, then places; several are of different names."""
-    by_name: dict[str, list[str]] = {}
-    for key in hideable(sensors):
-        by_name.setdefault(key.partition("@")[0], []).append(key)
+    by_name = grouped(hideable(sensors))
     names = [n for n in by_name if kind == "effect" or not registry.find(n).beyond_stroke]
     chosen = rng.choice(names, HIDES[kind], replace=False)
     return [str(rng.choice(by_name[n])) for n in chosen]

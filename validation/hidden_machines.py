@@ -9,10 +9,9 @@ manoeuvres know nothing of a machine but its strokes: each cylinder goes to and 
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,16 +22,17 @@ from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
 from crane_exudyn.simulation import simulate
 
-from .hidden import HiddenCase, draw_machine, hideable, severity, visibility
+from .hidden import HiddenCase, draw_machine, grouped, hideable, severity, visibility
 from .json_lines import read_lines
-from .seeds import seed_range
-from .study import PROMISED, markdown, run, run_one, share, summary
+from .seeds import series_parser
+from .study import PROMISED, drawn_line, markdown, run, run_one, share, summary
 
 MACHINES = ("excavator", "loader", "patu655-lab", "patu655-telescope")
 #: what is hidden, and how often
 _KINDS = {"effect": 0.75, "none": 0.1, "parameters": 0.15}
 #: length of a recording, s, and samples a second
 DURATION, RATE = 12.0, 100
+_EVERY = slice(None, None, 1000 // RATE)
 #: standard deviation of the noise of a pressure and of anything else, SI, where the crane file states none
 _PRESSURE, _OTHER = 0.3e5, 5e-4
 #: largest opening of a valve
@@ -70,20 +70,19 @@ def shown_by(crane: Crane, commands: np.ndarray, engine: str) -> dict[str, np.nd
     Raises:
         CraneError: the machine cannot do that, for example because a cylinder comes to the end of its stroke.
     """
-    given = {f"u{i + 1}": column for i, column in enumerate(commands.T)}
+    given = dict(zip(crane.layout.commands, commands.T, strict=True))
     time = np.arange(len(commands)) * 1e-3
     driven = simulate(crane, Recording.from_arrays("commands", time, given, layout=crane.layout), engine=engine)
-    return {n: driven[n][:: 1000 // RATE] for n in noise_of(crane)}
+    return {n: driven[n][_EVERY] for n in noise_of(crane)}
 
 
 def recorded(name: str, crane: Crane, commands: np.ndarray, rng: np.random.Generator) -> Recording:
     """Return the recording of a machine that follows commands (n, cylinders) given every ms, by the Exudyn engine."""
-    every = slice(None, None, 1000 // RATE)
-    channels = {f"u{i + 1}": column[every] for i, column in enumerate(commands.T)}
+    channels = dict(zip(crane.layout.commands, commands[_EVERY].T, strict=True))
     noise = noise_of(crane)
     for channel, values in shown_by(crane, commands, "exudyn").items():
         channels[channel] = values + noise[channel] * rng.standard_normal(values.size)
-    return Recording.from_arrays(name, np.arange(len(commands))[every] * 1e-3, channels, layout=crane.layout)
+    return Recording.from_arrays(name, np.arange(len(commands))[_EVERY] * 1e-3, channels, layout=crane.layout)
 
 
 def make_case(seed: int) -> HiddenCase:
@@ -107,10 +106,9 @@ def make_case(seed: int) -> HiddenCase:
 
 def _picked(crane: Crane, rng: np.random.Generator) -> str:
     """Return an effect to hide that the crane file does not have: names are equally likely, then places."""
-    by_name: dict[str, list[str]] = {}
-    for key in hideable(list(noise_of(crane)), crane.layout):
-        if crane.effect(key) is None and not registry.split_key(key)[0].beyond_stroke:
-            by_name.setdefault(key.partition("@")[0], []).append(key)
+    keys = hideable(list(noise_of(crane)), crane.layout)
+    new = [k for k in keys if crane.effect(k) is None and not registry.split_key(k)[0].beyond_stroke]
+    by_name = grouped(new)
     return str(rng.choice(by_name[str(rng.choice(list(by_name)))]))
 
 
@@ -145,11 +143,7 @@ def _machine(nominal: Crane, kind: str, rng: np.random.Generator) -> Crane:
 
 
 def _line(seed: int) -> dict[str, Any]:
-    name = f"case_{seed}"
-    try:
-        return run_one(make_case(seed), name)
-    except CraneError as problem:  # told, and left out
-        return {"name": name, "answer": {"verdict": "", "effects": []}, "undrawn": str(problem)}
+    return drawn_line(f"case_{seed}", partial(make_case, seed), run_one, {"verdict": "", "effects": []})
 
 
 def said(line: Mapping[str, Any]) -> str:
@@ -173,11 +167,7 @@ def table(lines: Sequence[Mapping[str, Any]]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Diagnose hidden effects of the other machines, and show how that came out."""
-    parser = argparse.ArgumentParser(prog="python -m validation.hidden_machines", description=main.__doc__)
-    parser.add_argument("results", type=Path, help="results file, a JSON a line")
-    parser.add_argument("--seeds", type=seed_range, default="0-29", help="FIRST-LAST (default %(default)s)")
-    parser.add_argument("--jobs", type=int, default=1)
-    given = parser.parse_args(arguments)
+    given = series_parser("hidden_machines", main.__doc__, "0-29").parse_args(arguments)
     run(given.results, [(f"case_{s}", _line, (s,)) for s in given.seeds], jobs=given.jobs, say=said)
     print(table(read_lines(given.results)))
 

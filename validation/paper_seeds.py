@@ -7,9 +7,7 @@ python -m validation.paper_seeds results.jsonl --seeds 100-102 --nine    every e
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ from crane_exudyn.crane import Crane
 
 from .json_lines import read_lines
 from .paper import INPUT_SETS, MODEL_ERRORS, PUBLISHED, STATES, TUNINGS, run_case
-from .seeds import seed_range
+from .seeds import series_parser
 from .study import markdown, run
 
 #: share of time that each state is to be inside its 95 % interval
@@ -95,13 +93,10 @@ def said(line: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run seeds of the paper's experiment on the semi-recursive engine, and show the table of them."""
-    parser = argparse.ArgumentParser(prog="python -m validation.paper_seeds", description=main.__doc__)
-    parser.add_argument("results", type=Path, help="results file, a JSON a line")
-    parser.add_argument("--seeds", type=seed_range, default="100-115", help="FIRST-LAST (default %(default)s)")
+    parser = series_parser("paper_seeds", main.__doc__, "100-115")
     parser.add_argument("--tuning", choices=TUNINGS, default="own")
     parser.add_argument("--inputs", type=int, choices=(1, 2, 3), default=1)
     parser.add_argument("--nine", action="store_true", help="every error with every input set, not 15 %% with one")
-    parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
     names = {
         f"{given.tuning} {i} {seed}" + (f" {error:g}" if given.nine else ""): (given.tuning, i, seed, error)

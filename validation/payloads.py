@@ -8,10 +8,8 @@ the noise of the sensors and, where it is odd, a hidden effect.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +25,7 @@ from ukf.tuning import scale
 
 from . import hidden
 from .json_lines import read_lines
-from .seeds import seed_range
+from .seeds import series_parser
 from .semi_recursive import SemiRecursiveEngine
 from .study import markdown, run
 from .wrong_models import judged
@@ -119,11 +117,7 @@ def said(line: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Estimate payloads of wrong machines, and show how they lie in their intervals."""
-    parser = argparse.ArgumentParser(prog="python -m validation.payloads", description=main.__doc__)
-    parser.add_argument("results", type=Path, help="results file, a JSON a line")
-    parser.add_argument("--seeds", type=seed_range, default="0-11", help="FIRST-LAST (default %(default)s)")
-    parser.add_argument("--jobs", type=int, default=1)
-    given = parser.parse_args(arguments)
+    given = series_parser("payloads", main.__doc__, "0-11").parse_args(arguments)
     run(given.results, [(f"{s}", one_run, (f"{s}", s)) for s in given.seeds], jobs=given.jobs, say=said)
     print(table(read_lines(given.results)))
 

@@ -231,8 +231,7 @@ def report_diagnosis(
 def verdict(d: Diagnosis) -> str:
     """Return the verdict in one or two sentences, effects named in words and by their keys."""
     if not d.effects:
-        text = sentence(d).replace("->", "→")
-        return f"{text[0].upper()}{text[1:]}."
+        return _as_sentence(sentence(d).replace("->", "→"))
     chosen = next((c for c in d.candidates if c.effects == d.effects), None)
     named = " and ".join(_with_size(e, chosen.parameters if chosen else {}) for e in d.effects)
     keys = ", ".join(f"`{e}`" for e in d.effects)

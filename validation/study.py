@@ -18,6 +18,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -160,15 +161,31 @@ def _improved(case: HiddenCase, jobs: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def drawn_line(
+    name: str,
+    draw: Callable[[], HiddenCase],
+    examine: Callable[[HiddenCase, str], dict[str, Any]],
+    wanted: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return the line of results of a case; where no manoeuvre shows what is `wanted` so well, that is told, and it is
+    left out.
+    """
+    try:
+        case = draw()
+    except CraneError as problem:
+        return {"name": name, "answer": wanted, "undrawn": str(problem)}
+    return examine(case, name)
+
+
 def _seed_line(seed: int, more: Mapping[str, Any], criteria: Mapping[str, float]) -> dict[str, Any]:
     plan = dict(more) if more.get("kind") else planned(seed) | dict(more)
-    try:
-        case = make_case(seed, **plan)
-    except CraneError as problem:  # no manoeuvre shows this effect so well: told, and left out
-        answer = {"kind": plan["kind"], "verdict": "", "effects": plan.get("keys", [])}
-        return {"name": f"case_{seed}", "answer": answer, "undrawn": str(problem)}
-    with other_criteria(**criteria):
-        return run_one(case, f"case_{seed}")
+    wanted = {"kind": plan["kind"], "verdict": "", "effects": plan.get("keys", [])}
+
+    def examined(case: HiddenCase, name: str) -> dict[str, Any]:
+        with other_criteria(**criteria):
+            return run_one(case, name)
+
+    return drawn_line(f"case_{seed}", partial(make_case, seed, **plan), examined, wanted)
 
 
 def _folder_line(folder: Path, name: str) -> dict[str, Any]:

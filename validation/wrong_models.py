@@ -9,11 +9,9 @@ A seed draws the sensors' noise and chooses the input set: the paper's cycle or 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +30,7 @@ from ukf.tuning import scale
 from . import metrics
 from .json_lines import read_lines
 from .paper import INPUT_SETS
-from .seeds import seed_range
+from .seeds import series_parser
 from .semi_recursive import SemiRecursiveEngine
 from .study import markdown, run
 
@@ -176,11 +174,8 @@ def said(line: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Follow wrong machines, and show how their unmeasured states lie in their intervals."""
-    parser = argparse.ArgumentParser(prog="python -m validation.wrong_models", description=main.__doc__)
-    parser.add_argument("results", type=Path, help="results file, a JSON a line")
-    parser.add_argument("--seeds", type=seed_range, default="0-2", help="FIRST-LAST (default %(default)s)")
+    parser = series_parser("wrong_models", main.__doc__, "0-2")
     parser.add_argument("--known-from", type=int, metavar="SEED", help="run with all pressures to learn from first")
-    parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args(arguments)
     known = "" if given.known_from is None else f", known from {given.known_from}"
     names = [(f"{m}, {s}{known}", m, s) for s in given.seeds for m in MACHINES]

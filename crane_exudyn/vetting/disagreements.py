@@ -73,7 +73,8 @@ def _readings_and_clock(machine: Figures, grid: Grid) -> tuple[list[list[Weighed
     if first is None or np.max(np.abs(first.lateness(grid.time))) < _EARLY:
         return found
     other = _in_turn(machine, grid, None)
-    apart = closer(*(misfits(machine, _as_told(machine, grid, *each)) for each in (found, other)))
+    told = (_on_clock(machine, _read(grid, _chosen(readings)), clock) for readings, clock in (found, other))
+    apart = closer(*(misfits(machine, each) for each in told))
     return other if other[0] and apart > _SEEN else found
 
 
@@ -85,8 +86,7 @@ def _in_turn(machine: Figures, grid: Grid, clock: Clock | None) -> tuple[list[li
     """
     first, found = clock, list[list[Weighed]]()
     for _ in range(_TURNS):
-        timed = grid if clock is None else mended(grid, clock, machine.layout.commands)
-        found = mistaken(machine, timed, _SEEN)
+        found = mistaken(machine, _on_clock(machine, grid, clock), _SEEN)
         if not found:
             return [], first
         before, clock = clock, clock_of(machine, _read(grid, _chosen(found)))
@@ -99,10 +99,9 @@ def _chosen(found: list[list[Weighed]]) -> list[Reading]:
     return [rivals[0].reading for rivals in found]
 
 
-def _as_told(machine: Figures, grid: Grid, found: list[list[Weighed]], clock: Clock | None) -> Grid:
-    """Return the channels under the readings, on a clock."""
-    read = _read(grid, _chosen(found))
-    return read if clock is None else mended(read, clock, machine.layout.commands)
+def _on_clock(machine: Figures, grid: Grid, clock: Clock | None) -> Grid:
+    """Return the channels with the commands on a clock; None: as they were recorded."""
+    return grid if clock is None else mended(grid, clock, machine.layout.commands)
 
 
 def _read(grid: Grid, readings: Iterable[Reading]) -> Grid:

@@ -14,6 +14,7 @@ import numpy as np
 from ..criteria import CRITERIA
 from ..workers import single_threaded
 from .solve import Fit, reduce, with_prior
+from .variables import expected_std
 
 
 @single_threaded()
@@ -25,7 +26,7 @@ def occam(fit: Fit) -> float:
     if reduced is None:
         return -math.inf if fit.linear.failed else 0.0
     H, _ = with_prior(reduced, fit.variables, fit.u)
-    scale = np.array([CRITERIA.broad if math.isinf(v.prior) else v.prior for v in fit.variables])
+    scale = expected_std(fit.variables)
     broad = np.array([1.0 / CRITERIA.broad**2 if math.isinf(v.prior) else 0.0 for v in fit.variables])
     A = scale[:, None] * (H + np.diag(broad)) * scale
     sign, value = np.linalg.slogdet(0.5 * (A + A.T))

@@ -192,6 +192,11 @@ def acts(variable: Variable, recording: int | None) -> bool:
     return variable.recording in (None, recording)
 
 
+def expected_std(variables: Sequence[Variable]) -> np.ndarray:
+    """Return the standard deviations of u (m,) that are expected before the data, of those without a prior too."""
+    return np.array([CRITERIA.broad if math.isinf(v.prior) else v.prior for v in variables])
+
+
 def alone(variable: Variable) -> Variable:
     """Return the variable as one of the only recording that there is."""
     return replace(variable, recording=None) if isinstance(variable, NominalDirection | Timing) else variable

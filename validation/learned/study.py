@@ -11,19 +11,19 @@ import math
 import time
 import traceback
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from crane_exudyn.effects import registry
-from crane_exudyn.errors import CraneError
 
 from ..hidden import HiddenCase, make_case
 from ..hidden_plant import LEARNABLE
 from ..json_lines import read_lines
 from ..seeds import seed_range
-from ..study import markdown, run, share
+from ..study import drawn_line, markdown, run, share
 from .laws import curve_at
 
 #: a machine without a law after each four with one: clean, and with effects of the library in turn
@@ -91,15 +91,8 @@ def run_one(case: HiddenCase, name: str) -> dict[str, Any]:
 
 def _seed_line(seed: int) -> dict[str, Any]:
     plan = planned(seed)
-    try:
-        case = make_case(seed, **plan)
-    except CraneError as problem:  # no manoeuvre shows this law so well: told, and left out
-        return {
-            "name": f"case_{seed}",
-            "answer": {"kind": plan["kind"], "law": {"name": plan.get("keys", [""])[0]}},
-            "undrawn": str(problem),
-        }
-    return run_one(case, f"case_{seed}")
+    wanted = {"kind": plan["kind"], "law": {"name": plan.get("keys", [""])[0]}}
+    return drawn_line(f"case_{seed}", partial(make_case, seed, **plan), run_one, wanted)
 
 
 def summary(line: Mapping[str, Any]) -> str:

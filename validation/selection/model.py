@@ -44,6 +44,7 @@ from ..fit.variables import (
     NominalDirection,
     Variable,
     effect_variables,
+    expected_std,
     stated_effects,
     uncertain_parameters,
 )
@@ -191,10 +192,10 @@ class Fitted:
     @property
     def undetermined(self) -> list[EffectParameter]:
         """Those of them of which the recordings say next to nothing."""
-        known = {v.name: variance for v, variance in zip(self.fit.variables, np.diag(self.fit.cov), strict=True)}
-        least = 1.0 - CRITERIA.informed
-        expected = [v.prior if math.isfinite(v.prior) else CRITERIA.broad for v in self.parameters]
-        return [v for v, std in zip(self.parameters, expected, strict=True) if known[v.name] >= least * std**2]
+        variables = self.fit.variables
+        left = np.diag(self.fit.cov) / expected_std(variables) ** 2 >= 1.0 - CRITERIA.informed
+        names = {v.name for v, open_ in zip(variables, left, strict=True) if open_}
+        return [v for v in self.parameters if v.name in names]
 
     @property
     def inactive(self) -> set[str]:
