@@ -431,3 +431,13 @@ def test_a_command_of_the_wrong_sign_is_not_taken_for_one_of_another_time_where_
     assert first.kind == "sign" and not more
     assert {*first.channels} < {"u1", "boom"}
     assert "almost as likely" in first.text  # with one cylinder nothing tells which of the two it is
+
+
+@pytest.mark.parametrize("stiffness", [1.3e6, 5e6])
+def test_a_structure_that_gives_way_is_no_angle_in_another_unit(stiffness: float) -> None:
+    """Behind a soft structure the piston's oil hardly gives way to what the angle does while its valve is closed."""
+    crane = Crane.load("patu655")
+    soft = crane.with_effect("structural_compliance@lift", {"stiffness": stiffness})
+    lift = pulse(1.0, 3.0, 0.25, 10.0) - pulse(4.0, 6.0, 0.25, 10.0)
+    shown = driven(soft, lift, pulse(7.0, 8.0, 0.3, 10.0), "z1", "z4", "p1", "p2", "p3", "p4")
+    assert [f.text for f in vet(shown, crane) if f.severity == "error"] == []

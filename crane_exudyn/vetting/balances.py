@@ -45,6 +45,8 @@ _POSES = 40
 _NEAR = 0.01
 #: by this factor wear, another valve or an effect may change a flow or a stiffness
 _GAIN = 2.5
+#: and by this one a piston may move more than the oil that is shut in gives way: a structure that bends is in series
+_SOFTER = 25.0
 #: Pa above the lowest pressure below which a chamber may hold a void, so that its oil is not shut in
 _VOID = 2e5
 #: a spool that is open by less is closed
@@ -350,7 +352,7 @@ def _flows(machine: Figures, grid: Grid, ch: Channels, c: int, length: np.ndarra
         whole = _nowhere((ch[name] < machine.floor + _VOID) | (soft > _GAIN * stiff))
         out["flow", name] = _proportional(gained[whole], flowed[whole], blurred)
         shut = still & whole
-        out["trapped", name] = _proportional(_bend(moved, shut), -_bend(pressed, shut), 1.7 * blurred)
+        out["trapped", name] = _proportional(_bend(moved, shut), -_bend(pressed, shut), 1.7 * blurred, _SOFTER)
     if not out:
         flow = (
             machine.crane[f"valves.{lay.cylinders[c]}.flow_coefficient"]
@@ -526,8 +528,8 @@ def _bend(y: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return np.asarray((y[k:] - y[:-k])[chosen[k:] & chosen[:-k]])
 
 
-def _proportional(left: np.ndarray, right: np.ndarray, noise: float) -> Misfit:
-    """Return how far one side of a balance is from the other times a gain that a machine may have."""
+def _proportional(left: np.ndarray, right: np.ndarray, noise: float, most: float = _GAIN) -> Misfit:
+    """Return how far one side of a balance is from the other times a gain that a machine may have, up to `most`."""
     there = np.isfinite(left) & np.isfinite(right)
     if len(there) and there.mean() < _MOST:
         return Misfit(1.0)
@@ -535,7 +537,7 @@ def _proportional(left: np.ndarray, right: np.ndarray, noise: float) -> Misfit:
     if len(left) < _FEWEST:
         return Misfit(0.0, False, False)
     across, own, other = float(left @ right), float(left @ left), float(right @ right)
-    gain = float(np.clip(across / other, 1.0 / _GAIN, _GAIN)) if other > 0.0 else 1.0
+    gain = float(np.clip(across / other, 1.0 / _GAIN, most)) if other > 0.0 else 1.0
     size, blur = own + gain**2 * other, len(left) * noise**2
     if size <= 0.0:
         return Misfit(0.0, False)
