@@ -59,12 +59,19 @@ def noise_std(values: np.ndarray) -> float:
     step = quantisation(values)
     floor = step / math.sqrt(12.0)
     own = values[_own_samples(values, step)]
-    if len(own) < 4:
-        return floor
-    third = np.diff(own, n=3)
+    return max(noise_between(own), floor)
+
+
+def noise_between(values: np.ndarray, lag: int = 1) -> float:
+    """Return what third differences of samples `lag` apart show of noise, as a standard deviation; 0 for too few.
+
+    Where noise is alike from one sample to the next, it shows in full only between samples that are farther apart.
+    """
+    if len(values) <= 3 * lag:
+        return 0.0
+    third = values[3 * lag :] - 3.0 * values[2 * lag : -lag] + 3.0 * values[lag : -2 * lag] - values[: -3 * lag]
     squares = _window_squares(third)
-    square = float(np.median(squares)) / _median_share(len(squares), len(third))
-    return max(math.sqrt(square) / _THIRD_DIFFERENCE, floor)
+    return math.sqrt(float(np.median(squares)) / _median_share(len(squares), len(third))) / _THIRD_DIFFERENCE
 
 
 def noise_uncertainty(values: np.ndarray) -> float:

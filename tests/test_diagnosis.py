@@ -1,6 +1,7 @@
 """The diagnosis on recordings of an independent simulation, whose answers are open; and its refusals."""
 
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from crane_exudyn import Crane, CraneError, Recording, simulate
 from crane_exudyn.channels import Channel
@@ -101,6 +103,25 @@ def test_commands_that_a_controller_held_between_samples_are_found_out():
     assert found.verdict == "adequate" and any("held = true" in note for note in found.notes)
 
 
+def test_noise_that_neighbouring_samples_share_hides_no_effect():
+    """Differences of neighbours show only 0.74 of it, so that a right model would leave 1.35 times the noise."""
+    crane, time, rng = Crane.load("patu655"), np.arange(0.0, 12.0, 0.005), np.random.default_rng(11)
+    leaky = crane.with_effect("internal_leakage@lift", {"k": 2e-12})
+    u1 = np.interp(time, [0.5, 0.7, 2.0, 2.2, 4.0, 4.2, 5.5, 5.7], [0.0, 0.3, 0.3, 0.0, 0.0, -0.2, -0.2, 0.0])
+    u2 = np.interp(time, [6.5, 6.7, 8.0, 8.2, 9.0, 9.2, 10.5, 10.7], [0.0, 0.3, 0.3, 0.0, 0.0, -0.3, -0.3, 0.0])
+    driven = Recording.from_arrays("smoothed", time, {"u1": u1, "u2": u2})
+    run = simulate(leaky, driven, start=SemiRecursiveEngine(crane).static_start(0.2, -0.8))
+    shown = {
+        n: np.interp(time, run.time, run[n])
+        + std * math.sqrt(1.0 - 0.45**2) * lfilter([1.0], [1.0, -0.45], rng.standard_normal(len(time)))
+        for n, std in NOISE.items()
+    }
+    found = diagnose(crane, Recording.from_arrays("smoothed", time, {"u1": u1, "u2": u2, **shown}), jobs=1)
+    assert found.verdict == "effect" and found.effects == ("internal_leakage@lift",)
+    assert found.error_after == pytest.approx(1.0, abs=0.05)
+    assert any("noisier than neighbouring samples differ" in note for note in found.notes)
+
+
 def test_a_recording_without_motion_is_refused():
     time = np.arange(0.0, 5.0, 0.01)
     rng = np.random.default_rng(1)
@@ -178,7 +199,8 @@ def model(keys: str = "", evidence: float = 0.0, good: bool = True, **more: obje
         "bad": np.zeros(100, dtype=bool),
         "inactive": set(),
         "far": (),
-        "fit": SimpleNamespace(variables=(), u=()),
+        "near": good,
+        "fit": SimpleNamespace(variables=(), u=(), origin=None, crane=None),
     }
     effects = tuple(keys.split())
     return SimpleNamespace(keys=effects, names=effects, evidence=evidence, good=good, **asked | more)

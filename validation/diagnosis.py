@@ -260,17 +260,34 @@ def searched(
 ) -> tuple[WhitePath, list[str]]:
     """Return the path of the search, and notes on the recordings, after they were looked at.
 
-    Between samples commands are taken as lines first. Where what was found is clearly likelier with commands that keep
-    their value, the search is made again with these.
+    Between samples commands are taken as lines first, and noise as white. Where what was found is clearly likelier with
+    commands that keep their value, or leaves noise of which neighbouring samples share a part, the search is made again
+    with these.
     """
     problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
     path = search(WHITE, problem, most, progress)
-    held = problem.held(path.best or path.parameters)
-    if held is None:
-        return path, notes
-    progress("searching again, with commands that keep their value until the next sample", 0.3)
-    note = "commands seem to keep their value until the next sample: set held = true in a map file"
-    return search(WHITE, held, most, progress), [*notes, note]
+    for other, words, note in _OTHERWISE:
+        again = other(path.problem, path.best or path.parameters)
+        if again is not None:
+            progress(f"searching again, with {words}", 0.3)
+            path, notes = search(WHITE, again, most, progress), [*notes, note]
+    return path, notes
+
+
+#: what a problem may be taken for when a search has shown that it is: itself then, words for the progress, a note
+_OTHERWISE = (
+    (
+        Problem.held,
+        "commands that keep their value until the next sample",
+        "commands seem to keep their value until the next sample: set held = true in a map file",
+    ),
+    (
+        Problem.noisier,
+        "the noise that neighbouring samples share",
+        "sensors are noisier than neighbouring samples differ, because these share a part of the noise, as where a "
+        "logger smooths: errors are told in units of all of the noise",
+    ),
+)
 
 
 def looked_at(

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from crane_exudyn.crane import Crane
 from crane_exudyn.effects import registry
@@ -51,6 +52,8 @@ _ALLOWED = ((-20.0, 75.0), (-140.0, 8.0))
 #: rough speeds in deg/s at fully open spools, extending and retracting; plans need no more
 _SPEED = ((25.0, 31.0), (-55.0, -53.0))
 _MOST_DRAWS = 60
+#: between which the correlation of neighbouring samples lies where they share noise
+_SHARED = (0.2, 0.5)
 #: after so many draws without success other effects are drawn, where none were asked for
 _OTHER_EFFECTS = 20
 
@@ -380,6 +383,7 @@ class _Setting:
     foreign: bool
     picked: bool  # the effects were drawn, not asked for
     swapped: bool
+    smoothed: bool
 
 
 def make_case(
@@ -395,6 +399,7 @@ def make_case(
     learned: float = DURATION,
     foreign: bool = False,
     swapped: bool = False,
+    smoothed: bool = False,
     crane: Crane | None = None,
 ) -> HiddenCase:
     """Return the hidden case of a seed; what is not given is drawn.
@@ -411,6 +416,7 @@ def make_case(
         learned: seconds of the recording that is learned from; what is hidden is as visible in them as is asked.
         foreign: laws in a dialect of their own, a little different from the library's (hidden_plant.DIALECTS).
         swapped: the machine runs on the engine that the diagnosis uses too; for effects of the library.
+        smoothed: neighbouring samples share a part of their noise, as where a logger smooths.
         crane: nominal crane; by default patu655.
 
     Raises:
@@ -426,9 +432,10 @@ def make_case(
     machine = _machine(nominal, rng, kind, off == 1)
     picked = keys is None and kind in HIDES
     keys = _pick(rng, kind, list(stds)) if picked else keys or []
-    return _until_it_does(
-        seed, _Setting(rng, kind, keys, stds, rate, machine, nominal, visible, learned, foreign, picked, swapped)
+    setting = _Setting(
+        rng, kind, keys, stds, rate, machine, nominal, visible, learned, foreign, picked, swapped, smoothed
     )
+    return _until_it_does(seed, setting)
 
 
 def _machine(nominal: Crane, rng: np.random.Generator, kind: str, off: bool) -> Crane:
@@ -574,7 +581,14 @@ def _answer(s: _Setting, machine: Crane, seen: Mapping[str, float]) -> dict[str,
         "noise": dict(s.noise),
         "rate": s.rate,
         "foreign": s.foreign,
+        "smoothed": s.smoothed,
     }
+
+
+def _noise(rng: np.random.Generator, number: int, shared: float) -> np.ndarray:
+    """Return samples (number,) of unit noise whose correlation from one to the next is `shared`."""
+    own = rng.standard_normal(number)
+    return np.asarray(lfilter([math.sqrt(1.0 - shared**2)], [1.0, -shared], own)) if shared else own
 
 
 def _recorded(
@@ -586,11 +600,11 @@ def _recorded(
 ) -> HiddenCase:
     every = round(1.0 / (s.rate * _STEP))
     time = _GRID[::every]
-    recordings = []
+    recordings, shared = [], float(s.rng.uniform(*_SHARED)) if s.smoothed else 0.0
     for part, manoeuvre, run in zip(("learn", "check"), manoeuvres, runs, strict=True):
         channels = dict(zip(("u1", "u2"), manoeuvre.commands(time).T, strict=True))
         for name, std in s.noise.items():
-            channels[name] = run[name][::every] + std * s.rng.standard_normal(time.size)
+            channels[name] = run[name][::every] + std * _noise(s.rng, time.size, shared)
         recordings.append(Recording.from_arrays(f"case_{seed}_{part}", time, channels))
         answer |= {
             f"{part}_start": {"z1": manoeuvre.z1, "z4": manoeuvre.z4, "less_loaded": list(manoeuvre.less_loaded)}

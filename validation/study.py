@@ -380,6 +380,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", action="append", help="name of a case of the folder")
     parser.add_argument("--foreign", action="store_true", help="machines whose laws differ a little from the library's")
     parser.add_argument("--swapped", action="store_true", help="machines on the engine that the diagnosis uses")
+    parser.add_argument("--smoothed", action="store_true", help="sensors whose neighbouring samples share their noise")
     parser.add_argument("--visible", metavar="LOW-HIGH", help="severities, in noise units")
     parser.add_argument("--sensors", type=int, choices=(0, 1), help=f"0: all pressures, 1: {' '.join(SENSOR_SETS[1])}")
     parser.add_argument("--noise", type=int, choices=(0, 1), help="0: 0.05 deg and 0.3 bar, 1: 1 deg and 1.5 bar")
@@ -400,7 +401,7 @@ def _tasks(given: argparse.Namespace) -> list[tuple[Any, ...]]:
         names = given.only or sorted(json.loads((given.folder / "answers.json").read_text(encoding="utf-8")))
         return [(name, _folder_line, (given.folder, name)) for name in names]
     more = {n: getattr(given, n) for n in ("sensors", "noise", "kind", "learned") if getattr(given, n) is not None}
-    more |= {name: True for name in ("foreign", "swapped") if getattr(given, name)}
+    more |= {name: True for name in ("foreign", "swapped", "smoothed") if getattr(given, name)}
     if given.visible:
         low, _, high = given.visible.partition("-")
         more["visible"] = (float(low), float(high or "inf"))

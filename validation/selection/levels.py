@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crane_exudyn.signals import noise_between
+
 from ..criteria import CRITERIA
 from ..fit.data import Data, FitData
 from ..fit.linear import with_states
@@ -23,6 +25,8 @@ from ..fit.sweeps import left_in, ran
 from ..fit.windows import shared_out, side_by_side
 
 Errors = Mapping[str, float]
+#: samples between which noise that grows with their distance is seen to grow less at last
+_LAG = 4
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,26 @@ def noise_level(data: Data) -> float:
     counts, unsure = (np.array(each) for each in ([len(s.values) for s in samples], [s.unsure for s in samples]))
     spread = float(np.linalg.norm(counts * unsure)) / max(1, counts.sum())
     return max(CRITERIA.level, 1.0 + CRITERIA.doubt * spread)
+
+
+def noise_in_full(found: Fit, data: Data) -> Errors:
+    """Return by channel the noise of sensors in units of the estimated, where a fit leaves hardly more than noise and
+    that is alike from one sample to the next, so that their differences do not show all of it; else 1.
+
+    Such noise grows with the distance of samples, least at last; what a wrong model leaves grows most at last. All are
+    1 where the mean is not above `noise_level`.
+    """
+    errors, full = window_errors(found, data), dict[str, list[float]]()
+    for part, sample in ((p, s) for p in data.parts for s in p.samples):
+        r = errors[sample.channel][len(full.setdefault(sample.channel, []))]
+        lag = max(_LAG, int(CRITERIA.shared / part.interval + 1e-6))
+        middle, far = noise_between(r, lag // 2), noise_between(r, lag)
+        known = sample.unsure == 0.0 or lag * part.interval > CRITERIA.shared + 1e-6
+        shared = not known and middle > 1.0 and far / middle < middle
+        only = math.sqrt(float(r @ r) / max(1, len(r))) < CRITERIA.left_level * far
+        full[sample.channel].append(max(1.0, far) if shared and only else 1.0)
+    each = {c: float(np.mean(several)) for c, several in full.items()}
+    return each if np.mean(list(each.values())) > noise_level(data) else dict.fromkeys(each, 1.0)
 
 
 def each_part(data: Data, change: Callable[[FitData], FitData]) -> Data:

@@ -24,6 +24,7 @@ from ..fit.solve import Fit
 from ..fit.staged import STIFF, Stage, all_parameters, informed_directions
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
+from .levels import noise_in_full
 from .manoeuvre import best_manoeuvre
 from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of
 from .moves import scaled
@@ -154,6 +155,19 @@ class Problem:
         if again.evidence < w.evidence + CRITERIA.proof or again.level >= CRITERIA.left_level:
             return None
         return Problem.of(self.crane, recordings, self.data.own, self.jobs)
+
+    def noisier(self, w: Fitted) -> Problem | None:
+        """Return the problem with the noise that sensors have in full, where it is alike from one sample to the next
+        and was estimated too small; None where a fitted model does not show that.
+        """
+        shown, sensors = [noise_of(r, self.crane) for r in self.recordings], dict(self.crane.sensors)
+        for channel, factor in noise_in_full(w.fit, self.data).items():
+            each = [noise[channel] for noise in shown if channel in noise]
+            if factor > 1.0 and max(each) < CRITERIA.left_level * min(each):  # one file states one noise for all
+                sensors[channel] = factor * float(np.mean(each))
+        if sensors == self.crane.sensors:
+            return None
+        return Problem.of(replace(self.crane, sensors=sensors), self.recordings, self.data.own, self.jobs)
 
     def alike(self, check: Recording | None) -> Recording | None:
         """Return another recording of the machine, its commands taken as those of the problem's."""
