@@ -20,6 +20,10 @@ from .white import WhitePath
 Kind = Literal["adequate", "parameters", "effect", "tied", "unknown"]
 
 
+#: parameters of an explanation that are named where they are not believed
+_NAMED = 3
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What is missing: kind, the model that says so, what is tied with it, and remarks."""
@@ -41,7 +45,8 @@ def verdict_of(path: WhitePath) -> Verdict:
             return Verdict("tied", at_once, (path.fewest,), (_far_moves(path.fewest, at_once), *_bounds(at_once)))
         return Verdict("adequate", path.given) if path.adequate else Verdict("parameters", path.fewest)
     if best is None or not explains(path, best):
-        return Verdict("unknown", path.given)
+        notes = () if best is None or not best.near or best.plausible else (_beyond_belief(best),)
+        return Verdict("unknown", path.given, notes=notes)
     at_once = _at_once(path, best, best.evidence)
     if at_once is not None:
         return Verdict("tied", at_once, (best,), (_far_moves(best, at_once), *_bounds(at_once)))
@@ -50,8 +55,8 @@ def verdict_of(path: WhitePath) -> Verdict:
         if w.evidence > best.evidence - CRITERIA.tie and len(w.keys) <= len(best.keys)
     )  # fmt: skip
     nearly = "the best explanation predicts data outside its fit, but its law differs slightly from the machine's"
-    notes = () if best.good or _repairs(path, best) else (nearly,)
-    return Verdict("tied" if ties else "effect", best, ties, (*notes, *_bounds(best)))
+    own = () if best.good or _repairs(path, best) else (nearly,)
+    return Verdict("tied" if ties else "effect", best, ties, (*own, *_bounds(best)))
 
 
 def explains(path: WhitePath, w: Fitted) -> bool:
@@ -91,6 +96,18 @@ def _far_moves(w: Fitted, at_once: Fitted) -> str:
     return (
         f"{' and '.join(w.keys) or 'no effect'} alone would need {len(w.far)} nominal parameters at more than twice "
         f"their stated uncertainty{less}"
+    )
+
+
+def _beyond_belief(w: Fitted) -> str:
+    """Return why a model is not named that leaves hardly more than noise."""
+    given, found = w.fit.origin, w.fit.crane
+    moves = {n: abs(found.values[n] - given.values[n]) / given.uncertainty[n].std for n in w.far}
+    furthest = sorted(moves, key=lambda n: -moves[n])[:_NAMED]
+    return (
+        f"{' and '.join(w.keys)} would leave hardly more than noise, but only with nominal parameters further off than "
+        f"the crane file allows ({', '.join(f'{n} by {moves[n]:.1f} standard uncertainties' for n in furthest)}). "
+        "Probably something else is missing as well: `patu improve` searches for more effects"
     )
 
 
