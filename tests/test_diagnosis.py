@@ -1,7 +1,6 @@
 """The diagnosis on recordings of an independent simulation, whose answers are open; and its refusals."""
 
 import json
-import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from crane_exudyn import Crane, CraneError, Recording, simulate
 from crane_exudyn.channels import Channel
@@ -112,8 +110,7 @@ def test_noise_that_neighbouring_samples_share_hides_no_effect():
     driven = Recording.from_arrays("smoothed", time, {"u1": u1, "u2": u2})
     run = simulate(leaky, driven, start=SemiRecursiveEngine(crane).static_start(0.2, -0.8))
     shown = {
-        n: np.interp(time, run.time, run[n])
-        + std * math.sqrt(1.0 - 0.45**2) * lfilter([1.0], [1.0, -0.45], rng.standard_normal(len(time)))
+        n: np.interp(time, run.time, run[n]) + std * hidden.unit_noise(rng, len(time), shared=0.45)
         for n, std in NOISE.items()
     }
     found = diagnose(crane, Recording.from_arrays("smoothed", time, {"u1": u1, "u2": u2, **shown}), jobs=1)
@@ -198,9 +195,9 @@ def model(keys: str = "", evidence: float = 0.0, good: bool = True, **more: obje
         "level": 1.0,
         "bad": np.zeros(100, dtype=bool),
         "inactive": set(),
-        "far": (),
+        "far": {},
         "near": good,
-        "fit": SimpleNamespace(variables=(), u=(), origin=None, crane=None),
+        "fit": SimpleNamespace(variables=(), u=()),
     }
     effects = tuple(keys.split())
     return SimpleNamespace(keys=effects, names=effects, evidence=evidence, good=good, **asked | more)
@@ -277,16 +274,26 @@ def test_what_predicts_the_blocks_that_were_left_out_explains_although_it_leaves
 
 
 def test_parameters_moved_far_are_tied_with_one_effect_that_explains_at_once():
-    far = model(evidence=100.0, beyond_uncertainty=True, far=("a", "b", "c"))
+    far = model(evidence=100.0, beyond_uncertainty=True, far=dict.fromkeys("abc", 3.0))
     for bias, kind in (
         (model(BIAS, 108.0), "tied"),
         (model(BIAS, 90.0), "parameters"),
-        (model(BIAS, 108.0, far=("a", "b")), "parameters"),
+        (model(BIAS, 108.0, far=dict.fromkeys("ab", 3.0)), "parameters"),
     ):
         found = verdict_of(path(model(**WRONG), far, bias))
         assert found.kind == kind
         assert [t.keys for t in found.ties] == ([()] if kind == "tied" else [])
         assert ("would need 3 nominal parameters at more than twice" in " ".join(found.notes)) == (kind == "tied")
+
+
+def test_it_is_said_why_an_explanation_is_not_believed_that_leaves_hardly_more_than_noise():
+    moved = {"payload.mass": 7.62, "fluid.density": 3.0, "supply.pump_pressure": 2.7, "supply.tank_pressure": 2.1}
+    nothing = model(evidence=-900.0, **WRONG, near=False)
+    leak = model(LEAK, -100.0, False, near=True, plausible=False, far=moved)
+    found = verdict_of(path(nothing, nothing, leak))
+    assert found.kind == "unknown"
+    assert f"{LEAK} would leave hardly more than noise, but only" in found.notes[0]
+    assert "payload.mass by 7.6 standard uncertainties" in found.notes[0] and "tank" not in found.notes[0]
 
 
 def test_several_weak_effects_are_justified_together_where_none_of_them_is_alone():

@@ -585,7 +585,7 @@ def _answer(s: _Setting, machine: Crane, seen: Mapping[str, float]) -> dict[str,
     }
 
 
-def _noise(rng: np.random.Generator, number: int, shared: float) -> np.ndarray:
+def unit_noise(rng: np.random.Generator, number: int, shared: float) -> np.ndarray:
     """Return samples (number,) of unit noise whose correlation from one to the next is `shared`."""
     own = rng.standard_normal(number)
     return np.asarray(lfilter([math.sqrt(1.0 - shared**2)], [1.0, -shared], own)) if shared else own
@@ -604,7 +604,7 @@ def _recorded(
     for part, manoeuvre, run in zip(("learn", "check"), manoeuvres, runs, strict=True):
         channels = dict(zip(("u1", "u2"), manoeuvre.commands(time).T, strict=True))
         for name, std in s.noise.items():
-            channels[name] = run[name][::every] + std * _noise(s.rng, time.size, shared)
+            channels[name] = run[name][::every] + std * unit_noise(s.rng, time.size, shared)
         recordings.append(Recording.from_arrays(f"case_{seed}_{part}", time, channels))
         answer |= {
             f"{part}_start": {"z1": manoeuvre.z1, "z4": manoeuvre.z4, "less_loaded": list(manoeuvre.less_loaded)}

@@ -65,16 +65,24 @@ def noise_in_full(found: Fit, data: Data) -> Errors:
     1 where the mean is not above `noise_level`.
     """
     errors, full = window_errors(found, data), dict[str, list[float]]()
-    for part, sample in ((p, s) for p in data.parts for s in p.samples):
-        r = errors[sample.channel][len(full.setdefault(sample.channel, []))]
-        lag = max(_LAG, int(CRITERIA.shared / part.interval + 1e-6))
-        middle, far = noise_between(r, lag // 2), noise_between(r, lag)
-        known = sample.unsure == 0.0 or lag * part.interval > CRITERIA.shared + 1e-6
-        shared = not known and middle > 1.0 and far / middle < middle
-        only = math.sqrt(float(r @ r) / max(1, len(r))) < CRITERIA.left_level * far
-        full[sample.channel].append(max(1.0, far) if shared and only else 1.0)
+    for part in data.parts:
+        lag = int(CRITERIA.shared / part.interval + 1e-6)
+        for sample in part.samples:  # which a channel has in some recordings only
+            r = errors[sample.channel].pop(0)
+            full.setdefault(sample.channel, []).append(_in_full(r, lag) if sample.unsure else 1.0)
     each = {c: float(np.mean(several)) for c, several in full.items()}
     return each if np.mean(list(each.values())) > noise_level(data) else dict.fromkeys(each, 1.0)
+
+
+def _in_full(r: np.ndarray, lag: int) -> float:
+    """Return the noise of residuals r (n,) between samples `lag` apart, where it is larger than between neighbours and
+    all that they are; else 1.
+    """
+    if lag < _LAG:
+        return 1.0
+    middle, far = noise_between(r, lag // 2), noise_between(r, lag)
+    shared = middle > 1.0 and far / middle < middle
+    return max(1.0, far) if shared and math.sqrt(float(r @ r) / len(r)) < CRITERIA.left_level * far else 1.0
 
 
 def each_part(data: Data, change: Callable[[FitData], FitData]) -> Data:

@@ -169,14 +169,15 @@ class Fitted:
         return self.near and self.plausible
 
     @property
-    def far(self) -> tuple[str, ...]:
-        """Nominal parameters that moved by more than `Criteria.far` standard uncertainties."""
+    def far(self) -> Mapping[str, float]:
+        """Nominal parameters that moved by more than `Criteria.far` standard uncertainties, and by how many of them;
+        the furthest first.
+        """
         given, found = self.fit.origin, self.fit.crane
-        known = given.uncertainty
-        return tuple(
-            n for n in known if n in given.values and math.isfinite(known[n].std)
-            and abs(found.values[n] - given.values[n]) > CRITERIA.far * known[n].std
-        )  # fmt: skip
+        known = ((n, u.std) for n, u in given.uncertainty.items() if n in given.values and math.isfinite(u.std))
+        moves = ((n, abs(found.values[n] - given.values[n]), std) for n, std in known)
+        far = {n: move / std for n, move, std in moves if move > CRITERIA.far * std}
+        return dict(sorted(far.items(), key=lambda each: -each[1]))
 
     @property
     def beyond_uncertainty(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from typing import Literal
 
 import numpy as np
@@ -18,8 +19,6 @@ from .search import Problem
 from .white import WhitePath
 
 Kind = Literal["adequate", "parameters", "effect", "tied", "unknown"]
-
-
 #: parameters of an explanation that are named where they are not believed
 _NAMED = 3
 
@@ -45,8 +44,7 @@ def verdict_of(path: WhitePath) -> Verdict:
             return Verdict("tied", at_once, (path.fewest,), (_far_moves(path.fewest, at_once), *_bounds(at_once)))
         return Verdict("adequate", path.given) if path.adequate else Verdict("parameters", path.fewest)
     if best is None or not explains(path, best):
-        notes = () if best is None or not best.near or best.plausible else (_beyond_belief(best),)
-        return Verdict("unknown", path.given, notes=notes)
+        return Verdict("unknown", path.given, notes=_beyond_belief(best))
     at_once = _at_once(path, best, best.evidence)
     if at_once is not None:
         return Verdict("tied", at_once, (best,), (_far_moves(best, at_once), *_bounds(at_once)))
@@ -55,8 +53,8 @@ def verdict_of(path: WhitePath) -> Verdict:
         if w.evidence > best.evidence - CRITERIA.tie and len(w.keys) <= len(best.keys)
     )  # fmt: skip
     nearly = "the best explanation predicts data outside its fit, but its law differs slightly from the machine's"
-    own = () if best.good or _repairs(path, best) else (nearly,)
-    return Verdict("tied" if ties else "effect", best, ties, (*own, *_bounds(best)))
+    notes = () if best.good or _repairs(path, best) else (nearly,)
+    return Verdict("tied" if ties else "effect", best, ties, (*notes, *_bounds(best)))
 
 
 def explains(path: WhitePath, w: Fitted) -> bool:
@@ -99,15 +97,15 @@ def _far_moves(w: Fitted, at_once: Fitted) -> str:
     )
 
 
-def _beyond_belief(w: Fitted) -> str:
-    """Return why a model is not named that leaves hardly more than noise."""
-    given, found = w.fit.origin, w.fit.crane
-    moves = {n: abs(found.values[n] - given.values[n]) / given.uncertainty[n].std for n in w.far}
-    furthest = sorted(moves, key=lambda n: -moves[n])[:_NAMED]
+def _beyond_belief(w: Fitted | None) -> tuple[str, ...]:
+    """Return why a model is not named that leaves hardly more than noise; nothing of one that leaves more."""
+    if w is None or not w.near or w.plausible:
+        return ()
+    moves = ", ".join(f"{n} by {move:.1f} standard uncertainties" for n, move in islice(w.far.items(), _NAMED))
     return (
         f"{' and '.join(w.keys)} would leave hardly more than noise, but only with nominal parameters further off than "
-        f"the crane file allows ({', '.join(f'{n} by {moves[n]:.1f} standard uncertainties' for n in furthest)}). "
-        "Probably something else is missing as well: `patu improve` searches for more effects"
+        f"the crane file allows ({moves}). Probably something else is missing as well: `patu improve` searches for "
+        "more effects",
     )
 
 
