@@ -34,7 +34,7 @@ ANSWERS = json.loads((DATA / "open_answers.json").read_text(encoding="utf-8"))
 WITH_CHECK = "open_leak_lift"
 #: what is learned from: the suite has no time for whole recordings, and the less is seen, the harder it is to tell one
 #: effect from the others. Some machines show later what they lack
-SECONDS, LATER = 4.5, dict.fromkeys(("open_leak_lift", "open_deadband_tilt", "open_bias_p4"), 6.0)
+SECONDS, LATER = 4.5, dict.fromkeys(("open_leak_lift", "open_bias_p4"), 6.0)
 
 
 #: standard deviations of sensors that are made up, SI
@@ -54,16 +54,15 @@ def pulses(time, *spans):
 
 @pytest.mark.parametrize("name", sorted(ANSWERS))
 def test_an_open_case_is_diagnosed(name):
-    learn, check = (Recording.load(DATA / f"{name}_{part}.csv.gz") for part in ("learn", "check"))
-    checked = name == WITH_CHECK
-    seen = learn.window(0.0, LATER.get(name, SECONDS))
-    found = diagnose(Crane.load("patu655"), seen, check if checked else None, jobs=1)
+    learn = Recording.load(DATA / f"{name}_learn.csv.gz")
+    check = Recording.load(DATA / f"{name}_check.csv.gz") if name == WITH_CHECK else None
+    found = diagnose(Crane.load("patu655"), learn.window(0.0, LATER.get(name, SECONDS)), check, jobs=1)
     answer = ANSWERS[name]
     assert found.verdict == answer["verdict"]
     assert list(found.effects) == answer.get("effects", [])
     for parameter, value in answer.get("parameters", {}).items():
         assert found.crane[parameter] == pytest.approx(value, rel=0.1)
-    if checked:
+    if check is not None:
         assert found.check_error_after < 1.2  # 1 is the noise alone
     document = json.loads(json.dumps(found.to_dict(), default=float))
     assert set(document) >= {"verdict", "parameters", "candidates", "effects", "tied_with", "next_manoeuvre", "seconds"}
@@ -148,6 +147,9 @@ def larger(crane: Crane) -> Crane:
 def test_a_recording_of_another_machine_is_unknown_and_no_name_is_forced_on_it():
     crane = Crane.load("patu655")
     case = hidden.make_case(3, kind="none", crane=larger(crane), noise=0, sensors=0, rate=100)
+    # only load and oil are uncertain, so that the fits are short
+    known = {n: u for n, u in crane.uncertainty.items() if n.startswith(("payload", "fluid"))}
+    crane = replace(crane, uncertainty=known)
     found = diagnose(crane, case.learn.window(0.0, 3.0), jobs=1)
     assert found.verdict == "unknown" and not found.effects and found.crane == crane
     assert found.where

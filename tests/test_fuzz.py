@@ -628,7 +628,7 @@ def _changed_result(
         yield f"the result is {result}, that of the same recording {clean[words]}"
 
 
-@pytest.mark.parametrize(("kind", "count"), [("recording", 110), ("crane", 90), ("command", 100)])
+@pytest.mark.parametrize(("kind", "count"), [("recording", 60), ("crane", 50), ("command", 100)])
 def test_an_answer_or_one_message(
     patu: Callable[..., SimpleNamespace],
     sound: dict[str, np.ndarray],
