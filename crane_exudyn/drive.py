@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
 from .channels import JUST_BEFORE
@@ -10,25 +13,52 @@ from .inputs import SpoolPath
 
 #: a change of a command is a step if it is this large, and so many times larger than the changes before and after it
 _STEP, _RATIO = 0.02, 4.0
+#: a step of a command: when the sample that shows the new value was taken, s, and which valve's
+Step = tuple[float, int]
 
 
-def with_steps(time: np.ndarray, commands: np.ndarray, held: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def steps_in(time: np.ndarray, commands: np.ndarray) -> dict[Step, float]:
+    """Return the steps of commands (n, valves) sampled at `time` (n,), and how long the sampling interval of each is,
+    s.
+
+    A ramp shows in many samples, a step in one.
+    """
+    return {
+        (float(time[row]), c): float(time[row] - time[row - 1])
+        for c, u in enumerate(commands.T)
+        for row in _rows(time, u, held=False)
+    }
+
+
+def _rows(time: np.ndarray, command: np.ndarray, held: bool) -> np.ndarray:
+    """Return the samples (k,) that are the first to show a new value of one command (n,)."""
+    change = np.abs(np.diff(command))
+    around = np.maximum(np.append(0.0, change[:-1]), np.append(change[1:], 0.0))
+    stepped = change > 0.0 if held else (change > _STEP) & (change > _RATIO * around)
+    return np.flatnonzero(stepped & (np.diff(time) > 2.0 * JUST_BEFORE)) + 1
+
+
+def with_steps(
+    time: np.ndarray, commands: np.ndarray, held: bool = False, early: Mapping[Step, float] = MappingProxyType({})
+) -> tuple[np.ndarray, np.ndarray]:
     """Return commands in which steps stay steps: time (n + k,), commands (n + k, valves), linear between the points.
 
-    A ramp shows in many samples, a step in one: joining the two samples around a step by a line would begin it up to a
-    sampling interval early. A command that jumps is held until the sample that shows the new value; with `held` every
-    change is such a jump, as of a controller whose output is logged in its own cycle.
+    Joining the two samples around a step by a line would begin it up to a sampling interval early. A command that
+    jumps is held until the sample that shows the new value; with `held` every change is such a jump, as of a controller
+    whose output is logged in its own cycle.
+
+    Args:
+        early: by how many seconds steps come before the samples that show them, where that is known.
     """
-    change = np.abs(np.diff(commands, axis=0))
-    around = np.maximum(np.pad(change[:-1], ((1, 0), (0, 0))), np.pad(change[1:], ((0, 1), (0, 0))))
-    stepped = change > 0.0 if held else (change > _STEP) & (change > _RATIO * around)
-    jumps = np.flatnonzero(stepped.any(axis=1))
-    jumps = jumps[np.diff(time)[jumps] > 2.0 * JUST_BEFORE]
-    before = np.where(stepped[jumps], commands[jumps], commands[jumps + 1])
-    return (
-        np.insert(time, jumps + 1, time[jumps + 1] - JUST_BEFORE),
-        np.insert(commands, jumps + 1, before, axis=0),
-    )
+    each = []
+    for c, u in enumerate(commands.T):
+        rows = _rows(time, u, held)
+        at = np.array([t - early.get((t, c), 0.0) for t in time[rows].tolist()])
+        pairs = np.repeat(rows, 2)
+        stamps = np.insert(time, pairs, np.column_stack([at - JUST_BEFORE, at]).ravel())
+        each.append((stamps, np.insert(u, pairs, np.column_stack([u[rows - 1], u[rows]]).ravel())))
+    union = np.unique(np.concatenate([time, *(stamps for stamps, _ in each)]))
+    return union, np.column_stack([np.interp(union, *one) for one in each])
 
 
 def spool_on(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from .crane import Crane
+    from .drive import Step
 
 #: samples of other channels in a pause of a command by which it is known that the recording went on
 _RECORDED = 2
@@ -48,7 +49,8 @@ class Recording:
         vouched: whether its contents have been looked at, or are to be used anyway (`vetting`).
         exact: whether it is a simulation's, whose sensors are known to be free of noise.
         held: whether commands keep their value until the next sample; else they are linear between samples, but for
-            jumps.
+            steps.
+        early: by how many seconds steps of commands came before the samples that show them, where that is known.
     """
 
     name: str
@@ -61,9 +63,11 @@ class Recording:
     vouched: bool = False
     exact: bool = False
     held: bool = False
+    early: Mapping[Step, float] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", frozen(self.channels))
+        object.__setattr__(self, "early", frozen(self.early))
 
     # -- making one ----------------------------------------------------------------------------------------------
 
@@ -206,12 +210,24 @@ class Recording:
         Where commands are `held` every change is a step.
 
         Valve voltages become commands through the calibration of `crane`. Where all commands have one clock it is
-        returned as it is; otherwise the union of theirs. Where a command jumps, one more instant just before the sample
+        returned as it is; otherwise the union of theirs. Where a command steps, one more instant just before the sample
         that shows the new value holds the old one (see `drive.with_steps`). In a gap the last value is held; see
         `unknown_commands`.
         """
         from .drive import with_steps
 
+        return with_steps(*self._sampled_commands(crane), self.held, self.early)
+
+    def steps(self, crane: Crane | None = None) -> dict[Step, float]:
+        """Return the steps of commands whose moments the recording does not tell closer than between two samples, and
+        how far these are apart, s; none where commands are `held`.
+        """
+        from .drive import steps_in
+
+        return {} if self.held else steps_in(*self._sampled_commands(crane))
+
+    def _sampled_commands(self, crane: Crane | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return time (n,) and spool commands (n, valves) as they were sampled."""
         self.require(sensors=0)
         if crane is not None and crane.layout.sensors != self.layout.sensors:
             raise CraneError(
@@ -223,12 +239,12 @@ class Recording:
         time = _union([channel.time for channel in known])
         values = np.column_stack([channel.held(time) for channel in known])
         if names == self.layout.commands:
-            return with_steps(time, np.clip(values, -1.0, 1.0), self.held)
+            return time, np.clip(values, -1.0, 1.0)
         if crane is None:
             raise CraneError(
                 f"{self.source or self.name}: contains valve voltages; give the crane whose calibration converts them."
             )
-        return with_steps(time, crane.commands_from_voltages(values), self.held)
+        return time, crane.commands_from_voltages(values)
 
     def unknown_commands(self) -> dict[str, np.ndarray]:
         """Return {command: spans (g, 2) in s} in which a command was not recorded while the recording went on; empty if

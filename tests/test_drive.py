@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crane_exudyn import Crane
-from crane_exudyn.drive import spool_on, with_steps
+from crane_exudyn.drive import spool_on, steps_in, with_steps
 
 
 def test_a_step_is_held_until_the_sample_that_shows_it_and_a_ramp_is_left_alone():
@@ -22,6 +22,17 @@ def test_a_step_is_held_until_the_sample_that_shows_it_and_a_ramp_is_left_alone(
     assert np.interp(0.45, t, u[:, 1]) == pytest.approx(0.25, abs=0.06)
     t, u = with_steps(time, np.column_stack([ramp, ramp]))
     assert np.array_equal(t, time)
+
+
+def test_a_step_comes_before_the_sample_that_shows_it_where_that_is_known():
+    time = np.arange(0.0, 1.0, 0.1)
+    both = np.column_stack([np.where(time > 0.45, 0.5, 0.0), np.where(time > 0.45, -0.3, 0.1)])
+    (first, valve), (second, other) = steps = steps_in(time, both)
+    assert steps == {(first, 0): pytest.approx(0.1), (second, 1): pytest.approx(0.1)} and (valve, other) == (0, 1)
+    t, u = with_steps(time, both, early={(first, 0): 0.07, (second, 1): 0.02})
+    assert (np.diff(t) > 0.0).all()
+    for k, at, old, new in ((0, 0.43, 0.0, 0.5), (1, 0.48, 0.1, -0.3)):
+        assert np.interp([at - 1e-5, at + 1e-5], t, u[:, k]) == pytest.approx([old, new])
 
 
 def test_commands_that_are_held_jump_at_every_sample_that_shows_a_change():

@@ -36,6 +36,7 @@ from validation.fit.staged import (
 from validation.fit.sweeps import RATE, forgotten, sweep
 from validation.fit.variables import effect_variables, uncertain_parameters, with_variables
 from validation.fit.windows import Group, cut
+from validation.selection.granted import otherwise
 from validation.selection.levels import levels_of
 from validation.selection.model import Model, fitted, moved_to
 from validation.selection.screen import likely, screened
@@ -633,6 +634,34 @@ def test_a_search_finds_out_whether_commands_keep_their_value_until_the_next_sam
     commands = {n: Channel(time, c, "") for n, c in zip(("u1", "u2"), ramps.T, strict=True)}
     recording = replace(driven_at, channels={**driven_at.channels, **commands})
     problem = Problem.of(crane, [recording], (), jobs=1)
-    found = problem.held(fitted(crane, problem.data, Model(tuple(timings(problem.data))), problem.nominal, (STIFF,)))
-    assert (found is not None) == held
-    assert found is None or (found.recordings[0].held and found.alike(recording).held)
+    given = fitted(crane, problem.data, Model(tuple(timings(problem.data))), problem.nominal, (STIFF,))
+    found = otherwise(problem, given)
+    assert (found is not None and found.problem.recordings[0].held) == held
+    assert not held or found.problem.alike(recording).held
+
+
+def test_a_search_finds_out_when_commands_stepped_between_two_samples():
+    crane, time, fine = (
+        replace(Crane.load("patu655"), sensors=NOISE),
+        np.arange(0.0, 5.0, 0.02),
+        np.arange(0.0, 4.98, 2e-3),
+    )
+    corners = [[(0.613, 0.4), (1.508, 0.0), (2.931, -0.3), (3.702, 0.0)], [(1.117, -0.3), (1.907, 0.0)]]
+
+    def stepping(grid):
+        steps = [(np.array([t for t, _ in own]), np.array([0.0, *(u for _, u in own)])) for own in corners]
+        return np.column_stack([values[np.searchsorted(at, grid, side="right")] for at, values in steps])
+
+    driven_at = driven(crane, fine, stepping(fine), (0.2, -0.8))
+    commands = {n: Channel(time, c, "") for n, c in zip(("u1", "u2"), stepping(time).T, strict=True)}
+    recording = replace(driven_at, channels={**driven_at.channels, **commands})
+    problem = Problem.of(crane, [recording], (), jobs=1)
+    given = fitted(crane, problem.data, Model(tuple(timings(problem.data))), problem.nominal, (STIFF,))
+    found = otherwise(problem, given)
+    assert found is not None and "step between two samples" in found.notes[0] and found.found.level < given.level
+    early = found.problem.recordings[0].early
+    moments = sorted((shown - s, valve) for (shown, valve), s in early.items())
+    true = sorted((t, valve) for valve, own in enumerate(corners) for t, _ in own)
+    assert moments == [(pytest.approx(t, abs=3e-3), valve) for t, valve in true]
+    # of another recording only the sampling is known: its steps come as early as these do on the average
+    assert list(found.problem.alike(recording).early.values()) == pytest.approx([np.mean(list(early.values()))] * 6)

@@ -26,6 +26,7 @@ from .criteria import CRITERIA
 from .fit.solve import Fit
 from .fit.variables import EffectParameter, NominalDirection
 from .report import amount, evidence_difference, three_digits
+from .selection.granted import otherwise
 from .selection.lean import leaner
 from .selection.model import (
     Fitted,
@@ -260,34 +261,21 @@ def searched(
 ) -> tuple[WhitePath, list[str]]:
     """Return the path of the search, and notes on the recordings, after they were looked at.
 
-    Between samples commands are taken as lines first, and noise as white. Where what was found is clearly likelier with
-    commands that keep their value, or leaves noise of which neighbouring samples share a part, the search is made again
-    with these.
+    Between samples commands are taken as lines first, steps as coming with the sample that shows them, and noise as
+    white. Where a model shows that one of these is wrong, the search is made with what is right: at once, where the
+    machine without effects leaves only noise then, else again, with what the search has found.
     """
     problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
-    path = search(WHITE, problem, most, progress)
-    for other, words, note in _OTHERWISE:
-        again = other(path.problem, path.best or path.parameters)
-        if again is not None:
-            progress(f"searching again, with {words}", 0.3)
-            path, notes = search(WHITE, again, most, progress), [*notes, note]
-    return path, notes
-
-
-#: what a problem may be taken for when a search has shown that it is: itself then, words for the progress, a note
-_OTHERWISE = (
-    (
-        Problem.held,
-        "commands that keep their value until the next sample",
-        "commands seem to keep their value until the next sample: set held = true in a map file",
-    ),
-    (
-        Problem.noisier,
-        "the noise that neighbouring samples share",
-        "sensors are noisier than neighbouring samples differ, because these share a part of the noise, as where a "
-        "logger smooths: errors are told in units of all of the noise",
-    ),
-)
+    path = WHITE.begun(problem)
+    other = otherwise(problem, path.parameters)
+    if other is None or not other.found.good:
+        path = search(WHITE, path, most, progress)
+        found = path.best or path.parameters
+        other = None if found.near else otherwise(problem, found)
+    if other is None:
+        return path, notes
+    progress(f"looking for effects, with {' and '.join(other.words)}", 0.3)
+    return search(WHITE, other.problem, most, progress), [*notes, *other.notes]
 
 
 def looked_at(

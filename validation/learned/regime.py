@@ -128,11 +128,11 @@ def _after(path: LearningPath, found: Round[Fitted]) -> LearningPath:
         return replace(path, notes=(*path.notes, failed))
     tied = [w for w in found.done if w is not chosen and w.evidence > chosen.evidence - CRITERIA.tie]
     best, *rivals = in_parallel(path.problem.jobs, [(retold, w) for w in (chosen, *tied)])
-    problem = replace(path.problem, shared=best.model.variables)
+    problem = replace(path.problem, told=best.model.variables)
     if best.model.curves and not best.good:
         best = refined(problem, best)
         best = taken_on(problem, best, still_to_do(best))
-    problem = replace(problem, shared=best.model.variables)
+    problem = replace(problem, told=best.model.variables)
     return replace(path, problem=problem, best=best, rivals=tuple(rivals))
 
 

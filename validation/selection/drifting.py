@@ -55,7 +55,7 @@ def _begun(problem: Problem) -> DriftingPath:
     crane = problem.crane
     learned = first_part(problem.data)
     base = all_parameters(crane, learned, loose(5))
-    problem = replace(problem, shared=(*informed_directions(base), *stated_effects(crane)))
+    problem = replace(problem, told=(*informed_directions(base), *stated_effects(crane)))
     raised = Levels({c: max(1.0, e) for c, e in base.errors.items()}).raised(learned)
     nominal = fitted(crane, raised, Model(problem.shared), base, joined(8))
     now = Standing(nominal.model, nominal.fit, nominal.loose, Levels(dict.fromkeys(base.errors, math.inf)))

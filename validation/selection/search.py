@@ -18,13 +18,11 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.recording import Recording
 
-from ..criteria import CRITERIA
 from ..fit.data import Data, data_of, noise_of
 from ..fit.solve import Fit
-from ..fit.staged import STIFF, Stage, all_parameters, informed_directions
+from ..fit.staged import Stage, all_parameters, informed_directions
 from ..fit.variables import Variable, stated_effects
 from ..workers import in_parallel
-from .levels import noise_in_full
 from .manoeuvre import best_manoeuvre
 from .model import F, Fitted, Model, fitted, run_error, unmoving, values_of
 from .moves import scaled
@@ -108,9 +106,9 @@ class Regime(Generic[F, P]):
     finished: Callable[[P, int, Progress], P]
 
 
-def search(regime: Regime[F, P], problem: Problem, most: int, progress: Progress = silent) -> P:
-    """Return the path of a search to at most so many effects."""
-    path = regime.begun(problem)
+def search(regime: Regime[F, P], begin: Problem | P, most: int, progress: Progress = silent) -> P:
+    """Return the path of a search to at most so many effects, of a problem or on from a path that has begun."""
+    path = regime.begun(begin) if isinstance(begin, Problem) else begin
     while beam := regime.beam(path, most):
         progress("looking for effects", 0.2 + 0.5 * min(len(path.rounds) / most, 1.0))
         tried = regime.fitted(path, beam, regime.moves(path, beam))
@@ -122,56 +120,44 @@ def search(regime: Regime[F, P], problem: Problem, most: int, progress: Progress
 
 @dataclass(frozen=True)
 class Problem:
-    """What is searched: a crane, its recordings, and the variables that all models share.
+    """What is searched: a crane and its recordings.
 
     Attributes:
-        base: the crane in loosely joined windows, all its uncertain parameters free.
+        told: the variables that all models share, where these are other than those that `base` tells.
     """
 
     crane: Crane
     recordings: tuple[Recording, ...]
     data: Data
     jobs: int
-    base: Fit = field(repr=False)
-    shared: tuple[Variable, ...]
+    told: tuple[Variable, ...] | None = None
 
     @classmethod
     def of(cls, crane: Crane, recordings: Sequence[Recording], own: Sequence[str], jobs: int) -> Problem:
-        """Return the problem, nominal parameters fitted in loosely joined windows."""
-        data = data_of(recordings, crane, own)
-        base = all_parameters(crane, data)
-        return cls(crane, tuple(recordings), data, jobs, base, (*informed_directions(base), *stated_effects(crane)))
+        """Return the problem of recordings; of several, `own` parameters are each one's own."""
+        return cls(crane, tuple(recordings), data_of(recordings, crane, own), jobs)
 
-    def held(self, w: Fitted) -> Problem | None:
-        """Return the problem with commands that keep their value until the next sample, as a controller puts them out;
-        None where a model that was fitted with lines between them is not clearly likelier so, or leaves so much that
-        what it gains tells nothing of the commands.
-        """
-        recordings = [replace(r, held=True) for r in self.recordings]
-        data = data_of(recordings, self.crane, self.data.own)
-        if all(len(a.commands) == len(b.commands) for a, b in zip(data.parts, self.data.parts, strict=True)):
-            return None
-        again = fitted(self.crane, data, w.model, w.fit, (STIFF,))
-        if again.evidence < w.evidence + CRITERIA.proof or again.level >= CRITERIA.left_level:
-            return None
-        return Problem.of(self.crane, recordings, self.data.own, self.jobs)
+    @cached_property
+    def base(self) -> Fit:
+        """The crane in loosely joined windows, all its uncertain parameters free."""
+        return all_parameters(self.crane, self.data)
 
-    def noisier(self, w: Fitted) -> Problem | None:
-        """Return the problem with the noise that sensors have in full, where it is alike from one sample to the next
-        and was estimated too small; None where a fitted model does not show that.
-        """
-        shown, sensors = [noise_of(r, self.crane) for r in self.recordings], dict(self.crane.sensors)
-        for channel, factor in noise_in_full(w.fit, self.data).items():
-            each = [noise[channel] for noise in shown if channel in noise]
-            if factor > 1.0 and max(each) < CRITERIA.left_level * min(each):  # one file states one noise for all
-                sensors[channel] = factor * float(np.mean(each))
-        if sensors == self.crane.sensors:
-            return None
-        return Problem.of(replace(self.crane, sensors=sensors), self.recordings, self.data.own, self.jobs)
+    @cached_property
+    def shared(self) -> tuple[Variable, ...]:
+        """The variables that all models share."""
+        if self.told is not None:
+            return self.told
+        return (*informed_directions(self.base), *stated_effects(self.crane))
 
     def alike(self, check: Recording | None) -> Recording | None:
-        """Return another recording of the machine, its commands taken as those of the problem's."""
-        return None if check is None else replace(check, held=check.held or self.recordings[0].held)
+        """Return another recording of the machine, its commands taken as those of the problem's: steps come as early
+        between two samples as these do on the average.
+        """
+        if check is None:
+            return None
+        shares = [e / r.steps(self.crane)[step] for r in self.recordings for step, e in r.early.items()]
+        early = {step: float(np.mean(shares)) * h for step, h in check.steps(self.crane).items()} if shares else {}
+        return replace(check, held=check.held or self.recordings[0].held, early=early)
 
     @cached_property
     def nominal(self) -> Fit:
