@@ -139,10 +139,15 @@ class Measurement:
         slots = slots_of(SENSING)
         return np.asarray(moved | (E[:, slots] != self.E[slots]).any(axis=1))
 
-    def read(self, X: np.ndarray) -> np.ndarray:
-        """Return what the sensors would show (n, m) of states X (n, nx) without lag."""
+    def read(self, X: np.ndarray, full: np.ndarray | None = None) -> np.ndarray:
+        """Return what the sensors would show (n, m) of states X (n, nx) without lag.
+
+        full: (m,) which of them show the state itself, below vapour pressure too.
+        """
         X = self._checked(X)
-        Y: np.ndarray = _sums(X, self._reads.summed, self._floor)
+        Y: np.ndarray = _sums(
+            X, self._reads.summed, self._floor if full is None else np.where(full, -np.inf, self._floor)
+        )
         if not self._is_plain:
             _read(self._machine.topology, tuple(self._reads), X, self.P, self.E, Y)
         return Y

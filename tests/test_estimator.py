@@ -415,6 +415,21 @@ def test_sensor_bias_is_found():
         estimator(("z1", "p1"), augment=("bias.p3",))
 
 
+def test_a_gauge_that_shows_pressure_fills_a_void_of_the_model_and_is_not_taken_to_be_off():
+    names = (*FOUR, "p2", "p3")
+    live = estimator(names, augment=(Augment("bias.p2", 15e5, memory=10.0),))
+    columns = [ROWS[n] for n in names]
+    rest = {n: float(TRUTH[0, c]) for n, c in zip(names, columns, strict=True)}
+    live.step((0.0, 0.0), rest, 0.0)
+    p2 = ROWS["p2"]
+    live.belief.mean[p2] = -3e7  # the model has lost oil there that the machine has not
+    live.belief.covariance[p2, p2] = 1e12
+    for k in range(1, 40):
+        now = live.step((0.0, 0.0), rest, 0.005 * k)
+    assert now["p2"] == pytest.approx(rest["p2"], abs=2e5)
+    assert abs(now["bias.p2"]) < 2e5
+
+
 def test_sensor_effects_of_the_crane_are_in_the_measurement_function():
     crane = CRANE.with_effect("sensor_bias@p1", {"b": 5e5}).with_effect("sensor_lag@z1", {"tau": 0.05})
     signals = recording()

@@ -144,10 +144,13 @@ def test_own_means_know_as_much_as_slopes_along_the_true_trajectory_tell():
         def over(points, k=k):
             return filter_.carried(points, plan, k, {})
 
+        def shown(points, k=k):
+            return filter_.observe(points, plan.values[k])
+
         true = np.r_[experiment.truth[k - 1], constants], np.r_[experiment.truth[k], constants]
         prior = predict_linearised(replace(belief, at=true[0]), over, filter_.process_noise(1e-3), increments)
         belief = Belief(prior.mean, prior.covariance, at=true[1])
-        belief = update_linearised(belief, filter_.observe, plan.values[k], variance, increments)
+        belief = update_linearised(belief, shown, plan.values[k], variance, increments)
         belief = Belief(belief.mean, belief.covariance)
     payload = filter_.state_names.index("payload.mass")
     assert found.std[-1, payload] == pytest.approx(np.sqrt(belief.covariance[payload, payload]), rel=0.2)

@@ -42,18 +42,22 @@ class Channels:
             )
         return self.names.index(channel)
 
-    def read(self, points: np.ndarray) -> np.ndarray:
-        """Return what the sensors would read without lag (m, k), from points (m, n)."""
-        out = self._measurement.read(points)
+    def read(self, points: np.ndarray, full: np.ndarray | None = None) -> np.ndarray:
+        """Return what the sensors would read without lag (m, k), from points (m, n); `full` as of `observe`."""
+        out = self._measurement.read(points, full)
         if self._measurement.has_laws and not all_finite(out):
             self._measurement.check(self._crane, out, points)
         for row, column in self._biases:
             out[:, row] += points[:, column]
         return out
 
-    def observe(self, points: np.ndarray) -> np.ndarray:
-        """Return the measurements (m, k) expected in points (m, n); a sensor with a lag shows its own state."""
-        out = self.read(points)
+    def observe(self, points: np.ndarray, full: np.ndarray | None = None) -> np.ndarray:
+        """Return the measurements (m, k) expected in points (m, n); a sensor with a lag shows its own state.
+
+        full: (k,) which chambers are known to have no void: that of a point counts there as the pressure that is
+            missing.
+        """
+        out = self.read(points, full)
         for k, (row, _) in enumerate(self.lags):
             out[:, row] = points[:, self._engine_states + k]
         return out

@@ -66,7 +66,7 @@ def consider(
             off = (carried[1:] - carried[0]).T
             off[held, np.arange(len(held))] += _constant(estimator, fading, float(plan.time[k] - plan.time[k - 1]))
         used = estimator.on_plan(plan, k).flags == USED
-        off = _corrected(estimator, off if np.isfinite(off).all() else before, used)
+        off = _corrected(estimator, off if np.isfinite(off).all() else before, used, plan.values[k])
         found[k] = np.linalg.norm(off[wanted], axis=1)
         if progress is not None and k % 100 == 0:
             progress(k / plan.time.size)
@@ -78,11 +78,13 @@ def _constant(estimator: Estimator, fading: dict[str, float], dt: float) -> np.n
     return np.array([(1.0 - e.kept(dt)) * fading[e.name] for e in estimator.extras if e.name in fading])
 
 
-def _corrected(estimator: Estimator, off: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """Return the deviations (n, q) that are left after a correction by the sensors `used` (k,); K = P Hᵀ R⁻¹."""
+def _corrected(estimator: Estimator, off: np.ndarray, used: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return the deviations (n, q) that are left after a correction by the sensors `used` (k,) of all that show (k,);
+    K = P Hᵀ R⁻¹.
+    """
     belief = estimator.belief
     covariance, n = belief.covariance, len(off)
     step = _SLOPE * np.sqrt(covariance.diagonal())
-    seen = estimator.observe(np.vstack([belief.mean + np.diag(step), belief.mean - np.diag(step)]))[:, used]
+    seen = estimator.observe(np.vstack([belief.mean + np.diag(step), belief.mean - np.diag(step)]), shown)[:, used]
     slope = ((seen[:n] - seen[n:]) / (2.0 * step[:, None])).T
     return np.asarray(off - covariance @ (slope.T / estimator.sensor_variance[used]) @ (slope @ off))

@@ -42,6 +42,8 @@ from .signals import LONG_GAP, Plan, Signals
 from .start import UNSHOWN, check_start, rivals, showing, start_belief, taken
 from .visible import show
 
+#: standard deviations of its noise above vapour pressure from which on a gauge shows that its chamber has no void
+_CLEAR = 4.0
 #: what a step of the filter may end in
 _FAILURES = (FilterError, ArithmeticError, np.linalg.LinAlgError, CraneError)
 
@@ -128,6 +130,8 @@ class Estimator:
         self.options = Options(method, start, gate, max_step, pressure_std, adapt, strokes, revisit)
         self._sensors = SensorNoise(self.std_of.values())
         self._floor = vapour_pressure(crane)
+        #: (k,) what a gauge shows only of a chamber without a void, Pa
+        self._clear = self._floor + _CLEAR * self._sensors.std
         self._engine_states = len(self.engine.state_names)
         self._channels = Channels(crane, list(self.std_of), self._engine_states, self.extras)
         self._bounds = self._all_bounds(partial(cylinder_lengths, crane) if strokes else None)
@@ -194,12 +198,30 @@ class Estimator:
         """Variance (k,) of the noise of each sensor."""
         return self._sensors.covariance.diagonal()
 
-    def observe(self, points: np.ndarray) -> np.ndarray:
-        """Return what the sensors (m, k) show of states (m, n)."""
-        return self._channels.observe(points)
+    def observe(self, points: np.ndarray, shown: np.ndarray) -> np.ndarray:
+        """Return what the sensors (m, k) should show of states (m, n), where they show (k,), or (m, k) of each.
 
-    def reset(self) -> None:
-        """Forget everything that was measured."""
+        A gauge shows nothing of how large a void is. But what it shows clearly above vapour pressure is the pressure of
+        a chamber without a void: one that a state has there counts as the pressure that is missing. The filter would
+        learn nothing else, and put what the gauge shows on an offset of it.
+        """
+        if shown.ndim == 1:
+            return self._channels.observe(points, self._full(points.mean(axis=0), shown))
+        every = np.ones(shown.shape[1], dtype=bool)
+        void = np.any(points[:, self.crane.layout.pressures] < self._floor, axis=1, keepdims=True)
+        full = (shown > self._clear) & void
+        return np.where(full, self._channels.observe(points, every), self._channels.observe(points))
+
+    def _full(self, mean: np.ndarray, shown: np.ndarray) -> np.ndarray | None:
+        """Return which gauges (k,) show a chamber without a void, where a mean (n,) has any void; None where that is no
+        question. Of what is no pressure it makes no difference.
+        """
+        void = self._fills and (mean[self.crane.layout.pressures] < self._floor).any()
+        return shown > self._clear if void else None
+
+    def reset(self, fills: bool = True) -> None:
+        """Forget everything that was measured; `fills`: whether a gauge fills a void from now on, as of `observe`."""
+        self._fills = fills
         self.belief: Any = None
         self.time: float | None = None
         self.count = 0
@@ -486,7 +508,8 @@ class Estimator:
         """Correct by what is there, let the monitor judge it, and correct anew without what cannot be believed."""
         energy = values.dot(values)
         if energy == energy:  # no NaN: every sensor was read, which is worth a short cut
-            result = self._method.update(prior, self._channels.observe, values, self._sensors.covariance, self.count)
+            seen = partial(self._channels.observe, full=self._full(prior.mean, values))
+            result = self._method.update(prior, seen, values, self._sensors.covariance, self.count)
             innovation, variance = result.innovation, result.innovation_covariance.diagonal()
         else:
             result, innovation, variance = self._correct_some(prior, values, ~np.isnan(values))
@@ -516,9 +539,13 @@ class Estimator:
         if not rows.any():
             return None, innovation, variance
         noise = np.ascontiguousarray(self._sensors.covariance[np.ix_(rows, rows)])
-        seen = self._channels.observe
+        full = self._full(prior.mean, values)
         result = self._method.update(
-            prior, lambda p: np.ascontiguousarray(seen(p)[:, rows]), values[rows], noise, self.count
+            prior,
+            lambda p: np.ascontiguousarray(self._channels.observe(p, full)[:, rows]),
+            values[rows],
+            noise,
+            self.count,
         )
         innovation[rows], variance[rows] = result.innovation, result.innovation_covariance.diagonal()
         return result, innovation, variance
@@ -663,7 +690,7 @@ class Estimator:
         step = Step(
             self._again.over(plan.inputs[i:j], plan.grid[i:j]),
             self.process_noise(time - float(plan.time[k - 1])),
-            lambda points: np.ascontiguousarray(self.observe(points)[:, used]),
+            lambda points: np.ascontiguousarray(self.observe(points, plan.values[k])[:, used]),
             plan.values[k, used],
             np.ascontiguousarray(self._sensors.covariance[np.ix_(used, used)]),
         )

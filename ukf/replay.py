@@ -60,8 +60,8 @@ class Replay:
         cuts = np.flatnonzero(~recorder.cross[1:].any(axis=(1, 2)))  # steps at which the filter began anew
         self._stretches = list(zip([0, *(cuts + 1)], [*cuts, len(self._dt)], strict=True))
         self._prior_covariance = recorder.prior_covariance
-        seen = estimator.observe(prior[1:])
-        self._slope = _slopes(estimator, recorder)
+        seen = estimator.observe(prior[1:], plan.values[1:])
+        self._slope = _slopes(estimator, recorder, plan.values[1:])
         self._innovation = np.where(recorder.flags[1:] == USED, plan.values[1:] - seen, np.nan)
         self._variance = estimator.sensor_variance
         self.used = int(np.isfinite(self._innovation).sum())
@@ -129,8 +129,10 @@ def _transitions(covariance: np.ndarray, cross: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.swapaxes(solved, 1, 2) / scale[:, None, :])
 
 
-def _slopes(estimator: Estimator, recorder: Any) -> np.ndarray:
-    """Return the derivative (N - 1, k, n) of what the sensors show by the states, by central differences."""
+def _slopes(estimator: Estimator, recorder: Any, shown: np.ndarray) -> np.ndarray:
+    """Return the derivative (N - 1, k, n) of what the sensors should show by the states, by central differences, where
+    they show (N - 1, k).
+    """
     prior = recorder.prior_mean[1:]
     step = _SLOPE * np.sqrt(np.einsum("kii->ki", recorder.prior_covariance[1:]))
     out = []
@@ -138,7 +140,7 @@ def _slopes(estimator: Estimator, recorder: Any) -> np.ndarray:
         above, below = prior.copy(), prior.copy()
         above[:, j] += step[:, j]
         below[:, j] -= step[:, j]
-        out.append((estimator.observe(above) - estimator.observe(below)) / (2.0 * step[:, j, None]))
+        out.append((estimator.observe(above, shown) - estimator.observe(below, shown)) / (2.0 * step[:, j, None]))
     return np.stack(out, axis=2)
 
 
