@@ -145,9 +145,8 @@ class Measurement:
         full: (m,) which of them show the state itself, below vapour pressure too.
         """
         X = self._checked(X)
-        Y: np.ndarray = _sums(
-            X, self._reads.summed, self._floor if full is None else np.where(full, -np.inf, self._floor)
-        )
+        floor = self._floor if full is None else np.where(full, -np.inf, self._floor)
+        Y: np.ndarray = _sums(X, self._reads.summed, floor)
         if not self._is_plain:
             _read(self._machine.topology, tuple(self._reads), X, self.P, self.E, Y)
         return Y

@@ -641,11 +641,8 @@ def test_a_search_finds_out_whether_commands_keep_their_value_until_the_next_sam
 
 
 def test_a_search_finds_out_when_commands_stepped_between_two_samples():
-    crane, time, fine = (
-        replace(Crane.load("patu655"), sensors=NOISE),
-        np.arange(0.0, 5.0, 0.02),
-        np.arange(0.0, 4.98, 2e-3),
-    )
+    crane = replace(Crane.load("patu655"), sensors=NOISE)
+    time, fine = np.arange(0.0, 5.0, 0.02), np.arange(0.0, 4.98, 2e-3)
     corners = [[(0.613, 0.4), (1.508, 0.0), (2.931, -0.3), (3.702, 0.0)], [(1.117, -0.3), (1.907, 0.0)]]
 
     def stepping(grid):
@@ -665,3 +662,5 @@ def test_a_search_finds_out_when_commands_stepped_between_two_samples():
     assert moments == [(pytest.approx(t, abs=3e-3), valve) for t, valve in true]
     # of another recording only the sampling is known: its steps come as early as these do on the average
     assert list(found.problem.alike(recording).early.values()) == pytest.approx([np.mean(list(early.values()))] * 6)
+    held = replace(found.problem, recordings=(replace(found.problem.recordings[0], held=True),))
+    assert held.alike(recording).held and not held.alike(recording).early  # every change is a step there

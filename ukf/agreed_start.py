@@ -42,9 +42,9 @@ def agreed_start(estimator: Any, plan: Plan) -> dict[str, float]:
 
 def _agreement(estimator: Any, plan: Plan, since: Mapping[str, float]) -> float:
     """Return the log-likelihood of the first samples where those of the channels in `since` before their times are not
-    believed. Gauges fill no void here: one that shows zero at first may not have begun to work.
+    believed.
     """
-    estimator.reset(fills=False)
+    estimator.reset()
     tried = plan.without(estimator.channel_names, since)
     estimator.start_at(float(plan.time[0]), *tried.first_readings())
     count = plan.until(float(plan.time[0]) + 2.0 * _EARLY)

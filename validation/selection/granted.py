@@ -69,7 +69,7 @@ def stepped(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
     """Return the problem with steps of commands at their likeliest moments between two samples; None where a fitted
     model is not clearly likelier so.
     """
-    return _driven_by(with_likeliest_steps(w.fit, problem.recordings, STIFF.stiffness), problem, w)
+    return _driven_by(_with_likeliest_steps(w.fit, problem.recordings), problem, w)
 
 
 def held(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
@@ -112,7 +112,7 @@ _OTHERWISE = (
 )
 
 
-def with_likeliest_steps(fit: Fit, recordings: Sequence[Recording], stiffness: float) -> list[Recording]:
+def _with_likeliest_steps(fit: Fit, recordings: Sequence[Recording]) -> list[Recording]:
     """Return the recordings of a fit, each step of a command where it explains most of what the fit leaves, with all
     that the fit moves free to follow; as they are, where the model fails.
 
@@ -131,7 +131,7 @@ def with_likeliest_steps(fit: Fit, recordings: Sequence[Recording], stiffness: f
                 moved.append(base)
         return pack(base, moved, np.full(len(moved), _SHIFT))
 
-    found = projected(fit, fit.knots, probes, stiffness) if each else None
+    found = projected(fit, fit.knots, probes, STIFF.stiffness) if each else None
     if found is None:
         return list(recordings)
     none, all_of_it = np.zeros(len(each)), np.ones(len(each))

@@ -155,7 +155,8 @@ class Problem:
         """
         if check is None:
             return None
-        shares = [e / r.steps(self.crane)[step] for r in self.recordings for step, e in r.early.items()]
+        mended = [r for r in self.recordings if r.early]
+        shares = [r.early[step] / h for r in mended for step, h in r.steps(self.crane).items()]
         early = {step: float(np.mean(shares)) * h for step, h in check.steps(self.crane).items()} if shares else {}
         return replace(check, held=check.held or self.recordings[0].held, early=early)
 
