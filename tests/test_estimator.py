@@ -418,6 +418,7 @@ def test_sensor_bias_is_found():
 def test_a_gauge_that_shows_pressure_fills_a_void_of_the_model_and_is_not_taken_to_be_off():
     names = (*FOUR, "p2", "p3")
     live = estimator(names, augment=(Augment("bias.p2", 15e5, memory=10.0),))
+    live.reset(fills=True)  # as over a recording
     columns = [ROWS[n] for n in names]
     rest = {n: float(TRUTH[0, c]) for n, c in zip(names, columns, strict=True)}
     live.step((0.0, 0.0), rest, 0.0)

@@ -206,21 +206,23 @@ class Estimator:
         learn nothing else, and put what the gauge shows on an offset of it.
         """
         if shown.ndim == 1:
-            return self._channels.observe(points, self._full(points.mean(axis=0), shown))
+            return self._observing(points.mean(axis=0), shown)(points)
         every = np.ones(shown.shape[1], dtype=bool)
-        void = np.any(points[:, self.crane.layout.pressures] < self._floor, axis=1, keepdims=True)
-        full = (shown > self._clear) & void
-        return np.where(full, self._channels.observe(points, every), self._channels.observe(points))
+        return np.where(shown > self._clear, self._channels.observe(points, every), self._channels.observe(points))
 
-    def _full(self, mean: np.ndarray, shown: np.ndarray) -> np.ndarray | None:
-        """Return which gauges (k,) show a chamber without a void, where a mean (n,) has any void; None where that is no
-        question. Of what is no pressure it makes no difference.
+    def _observing(self, mean: np.ndarray, shown: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Return what the sensors should show (m, k) of states (m, n) around a mean (n,), where they show (k,): only a
+        mean with a void makes a difference, and none does of what is no pressure.
         """
         void = self._fills and (mean[self.crane.layout.pressures] < self._floor).any()
-        return shown > self._clear if void else None
+        return partial(self._channels.observe, full=shown > self._clear) if void else self._channels.observe
 
-    def reset(self, fills: bool = True) -> None:
-        """Forget everything that was measured; `fills`: whether a gauge fills a void from now on, as of `observe`."""
+    def reset(self, fills: bool = False) -> None:
+        """Forget everything that was measured.
+
+        fills: whether gauges fill voids from now on, as of `observe`. While a start is tried, and live, they do not:
+            what reads zero there may not work yet, or no more.
+        """
         self._fills = fills
         self.belief: Any = None
         self.time: float | None = None
@@ -508,7 +510,7 @@ class Estimator:
         """Correct by what is there, let the monitor judge it, and correct anew without what cannot be believed."""
         energy = values.dot(values)
         if energy == energy:  # no NaN: every sensor was read, which is worth a short cut
-            seen = partial(self._channels.observe, full=self._full(prior.mean, values))
+            seen = self._observing(prior.mean, values)
             result = self._method.update(prior, seen, values, self._sensors.covariance, self.count)
             innovation, variance = result.innovation, result.innovation_covariance.diagonal()
         else:
@@ -539,13 +541,9 @@ class Estimator:
         if not rows.any():
             return None, innovation, variance
         noise = np.ascontiguousarray(self._sensors.covariance[np.ix_(rows, rows)])
-        full = self._full(prior.mean, values)
+        seen = self._observing(prior.mean, values)
         result = self._method.update(
-            prior,
-            lambda p: np.ascontiguousarray(self._channels.observe(p, full)[:, rows]),
-            values[rows],
-            noise,
-            self.count,
+            prior, lambda p: np.ascontiguousarray(seen(p)[:, rows]), values[rows], noise, self.count
         )
         innovation[rows], variance[rows] = result.innovation, result.innovation_covariance.diagonal()
         return result, innovation, variance
@@ -649,7 +647,7 @@ class Estimator:
         self.reset()
         plan = signals.plan(self.crane, self.channel_names, self.options.max_step)
         since = agreed_start(self, plan) if self.options.start is None else {}
-        self.reset()
+        self.reset(fills=True)
         self.events.extend(plan.events)
         for name, begin in since.items():
             text = f"samples before {begin:.3f} s contradict later ones and the other sensors: left out"
