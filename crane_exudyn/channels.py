@@ -15,12 +15,12 @@ from .layout import Layout
 
 #: by unit, the size that no reading of a crane has: turns that no boom makes, rad/s, 1000 bar, m, m/s
 BEYOND: Mapping[str, float] = frozen({"rad": 2.5 * math.pi, "rad/s": 20.0, "Pa": 1000e5, "m": 100.0, "m/s": 20.0})
-#: by unit, in words, and what numbers beyond the above mostly are, with what makes SI of them
+#: by unit, in words, and what numbers beyond the above mostly are, with what makes SI of them in Python, and their unit
 _BEYOND_IN_WORDS = {
-    "rad": ("radians", "degrees", "np.deg2rad({})"),
-    "rad/s": ("radians per second", "degrees per second", "np.deg2rad({})"),
-    "m": ("metres", "millimetres", "1e-3 * {}"),
-    "m/s": ("metres per second", "millimetres per second", "1e-3 * {}"),
+    "rad": ("radians", "degrees", "np.deg2rad({})", "deg"),
+    "rad/s": ("radians per second", "degrees per second", "np.deg2rad({})", "deg/s"),
+    "m": ("metres", "millimetres", "1e-3 * {}", "mm"),
+    "m/s": ("metres per second", "millimetres per second", "1e-3 * {}", "mm/s"),
 }
 #: a command, or a spool, may read a little beyond fully open, as sensors do; more than this is another unit
 FULLY_OPEN = 1.05
@@ -42,15 +42,16 @@ def of(layout: Layout) -> Mapping[str, str]:
     )
 
 
-def refuse_beyond(where: str, name: str, value: float, unit: str, written: str = "") -> None:
+def refuse_beyond(where: str, name: str, value: float, unit: str, written: str = "", *, in_file: bool = False) -> None:
     """Raise CraneError where a coordinate or rate in SI has a size that no machine's has: it is in another unit.
 
     Args:
         where: begins the message;  name, value, unit: of the number;  written: how the mend calls it, its value by
-            default.
+            default;  in_file: it stands in a file, where its unit can be written.
     """
     if unit in _BEYOND_IN_WORDS and abs(value) > BEYOND[unit]:
-        si, meant, mend = _BEYOND_IN_WORDS[unit]
+        si, meant, python, short = _BEYOND_IN_WORDS[unit]
+        mend = f'"{{}} {short}"' if in_file else python
         raise CraneError(
             f"{where}: {name} = {value:g} is in {si}, and no crane exceeds {BEYOND[unit]:.3g}. If these are "
             f"{meant}, write {mend.format(written or f'{value:g}')}."

@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 from typing import Any, TypeVar
 
 from . import parameters
+from .channels import refuse_beyond
 from .description import Description, GaussMarkov, Initial, Uncertainty, Voltage, check, complete
 from .effects import registry
 from .effects.base import Acting
@@ -28,6 +29,8 @@ _SECTIONS = (
     "fluid", "supply",
     "initial", "sensors", "uncertainty", "sources", "effect", "model_error", "history",
 )  # fmt: skip
+#: of these, what is no table: in TOML it must stand above the first one
+_ABOVE_TABLES = ("name", "description", "gravity", "independent")
 
 
 def from_document(kind: type[D], document: Mapping[str, Any], where: str, text: str = "") -> D:
@@ -108,12 +111,14 @@ def _flatten(name: str, value: Any, machine: Machine, where: str, values: dict[s
         for key, inner in value.items():
             if not _describes(name, key, inner):
                 _flatten(f"{name}.{key}", inner, machine, where, values)
-    elif isinstance(value, list):
+    elif isinstance(value, list) and f"{name}.x" in machine.index:
         if len(value) != 2:
             raise CraneError(f"{where}: {name} = {value!r} should be a point [x, y].")
         _flatten(f"{name}.x", value[0], machine, where, values)
         _flatten(f"{name}.y", value[1], machine, where, values)
     elif name not in machine.index:
+        if (key := name.rpartition(".")[2]) in _ABOVE_TABLES and key != name:
+            raise CraneError(f"{where}: {key} stands in a table, as {name}. Move it above the first table.")
         raise CraneError(f"{where}: unknown key {name!r}.{nearest(name, list(machine.names))}")
     elif name == REFERENCE:
         if value not in REFERENCES:
@@ -146,6 +151,7 @@ def _initial(table: Mapping[str, Any], layout: Layout, where: str) -> Initial:
         if key not in numbers:
             example = "10 deg" if unit == "rad" else "0.5 m"
             raise CraneError(f'{where}: initial.{key} is missing. Give its value at the start, such as "{example}".')
+        refuse_beyond(where, f"initial.{key}", numbers[key], unit, in_file=True)
     pressures = tuple(to_si(p, "Pa", f"{where}: initial.less_loaded_pressure") for p in each)
     return Initial(tuple(numbers[key] for key in units), pressures)
 

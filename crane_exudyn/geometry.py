@@ -466,6 +466,24 @@ def pose(crane: Crane, *z: np.ndarray | float) -> Pose:
     return Pose(named, dict(zip(machine.bodies, angles.T, strict=True)), lengths, rates)
 
 
+def loop_bends(crane: Crane, z: np.ndarray) -> np.ndarray:
+    """Return the angles in rad (m, loops) between the two dependent bodies of each loop at independent coordinates z
+    (m, n): 0 where they are stretched in one line, pi where one is folded back on the other.
+
+    Raises:
+        CraneError: a loop cannot be closed.
+    """
+    machine, points = crane.machine, pose(crane, *np.transpose(z)).points
+    bends = np.empty((len(z), len(machine.loops)))
+    for i, closing in enumerate(machine.loops):
+        second = machine.carriers[closing.carrier]
+        first = machine.carriers[second.carrier]
+        a, b, c = (points[joint.pin.removeprefix("joints.")] for joint in (first, second, closing))
+        along, beyond = (b - a).T, (c - b).T
+        bends[:, i] = np.abs(np.arctan2(along[0] * beyond[1] - along[1] * beyond[0], (along * beyond).sum(axis=0)))
+    return bends
+
+
 def unclosed(crane: Crane, z: np.ndarray) -> int:
     """Return the loop that cannot be closed at independent coordinates z (n, …), or -1."""
     arms = np.zeros((arm_rows(crane.machine.topology), N_ARM))

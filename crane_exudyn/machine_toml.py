@@ -4,6 +4,7 @@ here.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
@@ -19,6 +20,8 @@ from .toml_reading import table_of
 OF_CYLINDER = ("bodies", "chambers", "loaded", "length", "command", "voltage")
 OF_PAYLOAD = ("body", "at")
 OF_JOINT = ("name", "kind", "bodies", "at", "on", "coordinate", "bend", "direction")
+#: names that may head a column of a recording, beside its unit in brackets
+_IN_HEADINGS = re.compile(r"\w([\w.\- ]*\w)?")
 _BENDS = {"left": 1, "right": -1}
 #: the machine of files that describe none, as those of earlier versions
 _EARLIER = "patu655"
@@ -119,6 +122,11 @@ def _joint(table: Mapping[str, Any], bodies: Sequence[str], where: str) -> Joint
     refuse_unknown(place, table, OF_JOINT)
     carrier, body = _known(f"{place}: bodies", table.get("bodies"), (GROUND, *bodies), several=2)
     kind = _known(f"{place}: kind", table.get("kind", REVOLUTE), (REVOLUTE, PRISMATIC))
+    if "direction" in table and kind == REVOLUTE:
+        raise CraneError(
+            f'{place}: direction is that in which a body slides, but this joint turns. Add kind = "{PRISMATIC}", or '
+            "remove it."
+        )
     side = _BENDS[_known(f"{place}: bend", table.get("bend", "left"), tuple(_BENDS))]
     own = f"joints.{table['on']}" if "on" in table else ""
     joint = Joint(
@@ -313,6 +321,12 @@ def _cylinders(
         found.append(Cylinder(name, (on[0], on[1]), (ends[0], ends[1]), (chambers[0], chambers[1]), loaded, *channels))
     channels = [n for c in found for n in (*c.chambers, c.length, c.command, c.voltage)]
     coordinates = [n for j in joints if not j.closes for n in (j.coordinate, f"d{j.coordinate}", f"{j.coordinate}_abs")]
+    for name in (*channels, *coordinates):
+        if not _IN_HEADINGS.fullmatch(name):
+            raise CraneError(
+                f"{where}: {name!r} cannot name a channel, because recordings are headed by it. Use letters, digits, "
+                "underscores, dots and hyphens."
+            )
     _refuse_repeated(where, "channel", [*channels, *coordinates, "pp", "pt", "theta", "dtheta", "time"])
     return tuple(found), points
 

@@ -1,4 +1,6 @@
-"""Runs that a stroke's end cuts short, and commands that keep off it: a driver who lets go of a lever in time."""
+"""Runs that end at the limit of a cylinder or of a loop, and commands that keep off it: a driver who lets go of a lever
+in time.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,10 @@ _PIECE, _FINER = 512, 8
 #: share of a stroke that a driver leaves at its end, and as much again each time that the cylinder still comes to its
 #: end; where less is left before he begins he uses half of it
 _LEFT = 0.1
-#: share of a stroke within which a run that ends has come to the stroke's end
+#: share of a stroke, or of a loop's motion, within which a run that ends has come to the end of it
 _AT_END = 0.02
+#: share of a loop's motion from which on its bodies are nearly in line: cylinders hardly move it any more
+_IN_LINE = 0.05
 #: s: a driver lets go of a lever at whole multiples of it, so that what engines differ by makes no other commands
 _BEAT = 0.05
 #: at most so many times commands are changed; each of them has a few stretches
@@ -90,35 +94,60 @@ def _letting_go(
     states: np.ndarray,
     let_go: dict[tuple[int, int], int],
 ) -> tuple[int, int, int] | None:
-    """Return the lever that brought a cylinder to its end, and from which sample to before which it is let go; None
-    where none did.
+    """Return the lever that brought a cylinder or a loop to its end, and from which sample to before which it is let
+    go; None where none did.
 
     Args:
         commands: as they were at first;  given: as they were in the run of `states`, which ended early.
         let_go: by lever and first sample of a stretch of one sign, how often it was shortened; one is added.
     """
-    position = positions_in_strokes(crane, states)
-    lever = int(np.argmax(np.abs(position[-1] - 0.5)))
-    if abs(position[-1, lever] - 0.5) < 0.5 - _AT_END:
+    position = np.hstack(
+        [positions_in_strokes(crane, states), _positions_in_loops(crane, states[:, crane.layout.positions])]
+    )
+    end = int(np.argmax(np.abs(position[-1] - 0.5)))
+    if abs(position[-1, end] - 0.5) < 0.5 - _AT_END:
         return None
-    way = np.sign(position[-1, lever] - 0.5)
-    toward = np.flatnonzero(np.sign(commands[: len(states), lever]) == way)
+    way = np.sign(position[-1, end] - 0.5)
+    room = 0.5 + way * (0.5 - position[:, end])  # share of the stroke that is left
+    levers = commands.shape[1]
+    lever, sign = (end, way) if end < levers else _closing_in(crane, states, end - levers, way)
+    toward = np.flatnonzero(np.sign(commands[: len(states), lever]) == sign)
     if not toward.size:
         return None
     last = int(toward[-1])
-    others = np.flatnonzero(np.sign(commands[:, lever]) != way)
+    others = np.flatnonzero(np.sign(commands[:, lever]) != sign)
     before, behind = others[others < last], others[others > last]
     first = int(before[-1]) + 1 if before.size else 0
     after = int(behind[0]) if behind.size else len(time)
     if not given[first:after, lever].any():
         return None
     let_go[lever, first] = tries = let_go.get((lever, first), 0) + 1
-    room = 0.5 + way * (0.5 - position[:, lever])  # share of the stroke that is left
     leaves = min(tries * _LEFT, room[first] * tries / (tries + 1.0))  # a cylinder may begin near its end
     near = np.flatnonzero(room[first:] < leaves)
     cut = first + int(near[0]) if near.size else len(states) - 1
     beat = time[0] + _BEAT * np.floor((time[cut] - time[0]) / _BEAT)
     return lever, max(first, int(np.searchsorted(time, beat - 1e-9))), after
+
+
+def _closing_in(crane: Crane, states: np.ndarray, loop: int, way: float) -> tuple[int, float]:
+    """Return the lever whose cylinder brought a loop to the end of its motion, and the sign of that motion.
+
+    Args:
+        states: (n, nx) of a run that ends there;  loop: its number;  way: 1 where it is stretched, -1 where folded.
+    """
+    from .geometry import pose
+
+    z = states[:, crane.layout.positions]
+    free = np.flatnonzero(np.abs(_positions_in_loops(crane, z)[:, loop] - 0.5) < 0.5 - _IN_LINE)
+    k = int(free[-1]) if free.size else 0
+    tiny = 1e-6 * np.eye(z.shape[1])
+    around = _positions_in_loops(crane, np.vstack([z[k] + tiny, z[k] - tiny]))[:, loop]
+    by_z = around[: len(tiny)] - around[len(tiny) :]
+    lengths = pose(crane, *z[k]).length_rates[0]
+    rates = lengths @ states[k, crane.layout.velocities]
+    closing = way * np.linalg.solve(lengths.T, by_z) * rates  # how fast each cylinder alone brings it there
+    lever = int(np.argmax(closing))
+    return lever, float(np.sign(rates[lever]))
 
 
 def positions_in_strokes(crane: Crane, states: np.ndarray) -> np.ndarray:
@@ -130,6 +159,13 @@ def positions_in_strokes(crane: Crane, states: np.ndarray) -> np.ndarray:
     lengths = cylinder_lengths(crane, states[:, crane.layout.positions])
     shortest, longest = np.transpose([crane.stroke(c) for c in crane.layout.cylinders])
     return np.asarray((lengths - shortest) / (longest - shortest))
+
+
+def _positions_in_loops(crane: Crane, z: np.ndarray) -> np.ndarray:
+    """Return where the loops stand at coordinates z (n, …): from 0, folded, to 1, stretched in one line (n, loops)."""
+    from .geometry import loop_bends
+
+    return 1.0 - loop_bends(crane, z) / np.pi
 
 
 def levers_let_go(crane: Crane, given: np.ndarray, driven: np.ndarray) -> tuple[str, ...]:

@@ -175,7 +175,7 @@ def _cycle_text(run: Simulation) -> str:
     early = levers_let_go(run.crane, paper_cycle(run.time, len(run.crane.layout.cylinders)), run.commands)
     if not early:
         return "the paper's working cycle"
-    return f"the paper's working cycle, {' and '.join(early)} released before the end of the stroke"
+    return f"the paper's working cycle, {' and '.join(early)} released before the end of travel"
 
 
 _RANGE = (lambda v: v[0], lambda v: v[-1], lambda v: v.min(), lambda v: v.max())

@@ -136,5 +136,5 @@ def test_the_command_tells_which_lever_was_let_go(tmp_path: Path, capsys: pytest
     SHORT.save(tmp_path / "short.toml")
     words = ["--engine", "semi-recursive", "--json", tmp_path / "run.json"]
     assert patu("simulate", "--crane", tmp_path / "short.toml", *words) == 0
-    assert "working cycle, lift released before the end of the stroke" in capsys.readouterr().out
+    assert "working cycle, lift released before the end of travel" in capsys.readouterr().out
     assert json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["ended"] is None

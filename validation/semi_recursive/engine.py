@@ -26,6 +26,8 @@ from .terms import point_rows, term_names, terms
 _BEYOND = 1e-3
 #: a cylinder that moves by less than this (m per rad or m) for any motion of its machine has no leverage
 _LEAST_LEVERAGE = 1e-6
+#: sine of the angle between the dependent bodies of a loop below which they count as in line
+_IN_LINE = 0.05
 
 
 @njit
@@ -301,13 +303,29 @@ class SemiRecursiveEngine:
         return (
             f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) {what}, neither with {h:g} s nor "
             f"halved up to {MOST_HALVINGS} times. State: {self._state_text(x)}. Shortest chamber: "
-            f"{self._chamber(chamber)}, {1e3 * lengths[chamber]:.1f} mm. Look for "
-            f"{self._near_limits()}a chamber near its end, or parameters out of proportion."
+            f"{self._chamber(chamber)}, {1e3 * lengths[chamber]:.1f} mm. "
+            f"{self._in_line(x) or 'Look for a chamber near its end, or parameters out of proportion.'}"
         )
 
-    def _near_limits(self) -> str:
-        loops = " or ".join(_around(self.crane.machine, joint) for joint in self.crane.machine.loops)
-        return f"a pose near the limit of the loop {loops}, " if loops else ""
+    def _in_line(self, x: np.ndarray) -> str:
+        """Return a sentence on the loop whose dependent bodies are in line, where it locks; "" where none are."""
+        machine, terms = self.crane.machine, self.terms(x, np.array(self._layout.closed))
+        for joint in machine.loops:
+            second = machine.carriers[joint.carrier]
+            first = machine.carriers[second.carrier]
+            at = [
+                np.array([terms[f"{axis}_{j.pin.removeprefix('joints.')}"] for axis in "xy"])
+                for j in (first, second, joint)
+            ]
+            along, beyond = at[1] - at[0], at[2] - at[1]
+            sine = (along[0] * beyond[1] - along[1] * beyond[0]) / np.hypot(*along) / np.hypot(*beyond)
+            if abs(sine) < _IN_LINE:
+                return (
+                    f"The loop {_around(machine, joint)} is at its limit: {first.body} and {second.body} are in line "
+                    f"within {math.degrees(math.asin(abs(sine))):.1f} deg, and it locks. Shorten the motion, or "
+                    f"correct the joints {first.name}, {second.name}, {joint.name}."
+                )
+        return ""
 
     def _unreachable(self, x: np.ndarray) -> str:
         machine, terms = self.crane.machine, self.terms(x, np.array(self._layout.closed))
