@@ -74,6 +74,13 @@ def noise_between(values: np.ndarray, lag: int = 1) -> float:
     return math.sqrt(float(np.median(squares)) / _median_share(len(squares), len(third))) / _THIRD_DIFFERENCE
 
 
+def shown_of(shared: np.ndarray) -> np.ndarray:
+    """Return the share of noise, as a standard deviation, that `noise_between` shows where neighbours share a part (n,)
+    of it, those twice as far apart the square of that, and so on.
+    """
+    return np.asarray(np.sqrt(1.0 - 1.5 * shared + 0.6 * shared**2 - 0.1 * shared**3))
+
+
 def noise_uncertainty(values: np.ndarray) -> float:
     """Return the relative standard error of `noise_std`: the median of windows tells the square of the noise √(π/2)
     times less surely than the mean of n/2.31 independent squares.

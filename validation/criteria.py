@@ -18,6 +18,8 @@ class Criteria:
     level: float = 1.04  # error below which hardly more than noise is left
     doubt: float = 4.0  # or below one and so many standard errors of the noise, where it is estimated from few samples
     shared: float = 0.04  # s within which the noise of neighbouring samples is alike; what lasts longer is the model's
+    shared_at_last: float = 0.25  # largest part that samples so far apart share, for what is left to be noise
+    scattered: float = 3.0  # standard errors of the noise by which it may scatter between distances of samples
     share: float = 0.03  # of short windows a good model may leave unexplained; noise makes fewer than one in a hundred
     explained: float = 1.3  # error up to which a window counts as explained
     explained_errors: float = 4.0  # or up to one and so many of its standard errors, where its samples are few

@@ -26,7 +26,7 @@ from .criteria import CRITERIA
 from .fit.solve import Fit
 from .fit.variables import EffectParameter, NominalDirection
 from .report import amount, evidence_difference, three_digits
-from .selection.granted import otherwise
+from .selection.granted import alike, otherwise
 from .selection.lean import leaner
 from .selection.model import (
     Fitted,
@@ -302,7 +302,7 @@ def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] 
     chooses nothing.
     """
     verdict, problem = verdict_of(path), path.problem
-    check = problem.alike(check)
+    check = alike(problem, path.best or path.parameters, check)
     named = verdict.kind in ("effect", "tied")
     lean = leaner(problem.crane, problem.data, verdict.chosen) if named else verdict.chosen
     lean = replace(lean, fit=every_parameter(lean.fit)) if verdict.kind not in ("adequate", "unknown") else lean

@@ -30,6 +30,7 @@ from .learning import Learned
 from .learning import learn as learn_laws
 from .learning import sentence as learned_sentence
 from .selection.drifting import DRIFTING
+from .selection.granted import alike
 from .selection.levels import Errors, noise_level
 from .selection.model import open_loop_error, parameters_of, together
 from .selection.proven import Proven
@@ -175,7 +176,7 @@ def improve(
     d = replace(diagnosis_of(path, checked, notes), given=crane)
     judge = Judge(
         path.problem.recordings,
-        path.problem.alike(checked),
+        alike(path.problem, path.best or path.parameters, checked),
         path.problem.data.own,
         jobs,
         noise_level(path.problem.data),

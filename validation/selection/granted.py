@@ -18,11 +18,12 @@ from crane_exudyn.recording import Recording
 from ..criteria import CRITERIA
 from ..fit.columns import Columns, pack
 from ..fit.data import FitData, noise_of
-from ..fit.model import Model, model_of
+from ..fit.model import Model as Inputs
+from ..fit.model import model_of
 from ..fit.solve import Fit, bounded_step
 from ..fit.staged import STIFF
 from .levels import noise_in_full
-from .model import Fitted, fitted
+from .model import Fitted, Model, fitted, unmoving
 from .screen import projected
 from .search import Problem
 
@@ -43,11 +44,31 @@ def otherwise(problem: Problem, found: Fitted) -> Otherwise | None:
     """Return the problem with the noise and the commands between samples that a fitted model shows; None where these
     are as they were taken.
     """
-    now = Otherwise(problem, found)
-    for taken, words, note in _OTHERWISE:
-        if (again := taken(now.problem, now.found)) is not None:
-            now = Otherwise(*again, (*now.words, words), (*now.notes, note))
+    now, seen = Otherwise(problem, found), True
+    while seen:  # noise shows where steps are explained, and steps where noise is
+        seen = False
+        for taken, words, note in _OTHERWISE:
+            if (again := taken(now.problem, now.found)) is not None:
+                seen, told = True, words not in now.words
+                now = Otherwise(*again, now.words + (words,) * told, now.notes + (note,) * told)
     return now if now.words else None
+
+
+def alike(problem: Problem, found: Fitted, check: Recording | None) -> Recording | None:
+    """Return another recording of the machine, its commands taken as those of the problem's: where these step between
+    two samples, so do its, at the moments that are likeliest with the crane as it was fitted, which it does not change.
+    """
+    if check is None:
+        return None
+    check = replace(check, held=check.held or problem.recordings[0].held)
+    shares = [r.early[step] / h for r in problem.recordings if r.early for step, h in r.steps(problem.crane).items()]
+    if not shares:
+        return check
+    early = {step: float(np.mean(shares)) * h for step, h in check.steps(problem.crane).items()}
+    crane = unmoving(replace(found.fit.crane, sensors=problem.crane.sensors))
+    own = Problem.of(crane, [replace(check, early=early, vouched=True)], (), problem.jobs)
+    now = own, fitted(crane, own.data, Model(()), own.nominal, (STIFF,))
+    return replace(_at_their_moments(*now)[0].recordings[0], vouched=check.vouched)
 
 
 def noisier(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
@@ -69,26 +90,45 @@ def stepped(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
     """Return the problem with steps of commands at their likeliest moments between two samples; None where a fitted
     model is not clearly likelier so.
     """
-    return _driven_by(_with_likeliest_steps(w.fit, problem.recordings), problem, w)
+    found = _at_their_moments(problem, w)
+    return _told(found) if found[1] is not w else None
+
+
+def _at_their_moments(problem: Problem, w: Fitted) -> tuple[Problem, Fitted]:
+    """Return the problem with steps of commands at the moments that a fitted model shows, and that model fitted so, as
+    long as it becomes clearly likelier.
+    """
+    now = problem, w
+    while (again := _driven_by(_with_likeliest_steps(now[1].fit, now[0].recordings), *now)) is not None:
+        now = again
+    return now
 
 
 def held(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
     """Return the problem with commands that keep their value until the next sample, as a controller puts them out; None
     where a fitted model is not clearly likelier so.
     """
-    return _driven_by([replace(r, held=True) for r in problem.recordings], problem, w)
+    return _told(_driven_by([replace(r, held=True) for r in problem.recordings], problem, w))
 
 
 def _driven_by(recordings: Sequence[Recording], problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
     """Return the problem with recordings whose commands are other ones between samples; None where a fitted model is
-    not clearly likelier so, or leaves so much that what it gains tells nothing of the commands.
+    not clearly likelier so.
     """
     other = Problem.of(problem.crane, recordings, problem.data.own, problem.jobs)
-    if all(np.array_equal(a.commands, b.commands) for a, b in zip(other.data.parts, problem.data.parts, strict=True)):
+    if all(_same_commands(a, b) for a, b in zip(other.data.parts, problem.data.parts, strict=True)):
         return None
     again = fitted(problem.crane, other.data, w.model, w.fit, (STIFF,))
-    likelier = again.evidence > w.evidence + CRITERIA.proof and again.level < CRITERIA.left_level
-    return (other, again) if likelier else None
+    return (other, again) if again.evidence > w.evidence + CRITERIA.proof else None
+
+
+def _same_commands(a: FitData, b: FitData) -> bool:
+    return np.array_equal(a.command_time, b.command_time) and np.array_equal(a.commands, b.commands)
+
+
+def _told(found: tuple[Problem, Fitted] | None) -> tuple[Problem, Fitted] | None:
+    """Return what was found, None where so much is left that what it gains tells nothing of the commands."""
+    return found if found is not None and found[1].level < CRITERIA.left_level else None
 
 
 #: what may be otherwise: what is then, in words, a note
@@ -102,7 +142,7 @@ _OTHERWISE = (
     (
         stepped,
         "commands that step between samples",
-        "commands step between two samples: when was fitted, for the recording does not tell",
+        "commands step between two samples: when was fitted, for recordings do not tell",
     ),
     (
         held,
@@ -119,23 +159,24 @@ def _with_likeliest_steps(fit: Fit, recordings: Sequence[Recording]) -> list[Rec
     What a shift does is taken as proportional to it.
     """
     each = [(i, *step) for i, r in enumerate(recordings) for step in r.steps(fit.crane).items()]
+    now = np.array([recordings[i].early.get(step, 0.0) / interval for i, step, interval in each])
+    shifts = np.where(now < _SHIFT, _SHIFT, -_SHIFT)
 
-    def probes(base: Model, data: FitData, recording: int) -> Columns:
+    def probes(base: Inputs, data: FitData, recording: int) -> Columns:
         moved = []
-        for i, step, interval in each:
+        for (i, step, interval), share in zip(each, now + shifts, strict=True):
             if i == recording:
                 r = recordings[i]
-                time, commands = replace(r, early={**r.early, step: _SHIFT * interval}).commands(fit.crane)
+                time, commands = replace(r, early={**r.early, step: share * interval}).commands(fit.crane)
                 moved.append(model_of(base.crane, replace(data, command_time=time, commands=commands), base.late))
             else:
                 moved.append(base)
-        return pack(base, moved, np.full(len(moved), _SHIFT))
+        return pack(base, moved, shifts)
 
     found = projected(fit, fit.knots, probes, STIFF.stiffness) if each else None
     if found is None:
         return list(recordings)
-    none, all_of_it = np.zeros(len(each)), np.ones(len(each))
-    shares = bounded_step(found.H, found.g, none, none, all_of_it, 0.0)
+    shares = now + bounded_step(found.H, found.g, now, np.zeros(len(each)), np.ones(len(each)), 0.0)
     early: list[dict[Step, float]] = [{} for _ in recordings]
     for (i, step, interval), share in zip(each, shares.tolist(), strict=True):
         early[i][step] = share * (interval - 2.0 * JUST_BEFORE)

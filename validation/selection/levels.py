@@ -13,8 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
-from crane_exudyn.signals import noise_between
+from crane_exudyn.signals import noise_between, noise_uncertainty, shown_of
 
 from ..criteria import CRITERIA
 from ..fit.data import Data, FitData
@@ -25,7 +26,7 @@ from ..fit.sweeps import left_in, ran
 from ..fit.windows import shared_out, side_by_side
 
 Errors = Mapping[str, float]
-#: samples between which noise that grows with their distance is seen to grow less at last
+#: distances of samples at which noise is looked at, and how far the farthest must be
 _LAG = 4
 
 
@@ -58,31 +59,41 @@ def noise_level(data: Data) -> float:
 
 
 def noise_in_full(found: Fit, data: Data) -> Errors:
-    """Return by channel the noise of sensors in units of the estimated, where a fit leaves hardly more than noise and
-    that is alike from one sample to the next, so that their differences do not show all of it; else 1.
+    """Return by channel the noise of sensors in units of what was estimated, where a fit leaves hardly more than noise
+    and that is alike from one sample to the next, so that their differences do not show all of it; else 1.
 
-    Such noise grows with the distance of samples, least at last; what a wrong model leaves grows most at last. All are
-    1 where the mean is not above `noise_level`.
+    Such noise grows with the distance of samples, least at last; what a wrong model leaves grows most at last. Empty
+    where no noise was estimated, or the mean is not above `noise_level`.
     """
     errors, full = window_errors(found, data), dict[str, list[float]]()
     for part in data.parts:
         lag = int(CRITERIA.shared / part.interval + 1e-6)
         for sample in part.samples:  # which a channel has in some recordings only
             r = errors[sample.channel].pop(0)
-            full.setdefault(sample.channel, []).append(_in_full(r, lag) if sample.unsure else 1.0)
+            if sample.unsure:
+                full.setdefault(sample.channel, []).append(_in_full(r, lag))
     each = {c: float(np.mean(several)) for c, several in full.items()}
-    return each if np.mean(list(each.values())) > noise_level(data) else dict.fromkeys(each, 1.0)
+    return each if each and np.mean(list(each.values())) > noise_level(data) else {}
 
 
 def _in_full(r: np.ndarray, lag: int) -> float:
-    """Return the noise of residuals r (n,) between samples `lag` apart, where it is larger than between neighbours and
-    all that they are; else 1.
+    """Return the noise of residuals r (n,) if it grows with the distance of samples as noise does whose neighbours
+    share the same part everywhere, up to `lag`, where little is shared, and if it is all that they are; else 1.
     """
-    if lag < _LAG:
+    if lag < _LAG or len(r) <= 3 * lag:
         return 1.0
-    middle, far = noise_between(r, lag // 2), noise_between(r, lag)
-    shared = middle > 1.0 and far / middle < middle
-    return max(1.0, far) if shared and math.sqrt(float(r @ r) / len(r)) < CRITERIA.left_level * far else 1.0
+    lags = np.unique(np.geomspace(1, lag, _LAG).round())
+    shown = np.log([noise_between(r, int(k)) for k in lags])
+
+    def full(shared: float) -> np.ndarray:
+        return np.asarray(shown - np.log(shown_of(shared**lags)))
+
+    most = CRITERIA.shared_at_last ** (1.0 / lag)
+    each = full(minimize_scalar(lambda shared: np.var(full(shared)), bounds=(0.0, most), method="bounded").x)
+    found = math.exp(each.mean())
+    alike = np.abs(each - each.mean()).max() < CRITERIA.scattered * noise_uncertainty(r)
+    all_of_it = math.sqrt(float(r @ r) / len(r)) < CRITERIA.left_level * found
+    return max(1.0, found) if alike and all_of_it else 1.0
 
 
 def each_part(data: Data, change: Callable[[FitData], FitData]) -> Data:

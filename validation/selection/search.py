@@ -149,17 +149,6 @@ class Problem:
             return self.told
         return (*informed_directions(self.base), *stated_effects(self.crane))
 
-    def alike(self, check: Recording | None) -> Recording | None:
-        """Return another recording of the machine, its commands taken as those of the problem's: steps come as early
-        between two samples as these do on the average.
-        """
-        if check is None:
-            return None
-        mended = [r for r in self.recordings if r.early]
-        shares = [r.early[step] / h for r in mended for step, h in r.steps(self.crane).items()]
-        early = {step: float(np.mean(shares)) * h for step, h in check.steps(self.crane).items()} if shares else {}
-        return replace(check, held=check.held or self.recordings[0].held, early=early)
-
     @cached_property
     def nominal(self) -> Fit:
         """The crane as it is, in loosely joined windows."""
