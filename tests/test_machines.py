@@ -140,6 +140,16 @@ REFUSED = {
         lambda f: f["joints"].update(tooth=[0.1, 0.2]),
         r"joints\.tooth is not used by anything.*end of a cylinder or the payload's at",
     ),
+    "a direction to turn": (_change("A", direction="30 deg"), "joint 'A': direction .* Add kind = \"prismatic\""),
+    "a comma in a heading": (
+        lambda f: f["cylinders"]["arm"].update(chambers=["p3,a", "p4"]),
+        "'p3,a' cannot name a channel",
+    ),
+    "a key behind a table": (
+        lambda f: f["supply"].update(independent=f.pop("independent")),
+        "independent stands in a table, as supply.independent. Move it above the first table",
+    ),
+    "degrees without unit": (lambda f: f["initial"].update(boom=-17), 'initial.boom = -17 .* write "-17 deg"'),
     "same channel twice": (lambda f: f["cylinders"]["arm"].update(length="s1"), "two things are named channel 's1'"),
 }
 

@@ -10,6 +10,7 @@ import pytest
 
 from crane_exudyn import Crane, CraneError, Recording, simulate
 from crane_exudyn.drive import inputs_on, with_steps
+from crane_exudyn.geometry import loop_bends
 from crane_exudyn.inputs import paper_cycle
 from crane_exudyn.simulation import initial_state, simulate_while_possible
 from crane_exudyn.strokes import positions_in_strokes, run_while_possible, within_strokes
@@ -27,6 +28,7 @@ def with_stroke(cylinder: str, share: float) -> Crane:
 
 SHORT = with_stroke("lift", 0.7)
 TIME = np.arange(5001) * 1e-3
+TIME_OF_CYCLE = np.arange(25001) * 1e-3
 
 
 @pytest.fixture
@@ -68,6 +70,19 @@ def test_levers_of_any_commands_are_let_go_on_both_ways_again_and_again() -> Non
     place = positions_in_strokes(crane, run)[:, 1]
     assert 0.0 < place.min() < 0.25 and 0.75 < place.max() < 1.0
     assert set(np.unique(fitted[:, 1])) == {-0.9, 0.0, 0.9}
+
+
+def test_levers_are_let_go_before_a_loop_locks() -> None:
+    loader = Crane.load(Path(__file__).parent / "machines" / "z_loader.toml")
+    engine = SemiRecursiveEngine(loader)
+    cycle, start = paper_cycle(TIME_OF_CYCLE), initial_state(loader, engine)
+    w = inputs_on(loader, TIME_OF_CYCLE, *with_steps(TIME_OF_CYCLE, cycle))
+    states, ended = run_while_possible(engine, start, TIME_OF_CYCLE, w, 1e-3)
+    assert "The loop E-R-S-T is at its limit: rocker and link are in line" in str(ended)
+    assert np.degrees(loop_bends(loader, states[-1:, loader.layout.positions])) < 3.0
+    run = simulate(loader, engine="semi-recursive")
+    assert len(run.time) == 25001
+    assert np.degrees(loop_bends(loader, run.states[:, loader.layout.positions])).min() > 3.0
 
 
 def test_no_commands_help_where_the_run_ends_for_another_reason(monkeypatch: pytest.MonkeyPatch) -> None:
