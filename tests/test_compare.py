@@ -414,6 +414,12 @@ def test_recordings_that_cannot_be_compared_are_refused(recording: Recording, wo
         compare(CRANE, recording)
 
 
+def test_a_chamber_that_boils_most_of_the_time_is_not_cut_off() -> None:
+    void = np.where(np.arange(400) > 120, CRANE["fluid.vapour_pressure"], 8e5 + 3e4 * np.sin(np.arange(400)))
+    assert not [f for f in examine(recording_of(p2=void), CRANE) if f.kind == "saturation"]
+    assert [f for f in examine(recording_of(p2=void + 5e5), CRANE) if f.kind == "saturation"]
+
+
 def test_diagnosis_asks_for_more() -> None:
     still = recording_of(u1=constant(0.0), z1=0.2 + 1e-3 * np.random.default_rng(2).standard_normal(400))
     assert any("does not move" in note for note in check_recording(still, CRANE))

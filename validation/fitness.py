@@ -19,6 +19,7 @@ from crane_exudyn.recording import Recording
 from crane_exudyn.signals import USUAL_SENSOR, noise_std
 from crane_exudyn.vetting import vet, vetted
 from crane_exudyn.vetting.findings import Finding, accepted, blamed, worst_first
+from crane_exudyn.vetting.quality import boils
 
 from .fit.data import constant_sensors, is_constant
 
@@ -68,7 +69,7 @@ def unfit(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> l
     time, commands = recording.commands(crane)
     found = [*_short(recording, time), *_dead(recording)]
     for name in recording.sensors if not found else ():
-        found += _saturated(name, recording[name], time, commands[:, crane.layout.sensors[name].cylinder])
+        found += _saturated(name, recording[name], time, commands[:, crane.layout.sensors[name].cylinder], crane)
     if purpose == "diagnose" and not _moves(recording, crane, commands):
         text = f"nothing moves: no valve opens by more than {OPEN:g} and no angle changes by more than its noise"
         mend = "A diagnosis needs motion; record a run in which every cylinder extends and retracts."
@@ -191,15 +192,17 @@ def _dead(recording: Recording) -> Iterator[Finding]:
         yield Finding("saturation", tuple(constant), "error", text, mend)
 
 
-def _saturated(name: str, channel: Channel, time: np.ndarray, command: np.ndarray) -> Iterator[Finding]:
-    """Find a channel that sits exactly at its largest or smallest value most of the time, also while its valve is
-    open.
+def _saturated(name: str, channel: Channel, time: np.ndarray, command: np.ndarray, crane: Crane) -> Iterator[Finding]:
+    """Find a channel that sits exactly at its largest or smallest value most of the time, also while its valve is open;
+    a pressure that is that of a void now and then may.
     """
     valve = np.abs(np.interp(channel.time, time, command)) > OPEN
     step = float(np.median(np.diff(channel.time)))
     limits = ((channel.values.max(), "largest"), (channel.values.min(), "smallest"))
     for value, word in limits[:1] if is_constant(channel) else limits:
         stuck = channel.values == value
+        if boils(value, channel.unit, crane) and not stuck.all():
+            continue
         share, through = float(stuck.mean()), float((stuck & valve).sum()) * step
         if share > _STUCK_SHARE and through > _STUCK_SECONDS:
             text = (

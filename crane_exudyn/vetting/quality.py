@@ -45,12 +45,17 @@ def cut_off(recording: Recording, crane: Crane) -> Iterator[Finding]:
         for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
             there = values[1:] == limit
             cut = (kept & there).mean() > _CUT and (there.all() or kept[~there].mean() < _KEPT)
-            if cut and not (unit == "Pa" and limit <= vapour_pressure(crane)):
+            if cut and not boils(limit, unit, crane):
                 text = (
                     f"{name} is at its {word} value {limit:.4g} {unit} in {100 * there.mean():.0f} % of its samples: "
                     "it is cut off, frozen or not connected"
                 )
                 yield Finding("saturation", (name,), "warning", text, "Correct its range, or leave the channel out.")
+
+
+def boils(limit: float, unit: str, crane: Crane) -> bool:
+    """Whether a channel that stays at a limit (SI) is the pressure of a chamber that boils."""
+    return unit == "Pa" and limit <= vapour_pressure(crane)
 
 
 def coarse_steps(recording: Recording, crane: Crane) -> Iterator[Finding]:
