@@ -331,7 +331,7 @@ def test_an_improvement_tells_the_numbers_of_a_comparison() -> None:
     coarse = replace(full["z4"], time=full["z4"].time[::2], values=full["z4"].values[::2])
     recording = replace(full, channels={**full.channels, "z4": coarse})
     found = compare(CRANE, recording)
-    told = Judge((recording,), None, (), jobs=1, level=1.04).step(None, CRANE, "unknown")
+    told = Judge((recording,), None, (), CRANE.sensors, jobs=1, level=1.04).step(None, CRANE, "unknown")
     assert found.error == pytest.approx(told.search_error, rel=0.01)
     assert told.error == pytest.approx(told.search_error, rel=0.01)
     assert told.nis_mean == pytest.approx(found.estimate.nis_mean, rel=0.01)

@@ -25,6 +25,7 @@ from crane_exudyn.recording import Recording, given_recording
 from .criteria import CRITERIA
 from .fit.solve import Fit
 from .fit.variables import EffectParameter, NominalDirection
+from .fitness import check_all
 from .report import amount, evidence_difference, three_digits
 from .selection.granted import alike, otherwise
 from .selection.lean import leaner
@@ -275,6 +276,7 @@ def searched(
     if other is None:
         return path, notes
     progress(f"looking for effects, with {' and '.join(other.words)}", 0.3)
+    notes = check_all(other.problem.recordings, check, other.problem.crane)  # with the noise that it has now
     return search(WHITE, other.problem, most, progress), [*notes, *other.notes]
 
 
@@ -287,8 +289,6 @@ def looked_at(
     progress: Progress,
 ) -> tuple[Problem, list[str]]:
     """Return the problem that one recording or several give, with the crane as it is fitted, and notes on them."""
-    from .fitness import check_all
-
     jobs, per_recording = counted(jobs, "jobs"), names_of(per_recording, "per_recording")
     recordings = (recording,) if isinstance(recording, Recording) else tuple(recording)
     notes = check_all(recordings, check, crane)

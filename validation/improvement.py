@@ -5,7 +5,7 @@ by what they do to whole runs (`selection.drifting`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -178,6 +178,7 @@ def improve(
         path.problem.recordings,
         alike(path.problem, path.best or path.parameters, checked),
         path.problem.data.own,
+        path.problem.crane.sensors,
         jobs,
         noise_level(path.problem.data),
     )
@@ -308,12 +309,14 @@ def _chosen(d: Diagnosis) -> Candidate | None:
 @dataclass(frozen=True)
 class Judge:
     """What the steps of an improvement are confirmed on; `own`: parameters that differ from recording to recording;
-    `jobs`: processes to use; `level`: below which hardly more than noise is left.
+    `sensors`: their noise (SI), the unit of all errors; `jobs`: processes to use; `level`: below which hardly more than
+    noise is left.
     """
 
     recordings: tuple[Recording, ...]
     check: Recording | None
     own: tuple[str, ...]
+    sensors: Mapping[str, float]
     jobs: int
     level: float
 
@@ -323,6 +326,7 @@ class Judge:
 
         To `text` is added where the engines disagree.
         """
+        crane = replace(crane, sensors=self.sensors)
         tasks: list[tuple[Any, ...]] = [(confirmed, crane, r, self.own, True) for r in self.recordings]
         if self.check is not None:
             tasks.append((confirmed, crane, self.check, self.own, False))
