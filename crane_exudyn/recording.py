@@ -51,6 +51,7 @@ class Recording:
         held: whether commands keep their value until the next sample; else they are linear between samples, but for
             steps.
         early: by how many seconds steps of commands came before the samples that show them, where that is known.
+        memory: by channel the time in s after which samples share 1/e of their noise, where that is known.
     """
 
     name: str
@@ -64,10 +65,12 @@ class Recording:
     exact: bool = False
     held: bool = False
     early: Mapping[Step, float] = field(default_factory=dict, repr=False)
+    memory: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", frozen(self.channels))
         object.__setattr__(self, "early", frozen(self.early))
+        object.__setattr__(self, "memory", frozen(self.memory))
 
     # -- making one ----------------------------------------------------------------------------------------------
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 _WINDOW = 64  # samples whose noise is judged together
 #: noise as a share of the channel's range: less than any sensor has, and that of a usual one; integration and averaging
@@ -62,6 +63,10 @@ def noise_std(values: np.ndarray) -> float:
     return max(noise_between(own), floor)
 
 
+#: a larger part than this neighbours do not share
+_MOST_SHARED = 0.999
+
+
 def noise_between(values: np.ndarray, lag: int = 1) -> float:
     """Return what third differences of samples `lag` apart show of noise, as a standard deviation; 0 for too few.
 
@@ -74,11 +79,30 @@ def noise_between(values: np.ndarray, lag: int = 1) -> float:
     return math.sqrt(float(np.median(squares)) / _median_share(len(squares), len(third))) / _THIRD_DIFFERENCE
 
 
-def shown_of(shared: np.ndarray) -> np.ndarray:
+def shown_of(shared: Any) -> Any:
     """Return the share of noise, as a standard deviation, that `noise_between` shows where neighbours share a part (n,)
     of it, those twice as far apart the square of that, and so on.
     """
-    return np.asarray(np.sqrt(1.0 - 1.5 * shared + 0.6 * shared**2 - 0.1 * shared**3))
+    return np.sqrt(1.0 - 1.5 * shared + 0.6 * shared**2 - 0.1 * shared**3)
+
+
+def of_mean(shared: float, number: int) -> float:
+    """Return the noise of a mean of so many samples, as a standard deviation, of which neighbours share a part; 1 is
+    that of one sample.
+    """
+    apart = np.arange(1, number)
+    return math.sqrt((1.0 + 2.0 * float(((1.0 - apart / number) * shared**apart).sum())) / number)
+
+
+def shared_part(ratio: float, number: int) -> float:
+    """Return the part of noise that neighbours share, where the noise of a mean of so many samples is by a `ratio`
+    larger than what neighbours show makes it.
+    """
+
+    def left(shared: float) -> float:
+        return float(of_mean(shared, number) * math.sqrt(number) / shown_of(shared)) - ratio
+
+    return float(brentq(left, 0.0, _MOST_SHARED)) if 1.0 < ratio < left(_MOST_SHARED) + ratio else 0.0
 
 
 def noise_uncertainty(values: np.ndarray) -> float:

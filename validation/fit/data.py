@@ -12,7 +12,7 @@ import numpy as np
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError, nearest
 from crane_exudyn.recording import Channel, Recording
-from crane_exudyn.signals import NO_SENSOR, noise_std, noise_uncertainty
+from crane_exudyn.signals import NO_SENSOR, noise_std, noise_uncertainty, of_mean
 
 _STEPS = (1e-3, 2e-3, 2.5e-3, 5e-3)
 #: longest step of runs that are held against the recording closely, s. A ring of 7 Hz loses a thousandth of its
@@ -163,7 +163,7 @@ class FitData:
         step = step or grid_step(np.median(np.diff(recording.channels[sensors[0]].time)))
         grid = start + step * np.arange(int(np.floor((end - start) / step + 1e-6)) + 2)
         blind = _blind(recording, float(start), float(end))
-        each = (_samples(c, recording.channels[c], crane.sensors.get(c), grid, rate) for c in sensors)
+        each = (_samples(c, recording, crane.sensors.get(c), grid, rate) for c in sensors)
         samples = _sharing(_without(blind, s, grid) for s in each)
         return cls(recording.name, grid, step, times, commands, recording.supply(grid), samples, blind)
 
@@ -346,26 +346,25 @@ def grid_step(interval: float, longest: float = COARSE) -> float:
     return longest if interval > longest else min(_STEPS)
 
 
-def _samples(name: str, channel: Channel, stated: float | None, grid: np.ndarray, rate: float) -> Samples:
-    time, values = channel.time, channel.values
+def _samples(name: str, recording: Recording, stated: float | None, grid: np.ndarray, rate: float) -> Samples:
+    time, values = recording[name].time, recording[name].values
     noise, unsure = (stated, 0.0) if stated else (noise_std(values), noise_uncertainty(values))
     if not noise or not np.isfinite(noise):
         raise CraneError(
             f"Channel {name}: its noise cannot be estimated from the data. Give sensors.{name} in the crane file."
         )
     noise = max(noise, NO_SENSOR * float(np.ptp(values)))  # with less, equations lose all their digits
-    block = max(1, int(np.floor(1.0 / (rate * np.median(np.diff(time))) + 1e-6))) if len(time) > 1 else 1
+    interval = float(np.median(np.diff(time))) if len(time) > 1 else math.inf
+    block = max(1, int(np.floor(1.0 / (rate * interval) + 1e-6)))
     around = None
     if block > 1:
-        gaps = (
-            np.flatnonzero(np.diff(time) > block * np.median(np.diff(time))) + 1
-        )  # a mean over one is of neither side
+        gaps = np.flatnonzero(np.diff(time) > block * interval) + 1  # a mean over one is of neither side
         runs = np.split(np.arange(len(time)), gaps)
         rows = np.concatenate([run[: len(run) // block * block] for run in runs]).reshape(-1, block)
         each, values = time[rows], values[rows].mean(axis=1)
         time = each.mean(axis=1)
         around = each - time[:, None]
-        noise = noise / np.sqrt(block)
+        noise *= of_mean(math.exp(-interval / recording.memory.get(name, 1e-9)), block)
     return _placed(Samples(name, np.empty(0, int), np.empty(0), values, float(noise), unsure), time, around, grid)
 
 

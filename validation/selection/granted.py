@@ -5,15 +5,17 @@ Noise is taken as white; commands between samples as lines, but for steps, which
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from crane_exudyn.channels import JUST_BEFORE
+from crane_exudyn.channels import JUST_BEFORE, Channel
 from crane_exudyn.drive import Step
 from crane_exudyn.recording import Recording
+from crane_exudyn.signals import shared_part, shown_of
 
 from ..criteria import CRITERIA
 from ..fit.columns import Columns, pack
@@ -60,7 +62,8 @@ def alike(problem: Problem, found: Fitted, check: Recording | None) -> Recording
     """
     if check is None:
         return None
-    check = replace(check, held=check.held or problem.recordings[0].held)
+    first = problem.recordings[0]
+    check = replace(check, held=check.held or first.held, memory=first.memory)
     shares = [r.early[step] / h for r in problem.recordings if r.early for step, h in r.steps(problem.crane).items()]
     if not shares:
         return check
@@ -76,14 +79,31 @@ def noisier(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
     was estimated too small; None where a fitted model does not show that.
     """
     shown, sensors = [noise_of(r, problem.crane) for r in problem.recordings], dict(problem.crane.sensors)
-    for channel, factor in noise_in_full(w.fit, problem.data).items():
-        each = [noise[channel] for noise in shown if channel in noise]
-        if factor > 1.0 and max(each) < CRITERIA.left_level * min(each):  # one file states one noise for all
-            sensors[channel] = factor * float(np.mean(each))
+    memories = [dict(r.memory) for r in problem.recordings]
+    for channel, factors in noise_in_full(w.fit, problem.data).items():
+        having = [i for i, noise in enumerate(shown) if channel in noise]
+        each = [shown[i][channel] for i in having]
+        if np.mean(factors) > 1.0 and max(each) < CRITERIA.left_level * min(each):  # one file states one noise for all
+            shared = [shared_part(f, _averaged(problem, i, channel)) for f, i in zip(factors, having, strict=True)]
+            sensors[channel] = float(np.mean(each / shown_of(np.array(shared))))
+            for i, part in zip(having, shared, strict=True):
+                memories[i][channel] = _memory(problem.recordings[i][channel], part)
     if sensors == problem.crane.sensors:
         return None
-    other = Problem.of(replace(problem.crane, sensors=sensors), problem.recordings, problem.data.own, problem.jobs)
+    recordings = [replace(r, memory=own) for r, own in zip(problem.recordings, memories, strict=True)]
+    other = Problem.of(replace(problem.crane, sensors=sensors), recordings, problem.data.own, problem.jobs)
     return other, fitted(other.crane, other.data, w.model, w.fit, (STIFF,))
+
+
+def _averaged(problem: Problem, recording: int, channel: str) -> int:
+    """Return how many samples of a recording's channel make one that is fitted."""
+    around = next(s for s in problem.data.parts[recording].samples if s.channel == channel).around
+    return 1 if around is None else around.shape[1]
+
+
+def _memory(channel: Channel, shared: float) -> float:
+    """Return the time in s after which samples share 1/e of their noise, where neighbours share a part of it."""
+    return float(np.median(np.diff(channel.time))) / -math.log(max(shared, 1e-9))
 
 
 def stepped(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:

@@ -58,9 +58,10 @@ def noise_level(data: Data) -> float:
     return max(CRITERIA.level, 1.0 + CRITERIA.doubt * spread)
 
 
-def noise_in_full(found: Fit, data: Data) -> Errors:
-    """Return by channel the noise of sensors in units of what was estimated, where a fit leaves hardly more than noise
-    and that is alike from one sample to the next, so that their differences do not show all of it; else 1.
+def noise_in_full(found: Fit, data: Data) -> dict[str, list[float]]:
+    """Return by channel and recording the noise of samples in units of what was estimated, where a fit leaves hardly
+    more than noise and that is alike from one sample to the next, so that their differences do not show all of it; else
+    1.
 
     Such noise grows with the distance of samples, least at last; what a wrong model leaves grows most at last. Empty
     where no noise was estimated, or the mean is not above `noise_level`.
@@ -72,8 +73,8 @@ def noise_in_full(found: Fit, data: Data) -> Errors:
             r = errors[sample.channel].pop(0)
             if sample.unsure:
                 full.setdefault(sample.channel, []).append(_in_full(r, lag))
-    each = {c: float(np.mean(several)) for c, several in full.items()}
-    return each if each and np.mean(list(each.values())) > noise_level(data) else {}
+    each = [np.mean(several) for several in full.values()]
+    return full if each and np.mean(each) > noise_level(data) else {}
 
 
 def _in_full(r: np.ndarray, lag: int) -> float:
