@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from crane_exudyn import tables
 from crane_exudyn.crane import Crane
 from crane_exudyn.errors import CraneError
 from crane_exudyn.recording import Recording
-from crane_exudyn.signals import noise_std, noise_uncertainty
+from crane_exudyn.signals import noise_between, noise_std, noise_uncertainty, of_mean, shared_part, shown_of
 
 GOOD = "time[s],u1,u2[-],z1[deg],p1[bar]\n0.000,0,0,10,38.5\n0.005,0.5,0,10.5,39\n0.010,0.5,0,11,40\n"
 
@@ -366,6 +367,15 @@ def test_noise_is_uncertain_by_what_is_told_of_it(count: int) -> None:
     found = [noise_std(rng.standard_normal(count)) for _ in range(400)]
     # the spread of 400 estimates is itself known to 3.5 %: 15 % is four times that
     assert np.std(found) == pytest.approx(noise_uncertainty(rng.standard_normal(count)), rel=0.15)
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.3, 0.8])
+def test_noise_that_neighbours_share_is_told_from_means(shared):
+    noise = lfilter([np.sqrt(1.0 - shared**2)], [1.0, -shared], np.random.default_rng(4).standard_normal(100_000))
+    shown, mean = noise_between(noise), noise.reshape(-1, 5).mean(axis=1).std()
+    assert shown == pytest.approx(shown_of(shared), rel=0.02)
+    assert mean == pytest.approx(of_mean(shared, 5), rel=0.02)
+    assert shared_part(mean * np.sqrt(5.0) / shown, 5) == pytest.approx(shared, abs=0.02)
 
 
 def test_noise_of_a_quantised_channel_is_not_below_rounding() -> None:
