@@ -129,7 +129,7 @@ def run_one(case: HiddenCase, name: str, jobs: int = 1) -> dict[str, Any]:
 
     More than two effects are looked for by `improve`.
     """
-    began, said = time.perf_counter(), _improved if len(case.answer["effects"]) > CRITERIA.most else _diagnosed
+    began, said = time.perf_counter(), _improved if len(case.answer.get("effects", ())) > CRITERIA.most else _diagnosed
     line: dict[str, Any] = {"name": name, "answer": case.answer}
     try:
         found = json.loads(json.dumps(said(case, jobs)))
