@@ -27,7 +27,7 @@ from .fit.solve import Fit
 from .fit.variables import EffectParameter, NominalDirection
 from .fitness import check_all
 from .report import amount, evidence_difference, three_digits
-from .selection.granted import alike, otherwise
+from .selection.granted import alike, before_search, otherwise
 from .selection.lean import leaner
 from .selection.model import (
     Fitted,
@@ -263,21 +263,24 @@ def searched(
     """Return the path of the search, and notes on the recordings, after they were looked at.
 
     Between samples commands are taken as lines first, steps as coming with the sample that shows them, and noise as
-    white. Where a model shows that one of these is wrong, the search is made with what is right: at once, where the
-    machine without effects leaves only noise then, else again, with what the search has found.
+    white. Where a model shows that one of these is wrong, the search is made with what is right: the machine without
+    effects before the search, what the search has found after it.
     """
     problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
     path = WHITE.begun(problem)
-    other = otherwise(problem, path.parameters)
-    if other is None or not other.found.good:
-        path = search(WHITE, path, most, progress)
-        found = path.best or path.parameters
-        other = None if found.near else otherwise(problem, found)
-    if other is None:
-        return path, notes
-    progress(f"looking for effects, with {' and '.join(other.words)}", 0.3)
-    notes = check_all(other.problem.recordings, check, other.problem.crane)  # with the noise that it has now
-    return search(WHITE, other.problem, most, progress), [*notes, *other.notes]
+    first = before_search(problem, path.parameters)
+    if first is not None:
+        progress(first.text, 0.1)
+    path = search(WHITE, path if first is None else first.problem, most, progress)
+    found = path.best or path.parameters
+    then = None if found.near else otherwise(path.problem, found)
+    if then is not None:
+        progress(then.text, 0.3)
+        path = search(WHITE, then.problem, most, progress)
+    other = [o for o in (first, then) if o is not None]
+    if other:  # notes with the noise that it has now
+        notes = check_all(path.problem.recordings, check, path.problem.crane)
+    return path, [*notes, *dict.fromkeys(note for o in other for note in o.notes)]
 
 
 def looked_at(

@@ -6,7 +6,7 @@ Noise is taken as white; commands between samples as lines, but for steps, which
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -31,6 +31,8 @@ from .search import Problem
 
 #: share of the sampling interval by which a step is shifted to see what that does
 _SHIFT = 0.5
+#: what may be otherwise: what finds it, what is then, in words, a note
+_Kind = tuple[Callable[[Problem, Fitted], tuple[Problem, Fitted] | None], str, str]
 
 
 class Otherwise(NamedTuple):
@@ -41,15 +43,32 @@ class Otherwise(NamedTuple):
     words: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
+    @property
+    def text(self) -> str:
+        """What is done with it, as progress tells it."""
+        return f"looking for effects, with {' and '.join(self.words)}"
+
 
 def otherwise(problem: Problem, found: Fitted) -> Otherwise | None:
     """Return the problem with the noise and the commands between samples that a fitted model shows; None where these
     are as they were taken.
     """
+    return _as_shown(problem, found, _OTHERWISE)
+
+
+def before_search(problem: Problem, found: Fitted) -> Otherwise | None:
+    """Return the same as the machine without effects shows it: all of it where that leaves only noise then, else the
+    noise alone, which is told by samples that the model explains.
+    """
+    other = otherwise(problem, found)
+    return other if other is None or other.found.good else _as_shown(problem, found, _OTHERWISE[:1])
+
+
+def _as_shown(problem: Problem, found: Fitted, kinds: Sequence[_Kind]) -> Otherwise | None:
     now, seen = Otherwise(problem, found), True
     while seen:  # noise shows where steps are explained, and steps where noise is
         seen = False
-        for taken, words, note in _OTHERWISE:
+        for taken, words, note in kinds:
             if (again := taken(now.problem, now.found)) is not None:
                 seen, told = True, words not in now.words
                 now = Otherwise(*again, now.words + (words,) * told, now.notes + (note,) * told)
@@ -151,8 +170,7 @@ def _told(found: tuple[Problem, Fitted] | None) -> tuple[Problem, Fitted] | None
     return found if found is not None and found[1].level < CRITERIA.left_level else None
 
 
-#: what may be otherwise: what is then, in words, a note
-_OTHERWISE = (
+_OTHERWISE: tuple[_Kind, ...] = (
     (
         noisier,
         "the noise that neighbouring samples share",
