@@ -65,10 +65,15 @@ def planned(seed: int) -> dict[str, Any]:
 
 
 def folder_case(folder: Path, name: str) -> HiddenCase:
-    """Return a case from the files that `validation.hidden.write_cases` has written."""
+    """Return a case from files as `validation.hidden.write_cases` writes them; of its answer the verdict and, where
+    there are any, the effects must be known.
+    """
     from crane_exudyn.recording import Recording
 
     answer = json.loads((folder / "answers.json").read_text(encoding="utf-8"))[name]
+    effects = answer.get("effects", [])
+    kinds = {number: kind for kind, number in HIDES.items()} | {0: answer["verdict"].replace("adequate", "none")}
+    answer = {"kind": kinds[len(effects)], "effects": effects, "noise": {}} | answer
     learn, check = (Recording.load(folder / f"{name}_{part}.csv") for part in ("learn", "check"))
     seed = name.rpartition("_")[2]
     return HiddenCase(int(seed) if seed.isdigit() else -1, learn, check, answer, Crane.load("patu655"))
@@ -129,7 +134,7 @@ def run_one(case: HiddenCase, name: str, jobs: int = 1) -> dict[str, Any]:
 
     More than two effects are looked for by `improve`.
     """
-    began, said = time.perf_counter(), _improved if len(case.answer.get("effects", ())) > CRITERIA.most else _diagnosed
+    began, said = time.perf_counter(), _improved if len(case.answer["effects"]) > CRITERIA.most else _diagnosed
     line: dict[str, Any] = {"name": name, "answer": case.answer}
     try:
         found = json.loads(json.dumps(said(case, jobs)))
@@ -309,7 +314,9 @@ def _by_sensors(good: Sequence[Mapping[str, Any]]) -> str:
     for sensors in SENSOR_SETS:
         for pressure_noise, name in ((0.3e5, "0.05° and 0.3 bar"), (1.5e5, "1° and 1.5 bar")):
             wanted = len(sensors), pressure_noise
-            own = [g for g in good if (len(noise := g["answer"]["noise"]), noise[usual_layout().loaded[0]]) == wanted]
+            own = [
+                g for g in good if (len(noise := g["answer"]["noise"]), noise.get(usual_layout().loaded[0])) == wanted
+            ]
             hiding = [g for g in own if g["answer"]["effects"]]
             rows.append((
                 " ".join(sensors), name, share(g["judged"]["right"] for g in hiding),
