@@ -255,23 +255,19 @@ class ExudynEngine:
                 level, self.halved = level + 1, self.halved + 1
         return x, level
 
-    def _state_text(self, state: np.ndarray) -> str:
-        shown = statics.visible(self.crane, state)
-        return ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.state_names, shown, strict=True))
-
     def _stroke_end(self, state: np.ndarray, time: float) -> CraneError:
         return CraneError(
             f"{self.crane.name}: {statics.stroke_message(self.crane, state)} at t = {time:.6g} s, "
-            f"{self._state_text(state)}. Add the effect end_stop to this cylinder, shorten the command, or correct the "
-            "cylinder's lengths."
+            f"{statics.state_text(self.crane, state)}. Add the effect end_stop to this cylinder, shorten the command, "
+            "or correct the cylinder's lengths."
         )
 
     def _failure(self, status: int, state: np.ndarray, w: np.ndarray, time: float, h: float, halved: int) -> CraneError:
         if not np.isfinite(state).all() or np.isinf(w).any():
+            inputs = " ".join(f"{u:g}" for u in w[: len(self.crane.layout.inputs)])
             return CraneError(
                 f"{self.crane.name}: the state or an input is not finite at t = {time:.6g} s: "
-                f"{self._state_text(state)}, inputs {' '.join(f'{u:g}' for u in w[: len(self.crane.layout.inputs)])}. "
-                "Only pp and pt may be NaN."
+                f"{statics.state_text(self.crane, state)}, inputs {inputs}. Only pp and pt may be NaN."
             )
         law = faulty_laws.where_run_failed(self.crane, state, w, time, h)
         if law is not None:
@@ -295,8 +291,8 @@ class ExudynEngine:
             ),
         )
         return CraneError(
-            f"{self.crane.name}: {what} at t = {time:.6g} s, {self._state_text(state)}. Tried {halved} halvings of the "
-            f"step, down to {h:.3g} s, {_MOST_ITERATIONS} iterations each. {mend}"
+            f"{self.crane.name}: {what} at t = {time:.6g} s, {statics.state_text(self.crane, state)}. Tried {halved} "
+            f"halvings of the step, down to {h:.3g} s, {_MOST_ITERATIONS} iterations each. {mend}"
         )
 
 

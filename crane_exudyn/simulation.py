@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 CYCLE = 25.0
 #: most time steps of a run: their inputs alone are half a gigabyte
 MOST_STEPS = 1e7
+
+#: s between instants that are far apart, and between those of a result that is filled there
+_SPARSE, _FILLED = 0.1, 0.01
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,7 @@ def simulate(
     start: np.ndarray | None = None,
     engine: Any = None,
     step: float = 1e-3,
+    filled: bool = False,
 ) -> Simulation:
     """Return an open-loop run of a crane.
 
@@ -155,12 +160,14 @@ def simulate(
             there is told by the logger "crane_exudyn".
         engine: "exudyn", "semi-recursive", or an engine object with this crane; by default a new ExudynEngine.
         step: largest time step in s.
+        filled: whether the result has an instant every 10 ms where those of `inputs` are more than 0.1 s apart, as the
+            corners of commands are.
 
     Raises:
         CraneError: a recording without commands, an engine of another crane, a step that is not positive, a payload of
             negative mass, or a run that leaves what the crane can do.
     """
-    return simulate_while_possible(crane, inputs, start=start, engine=engine, step=step, whole=True)[0]
+    return simulate_while_possible(crane, inputs, start=start, engine=engine, step=step, filled=filled, whole=True)[0]
 
 
 def simulate_while_possible(
@@ -170,12 +177,13 @@ def simulate_while_possible(
     start: np.ndarray | None = None,
     engine: Any = None,
     step: float = 1e-3,
+    filled: bool = False,
     whole: bool = False,
 ) -> tuple[Simulation, CraneError | None]:
     """Return a run as `simulate` does, as far as it goes, and why it ended early: None where it did not.
 
     Args:
-        crane, inputs, start, engine, step: as in `simulate`.
+        crane, inputs, start, engine, step, filled: as in `simulate`.
         whole: whether a run that ends early is of no use; why it did is raised then.
 
     Raises:
@@ -192,6 +200,8 @@ def simulate_while_possible(
     inputs = None if inputs is None else given_recording(inputs, crane.layout, "simulate")
     time = paper_time() if inputs is None else inputs.require(sensors=0).aligned()[0]
     grid, rows = inner_grid(time, step)
+    if filled:
+        rows = _filled(grid, rows)
     commands, w = _driven(crane, inputs, grid)
     check_payload(crane, grid)
     x0 = _start_of_file(crane, engine) if start is None else _given_start(crane, start)
@@ -309,6 +319,16 @@ def inner_grid(time: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     share = np.arange(rows[-1]) - np.repeat(rows[:-1], parts)
     inner = np.repeat(time[:-1], parts) + share * np.repeat(spans / parts, parts)
     return np.append(inner, time[-1]), rows
+
+
+def _filled(grid: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return rows of a grid with more between those that are far apart."""
+    between = [
+        np.linspace(a, b, int(np.ceil((grid[b] - grid[a]) / _FILLED - 1e-6)) + 1).round().astype(int)
+        for a, b in pairwise(rows)
+        if grid[b] - grid[a] > _SPARSE
+    ]
+    return np.unique(np.concatenate([rows, *between]))
 
 
 def _driven(crane: Crane, inputs: Recording | None, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

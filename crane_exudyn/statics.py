@@ -15,7 +15,7 @@ from . import trapezoidal
 from .channels import FULLY_OPEN
 from .crane import Crane
 from .effects import hooks
-from .errors import CraneError
+from .errors import CraneError, listed
 from .geometry import LENGTH, RATE
 from .machine import BODIES
 
@@ -160,6 +160,17 @@ def visible(crane: Crane, states: np.ndarray) -> np.ndarray:
     shown, p = np.array(states, dtype=float), crane.layout.pressures
     shown[..., p] = np.maximum(shown[..., p], vapour_pressure(crane))
     return shown
+
+
+def state_text(crane: Crane, state: np.ndarray) -> str:
+    """Return a state (nx,) as people say it: coordinates in deg or m, their rates, what effects add, pressures in
+    bar.
+    """
+    lay, shown = crane.layout, visible(crane, state)
+    others = [*zip(lay.rates, shown[lay.velocities], strict=True), *zip(lay.added, shown[lay.extra], strict=False)]
+    told = [f"{name} = {value:.4g} {lay.unit_of(name)}" for name, value in others]
+    pressures = listed(lay.chambers, shown[lay.pressures] / 1e5, "{:.2f} bar")
+    return ", ".join([geo.pose_text(lay, shown[lay.positions]), *told, pressures])
 
 
 def stroke_end(crane: Crane, state: np.ndarray) -> tuple[str, str, float]:

@@ -54,7 +54,8 @@ def command(
 
     The commands come from a recording, or are the paper's 25 s working cycle. In the cycle a lever is released before
     its cylinder reaches the end of its stroke. The crane starts at rest with closed valves, at the angles of its file.
-    The result has the instants of the recording (1 ms for the cycle) and SI units. It is a recording without noise.
+    The result has the instants of the recording (1 ms for the cycle; every 10 ms between corners of commands that are
+    more than 0.1 s apart) and SI units. It is a recording without noise.
 
     If the run cannot continue, for example at the end of a stroke, it is written up to that time and the exit status
     is 2.
@@ -76,7 +77,7 @@ def command(
     _compile(chosen, holder)
     holder.halved = 0
     begin = perf_counter()
-    run, ended = simulate_while_possible(chosen, recording, start=start, engine=holder, step=step)
+    run, ended = simulate_while_possible(chosen, recording, start=start, engine=holder, step=step, filled=True)
     seconds = perf_counter() - begin
     printer = Printer(json)
     tell(printer, run, recording, engine, seconds)
@@ -148,7 +149,7 @@ def tell_accuracy(
     if halved:
         printer.line(f"{halved} steps were halved because their local error was too large.")
     try:
-        found = step_error(run, recording, step)
+        found = step_error(run, recording, step, filled=True)
     except CraneError as problem:
         printer.line(
             "The dependence of these numbers on the step size is not known, because a run with finer steps fails: "

@@ -85,6 +85,15 @@ def test_simulate_starts_as_the_crane_file_says(printed: Callable[..., str], lif
     assert document["engine"] == "semi-recursive" and document["instants"] == 401
 
 
+def test_simulate_fills_what_lies_between_corners_of_commands(printed: Callable[..., str], tmp_path: Path) -> None:
+    corners, result = tmp_path / "corners.csv", tmp_path / "run.csv"
+    corners.write_text("time[s],u1,u2\n0,0,0\n0.05,0,0\n0.5,0.1,0\n2,0.1,0\n", encoding="utf-8")
+    told = printed("simulate", "--inputs", str(corners), *FAST, "-o", str(result))
+    run = Recording.load(result)["z1"]
+    assert len(run) == 2 + 45 + 150 and np.diff(run.time)[1:] == pytest.approx(0.01)
+    assert run.values[-1] > run.values[60] > run.values[0] and "depend on the step" not in told
+
+
 def test_simulate_without_inputs_is_the_papers_cycle(printed: Callable[..., str], tmp_path: Path) -> None:
     printed("simulate", *FAST, "-o", str(tmp_path / "cycle.parquet"))
     run = Recording.load(tmp_path / "cycle.parquet")

@@ -535,7 +535,7 @@ def test_an_unreachable_pose_is_named(crane: Crane) -> None:
 
 def test_poses_are_told_in_the_units_of_their_coordinates() -> None:
     engine = SemiRecursiveEngine(load("slider"))
-    with pytest.raises(CraneError, match=r"State: lift = 20\.000 deg, reach = 3\.000 m, tilt = .*dreach = 0 m/s"):
+    with pytest.raises(CraneError, match=r"State: lift = 20\.00 deg, reach = 3\.0000 m, tilt = .*dreach = 0 m/s"):
         engine.simulate(engine.static_start(20 * DEGREE, 3.0, -0.5), np.arange(0.0, 0.02, 0.01), np.zeros((2, 5)))
 
 

@@ -41,17 +41,18 @@ class StepError:
     since: float | None
 
 
-def step_error(run: Simulation, recording: Recording | None, step: float) -> StepError:
+def step_error(run: Simulation, recording: Recording | None, step: float, *, filled: bool = False) -> StepError:
     """Return how far a run depends on its steps.
 
     Args:
-        run: of a crane driven by `recording` (None: the paper's cycle) with steps of at most `step` s.
+        run: of a crane driven by `recording` (None: the paper's cycle) with steps of at most `step` s, `filled` where
+            it has more instants than the recording.
 
     Raises:
         CraneError: the second run fails.
     """
     finer = SemiRecursiveEngine(run.crane, accuracy=_FINER)
-    second = simulate(run.crane, recording, start=run.states[0], engine=finer, step=step)
+    second = simulate(run.crane, recording, start=run.states[0], engine=finer, step=step, filled=filled)
     layout = run.crane.layout
     apart = (visible(run.crane, run.states) - visible(run.crane, second.states))[:, layout.basic]
     promised = np.full(apart.shape[1], np.inf)

@@ -11,10 +11,11 @@ from crane_exudyn import faulty_laws
 from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane, checked_crane
 from crane_exudyn.effects import hooks
-from crane_exudyn.errors import CraneError, listed
+from crane_exudyn.errors import CraneError
+from crane_exudyn.geometry import pose_text
 from crane_exudyn.machine import CYLINDERS, Joint, Machine
 from crane_exudyn.row_values import RowValues
-from crane_exudyn.statics import check_less_loaded, check_spools, checked_inputs, checked_state, visible
+from crane_exudyn.statics import check_less_loaded, check_spools, checked_inputs, checked_state, state_text
 from crane_exudyn.step_control import MOST_HALVINGS
 
 from . import equations, kernel
@@ -286,15 +287,14 @@ class SemiRecursiveEngine:
         raise CraneError(
             f"Semi-recursive engine: a cylinder reached the end of its stroke at t = {time[k]:.3f} s "
             f"({self._chamber(chamber)} empty, {-1e3 * lengths[k, chamber]:.1f} mm beyond). State: "
-            f"{self._state_text(states[k])}. "
+            f"{state_text(self.crane, states[k])}. "
             "Shorten the motion, start elsewhere, or add the effect end_stop to the crane."
         )
 
     def _failure(self, status: int, x: np.ndarray, time: float, h: float, where: str) -> str:
         if not np.all(np.isfinite(x)):
-            return (
-                f"Semi-recursive engine: at t = {time:.4f} s ({where}) the state is not finite: {self._state_text(x)}."
-            )
+            found = state_text(self.crane, x)
+            return f"Semi-recursive engine: at t = {time:.4f} s ({where}) the state is not finite: {found}."
         lengths = _chamber_lengths(x[None], self._P, self._E, self._topology)[0]
         if np.isnan(lengths).any():
             return self._unreachable(x) + f" It was met at t = {time:.4f} s ({where})."
@@ -302,7 +302,7 @@ class SemiRecursiveEngine:
         what = "did not converge" if status == kernel.NOT_CONVERGED else "is not accurate"
         return (
             f"Semi-recursive engine: the step after t = {time:.4f} s ({where}) {what}, neither with {h:g} s nor "
-            f"halved up to {MOST_HALVINGS} times. State: {self._state_text(x)}. Shortest chamber: "
+            f"halved up to {MOST_HALVINGS} times. State: {state_text(self.crane, x)}. Shortest chamber: "
             f"{self._chamber(chamber)}, {1e3 * lengths[chamber]:.1f} mm. "
             f"{self._in_line(x) or 'Look for a chamber near its end, or parameters out of proportion.'}"
         )
@@ -340,25 +340,11 @@ class SemiRecursiveEngine:
                 )
         return f"Semi-recursive engine: the forces of {self.crane.name} at {self._pose(x)} are not finite."
 
+    def _pose(self, x: np.ndarray) -> str:
+        return pose_text(self._layout, x[self._layout.positions])
+
     def _chamber(self, k: int) -> str:
         return self._layout.side_of(self._layout.chambers[k])
-
-    def _pose(self, x: np.ndarray, form: str = ".2f") -> str:
-        names, slides = (
-            self._layout.coordinates,
-            [self._layout.unit_of(name) == "m" for name in self._layout.coordinates],
-        )
-        values = zip(names, slides, x[self._layout.positions], strict=True)
-        return ", ".join(
-            f"{n} = {v:{form}} m" if slide else f"{n} = {math.degrees(v):{form}} deg" for n, slide, v in values
-        )
-
-    def _state_text(self, x: np.ndarray) -> str:
-        lay = self._layout
-        rates = zip(lay.rates, x[lay.velocities], strict=True)
-        told = ", ".join(f"{name} = {value:.4g} {lay.unit_of(name)}" for name, value in rates)
-        pressures = visible(self.crane, x)[lay.pressures] / 1e5
-        return f"{self._pose(x, '.3f')}, {told}, {listed(lay.chambers, pressures, '{:.2f} bar')}"
 
 
 def _around(machine: Machine, closing: Joint) -> str:
