@@ -60,7 +60,6 @@ _QUANTITIES = {
     "flow_coefficient": Quantity(1e-11, 1e-3, 4e-7, ("l/min/(7 bar)**0.5",)),
     "time_constant": Quantity(0.0, 5.0, 0.03, ("ms",)),
 }  # fmt: skip
-_START = {"rad": _ANGLE, "m": _LENGTH}
 #: remarks that are told of one machine: one mistake may be in every line
 _MOST_REMARKS = 3
 
@@ -86,7 +85,8 @@ def _numbers(crane: Description) -> Iterator[tuple[str, float, str, Quantity]]:
             yield name, value, unit_of(name), quantity
     lay, start = crane.layout, crane.initial
     for name, value in zip(lay.coordinates, start.pose, strict=True):
-        yield f"initial.{name}", value, lay.unit_of(name), _START[lay.unit_of(name)]
+        if lay.unit_of(name) == "m":  # angles without unit are refused
+            yield f"initial.{name}", value, "m", _LENGTH
     each = start.less_loaded_pressure
     for value in set(each) if isinstance(each, tuple) else {each}:
         yield "initial.less_loaded_pressure", value, "Pa", _PRESSURE._replace(usual=1e6)
