@@ -305,9 +305,12 @@ def event_lines(result: Estimate) -> list[str]:
     """Return one line for everything odd that happened."""
     lines = []
     for event in result.events:
+        if event.start != event.start:  # of the whole recording
+            lines.append(f"note: {event.text}")
+            continue
         span = f"{event.start:.3f} s" if event.end == event.start else f"{event.start:.3f} to {event.end:.3f} s"
-        when = "" if event.start != event.start else f"{span}: "
-        lines.append(f"note: {when}{event.where}: {event.text} ({event.count} time(s))")
+        often = f" ({event.count} times)" if event.count > 1 else ""
+        lines.append(f"note: {span}: {event.where}: {event.text}{often}")
     return lines
 
 
