@@ -25,7 +25,7 @@ from ..fit.model import model_of
 from ..fit.solve import Fit, bounded_step
 from ..fit.staged import STIFF
 from .levels import noise_in_full
-from .model import Fitted, Model, fitted, unmoving
+from .model import Fitted, Model, fitted, open_loop_error, unmoving
 from .screen import projected
 from .search import Problem
 
@@ -87,7 +87,10 @@ def alike(problem: Problem, found: Fitted, check: Recording | None) -> Recording
     if not shares:
         return check
     early = {step: float(np.mean(shares)) * h for step, h in check.steps(problem.crane).items()}
-    crane = unmoving(replace(found.fit.crane, sensors=problem.crane.sensors))
+    crane = found.fit.crane
+    if problem.data.own:  # what differs from recording to recording is the check's own, too
+        crane = open_loop_error(crane, check, own=problem.data.own)[1].crane
+    crane = unmoving(replace(crane, sensors=problem.crane.sensors))
     own = Problem.of(crane, [replace(check, early=early, vouched=True)], (), problem.jobs)
     now = own, fitted(crane, own.data, Model(()), own.nominal, (STIFF,))
     return replace(_at_their_moments(*now)[0].recordings[0], vouched=check.vouched)
