@@ -476,9 +476,7 @@ def loop_bends(crane: Crane, z: np.ndarray) -> np.ndarray:
     machine, points = crane.machine, pose(crane, *np.transpose(z)).points
     bends = np.empty((len(z), len(machine.loops)))
     for i, closing in enumerate(machine.loops):
-        second = machine.carriers[closing.carrier]
-        first = machine.carriers[second.carrier]
-        a, b, c = (points[joint.pin.removeprefix("joints.")] for joint in (first, second, closing))
+        a, b, c = (points[joint.pin.removeprefix("joints.")] for joint in (*machine.pair(closing), closing))
         along, beyond = (b - a).T, (c - b).T
         bends[:, i] = np.abs(np.arctan2(along[0] * beyond[1] - along[1] * beyond[0], (along * beyond).sum(axis=0)))
     return bends
@@ -502,7 +500,7 @@ def unreachable(crane: Crane, z: np.ndarray, where: str = "") -> CraneError:
     """Return the error that says which loop cannot be closed at independent coordinates z."""
     machine = crane.machine
     closing = machine.loops[max(unclosed(crane, z), 0)]
-    first, second = machine.carriers[machine.carriers[closing.carrier].carrier], machine.carriers[closing.carrier]
+    first, second = machine.pair(closing)
     pins = "-".join((first.name, second.name, closing.name))
     return CraneError(
         f"{crane.name}{where}: the pose {pose_text(crane.layout, z)} cannot be reached: {first.body} and {second.body} "

@@ -128,8 +128,12 @@ class Machine:
     @cached_property
     def dependent(self) -> dict[str, Joint]:
         """The loop that each dependent body belongs to."""
-        pairs = {joint: (self.carriers[joint.carrier].carrier, joint.carrier) for joint in self.loops}
-        return {body: joint for joint, pair in pairs.items() for body in pair}
+        return {carrier.body: joint for joint in self.loops for carrier in self.pair(joint)}
+
+    def pair(self, closing: Joint) -> tuple[Joint, Joint]:
+        """Return the joints that carry the two dependent bodies of a loop, in their order."""
+        second = self.carriers[closing.carrier]
+        return self.carriers[second.carrier], second
 
     def path(self, body: str) -> tuple[str, ...]:
         """Return the bodies from the ground to a body, itself included."""
@@ -152,7 +156,7 @@ class Machine:
         if body not in self.dependent:
             return frozenset({self.carriers[body].coordinate})
         loop = self.dependent[body]
-        return self._between(self.carriers[self.carriers[loop.carrier].carrier].carrier, loop.body)
+        return self._between(self.pair(loop)[0].carrier, loop.body)
 
     # -- places ------------------------------------------------------------------------------------------------------
 

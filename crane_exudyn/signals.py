@@ -20,6 +20,8 @@ _QUIETEST, _QUIETER, _MOTION, _FINEST = 5e-6, 0.1, 3e-4, 1e-5
 _THIRD_DIFFERENCE = math.sqrt(20.0)  # 1² + 3² + 3² + 1²: what a third difference makes of white noise
 #: third differences are correlated (-3/4, 3/10, -1/20): 1 + 2 Σ ρ² of them tell as much as an independent one
 _CORRELATED = 2.31
+#: a larger part of their noise than this neighbours do not share
+_MOST_SHARED = 0.999
 
 
 def sampling_rate(time: np.ndarray) -> float:
@@ -61,10 +63,6 @@ def noise_std(values: np.ndarray) -> float:
     floor = step / math.sqrt(12.0)
     own = values[_own_samples(values, step)]
     return max(noise_between(own), floor)
-
-
-#: a larger part than this neighbours do not share
-_MOST_SHARED = 0.999
 
 
 def noise_between(values: np.ndarray, lag: int = 1) -> float:

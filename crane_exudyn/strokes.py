@@ -110,7 +110,7 @@ def _letting_go(
     way = np.sign(position[-1, end] - 0.5)
     room = 0.5 + way * (0.5 - position[:, end])  # share of the stroke that is left
     levers = commands.shape[1]
-    lever, sign = (end, way) if end < levers else _closing_in(crane, states, end - levers, way)
+    lever, sign = (end, way) if end < levers else _closing_in(crane, states, position[:, end], end - levers, way)
     toward = np.flatnonzero(np.sign(commands[: len(states), lever]) == sign)
     if not toward.size:
         return None
@@ -129,16 +129,17 @@ def _letting_go(
     return lever, max(first, int(np.searchsorted(time, beat - 1e-9))), after
 
 
-def _closing_in(crane: Crane, states: np.ndarray, loop: int, way: float) -> tuple[int, float]:
+def _closing_in(crane: Crane, states: np.ndarray, place: np.ndarray, loop: int, way: float) -> tuple[int, float]:
     """Return the lever whose cylinder brought a loop to the end of its motion, and the sign of that motion.
 
     Args:
-        states: (n, nx) of a run that ends there;  loop: its number;  way: 1 where it is stretched, -1 where folded.
+        states: (n, nx) of a run that ends there;  place: (n,) where the loop stands at each;  loop: its number;
+        way: 1 where it is stretched, -1 where folded.
     """
     from .geometry import pose
 
     z = states[:, crane.layout.positions]
-    free = np.flatnonzero(np.abs(_positions_in_loops(crane, z)[:, loop] - 0.5) < 0.5 - _IN_LINE)
+    free = np.flatnonzero(np.abs(place - 0.5) < 0.5 - _IN_LINE)
     k = int(free[-1]) if free.size else 0
     tiny = 1e-6 * np.eye(z.shape[1])
     around = _positions_in_loops(crane, np.vstack([z[k] + tiny, z[k] - tiny]))[:, loop]

@@ -47,6 +47,11 @@ class Samples:
     unsure: float = 0.0
     around: np.ndarray | None = None
 
+    @property
+    def averaged(self) -> int:
+        """How many samples of the recording each of these is the mean of."""
+        return 1 if self.around is None else self.around.shape[1]
+
     def taken(self, grid: np.ndarray) -> np.ndarray:
         """Return what `grid` (N, …) on the grid is at the samples (n, …), linear between grid points."""
         before = grid[self.index]

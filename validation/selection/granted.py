@@ -102,11 +102,12 @@ def noisier(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
     """
     shown, sensors = [noise_of(r, problem.crane) for r in problem.recordings], dict(problem.crane.sensors)
     memories = [dict(r.memory) for r in problem.recordings]
+    averaged = [{s.channel: s.averaged for s in part.samples} for part in problem.data.parts]
     for channel, factors in noise_in_full(w.fit, problem.data).items():
         having = [i for i, noise in enumerate(shown) if channel in noise]
         each = [shown[i][channel] for i in having]
         if np.mean(factors) > 1.0 and max(each) < CRITERIA.left_level * min(each):  # one file states one noise for all
-            shared = [shared_part(f, _averaged(problem, i, channel)) for f, i in zip(factors, having, strict=True)]
+            shared = [shared_part(f, averaged[i][channel]) for f, i in zip(factors, having, strict=True)]
             sensors[channel] = float(np.mean(each / shown_of(np.array(shared))))
             for i, part in zip(having, shared, strict=True):
                 memories[i][channel] = _memory(problem.recordings[i][channel], part)
@@ -115,12 +116,6 @@ def noisier(problem: Problem, w: Fitted) -> tuple[Problem, Fitted] | None:
     recordings = [replace(r, memory=own) for r, own in zip(problem.recordings, memories, strict=True)]
     other = Problem.of(replace(problem.crane, sensors=sensors), recordings, problem.data.own, problem.jobs)
     return other, fitted(other.crane, other.data, w.model, w.fit, (STIFF,))
-
-
-def _averaged(problem: Problem, recording: int, channel: str) -> int:
-    """Return how many samples of a recording's channel make one that is fitted."""
-    around = next(s for s in problem.data.parts[recording].samples if s.channel == channel).around
-    return 1 if around is None else around.shape[1]
 
 
 def _memory(channel: Channel, shared: float) -> float:

@@ -12,7 +12,7 @@ from crane_exudyn.compiled import njit
 from crane_exudyn.crane import Crane, checked_crane
 from crane_exudyn.effects import hooks
 from crane_exudyn.errors import CraneError
-from crane_exudyn.geometry import pose_text
+from crane_exudyn.geometry import loop_bends, pose_text
 from crane_exudyn.machine import CYLINDERS, Joint, Machine
 from crane_exudyn.row_values import RowValues
 from crane_exudyn.statics import check_less_loaded, check_spools, checked_inputs, checked_state, state_text
@@ -309,20 +309,13 @@ class SemiRecursiveEngine:
 
     def _in_line(self, x: np.ndarray) -> str:
         """Return a sentence on the loop whose dependent bodies are in line, where it locks; "" where none are."""
-        machine, terms = self.crane.machine, self.terms(x, np.array(self._layout.closed))
-        for joint in machine.loops:
-            second = machine.carriers[joint.carrier]
-            first = machine.carriers[second.carrier]
-            at = [
-                np.array([terms[f"{axis}_{j.pin.removeprefix('joints.')}"] for axis in "xy"])
-                for j in (first, second, joint)
-            ]
-            along, beyond = at[1] - at[0], at[2] - at[1]
-            sine = (along[0] * beyond[1] - along[1] * beyond[0]) / np.hypot(*along) / np.hypot(*beyond)
-            if abs(sine) < _IN_LINE:
+        machine = self.crane.machine
+        for joint, bend in zip(machine.loops, loop_bends(self.crane, x[None, self._layout.positions])[0], strict=True):
+            first, second = machine.pair(joint)
+            if math.sin(bend) < _IN_LINE:
                 return (
                     f"The loop {_around(machine, joint)} is at its limit: {first.body} and {second.body} are in line "
-                    f"within {math.degrees(math.asin(abs(sine))):.1f} deg, and it locks. Shorten the motion, or "
+                    f"within {math.degrees(min(bend, math.pi - bend)):.1f} deg, and it locks. Shorten the motion, or "
                     f"correct the joints {first.name}, {second.name}, {joint.name}."
                 )
         return ""
@@ -330,7 +323,7 @@ class SemiRecursiveEngine:
     def _unreachable(self, x: np.ndarray) -> str:
         machine, terms = self.crane.machine, self.terms(x, np.array(self._layout.closed))
         for joint in machine.loops:
-            inner, outer = machine.carriers[machine.carriers[joint.carrier].carrier], machine.carriers[joint.carrier]
+            inner, outer = machine.pair(joint)
             if math.isnan(terms[f"phi_{joint.carrier}"]):
                 return (
                     f"Semi-recursive engine: the loop {_around(machine, joint)} of {self.crane.name} cannot be closed "
