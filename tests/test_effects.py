@@ -52,9 +52,10 @@ def test_laws_are_the_formulas():
     assert find("joint_coulomb_friction").joint_torque(500.0, -1.0) == pytest.approx(500.0)
     assert find("end_stop").cylinder_force(1e8, 0.0, 0.0, 1e5, 1e5, -1e-3, 0.5) == pytest.approx(1e5)
     valve = find("counterbalance_valve").return_gain
-    assert valve(0.0, 3.0, 0.0, 0.0, 1.0, 1e5) == 1.0
-    assert valve(120e5, 3.0, 60e5, 25e5, 1.0, 59e5) == pytest.approx(0.75)
-    assert valve(120e5, 3.0, 0.2e5, 0.0, 1.0, -4.8e5) == 1.0, "oil comes back from the tank through the check"
+    assert valve(0.0, 3.0, 20e5, 0.0, 0.0, 1.0, 1e5) == 1.0
+    assert valve(120e5, 3.0, 20e5, 60e5, 25e5, 1.0, 59e5) == pytest.approx(0.75)
+    assert valve(120e5, 3.0, 50e5, 60e5, 25e5, 1.0, 59e5) == pytest.approx(0.3)
+    assert valve(120e5, 3.0, 20e5, 0.2e5, 0.0, 1.0, -4.8e5) == 1.0, "oil comes back from the tank through the check"
     leak = find("external_leakage").leakage
     assert (leak(2e-12, 50e5), leak(2e-12, -1e5)) == (pytest.approx(-1e-5), 0.0)
 

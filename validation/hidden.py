@@ -94,7 +94,8 @@ def _seal(rng: np.random.Generator, _: Any) -> dict[str, float]:
 def _counterbalance(rng: np.random.Generator, _: Any) -> dict[str, float]:
     """A setting that some 50 bar of load and 40 to 85 bar of pilot pressure overcome: lower ones are never felt."""
     ratio = rng.uniform(1.0, 4.0)
-    return {"setting": 50e5 + ratio * rng.uniform(40e5, 85e5), "ratio": ratio}
+    setting = 50e5 + ratio * rng.uniform(40e5, 85e5)
+    return {"setting": setting, "ratio": ratio, "range": log_uniform(rng, 10e5, 50e5)}
 
 
 def _payload(rng: np.random.Generator, about: Mapping[str, Any]) -> dict[str, float]:

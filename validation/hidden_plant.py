@@ -498,16 +498,18 @@ class _Follower:
         self.time = time
 
 
-def _steep_counterbalance(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
-    """Return a load-holding valve that opens fully over 35 bar instead of 20, and never closes quite (1 %)."""
+def _notched_counterbalance(values: Mapping[str, float], place: str, crane: Crane) -> Dialect:
+    """Return a load-holding valve with notches, which opens slowly at first (power of 1.3), and never closes quite (1
+    %).
+    """
     c = crane.layout.cylinders.index(place)
 
     def law(now: Now) -> Mapping[str, float]:
         piston, rod = now.pressures(c)
         own, other = (piston, rod) if c == 0 else (rod, piston)
         drains = now.inputs[c] < 0.0 if c == 0 else now.inputs[c] > 0.0
-        opening = min(max((own + values["ratio"] * other - values["setting"]) / 35e5, 0.01), 1.0)
-        return {f"meter_out_restriction@{place}.r": 1.0 - opening if drains else 0.0}
+        lift = min(max((own + values["ratio"] * other - values["setting"]) / values["range"], 0.0), 1.0)
+        return {f"meter_out_restriction@{place}.r": 1.0 - max(lift**1.3, 0.01) if drains else 0.0}
 
     return Dialect((law,))
 
@@ -593,7 +595,7 @@ DIALECTS: Mapping[str, Callable[[Mapping[str, float], str, Crane], Dialect]] = {
     "pressure_compensation": _soft_compensator,
     "command_delay": _delay_by_cycles,
     "spool_hysteresis": _play_behind_the_spool,
-    "counterbalance_valve": _steep_counterbalance,
+    "counterbalance_valve": _notched_counterbalance,
     "pump_droop": lambda v, _, crane: _supply_behind_a_line(v, crane, "supply.pump_pressure", -1.0, 2),
     "return_back_pressure": lambda v, _, crane: _supply_behind_a_line(v, crane, "supply.tank_pressure", 1.0, 3),
     "pressure_dependent_friction": _friction_as_in_19,

@@ -2,15 +2,12 @@
 
 from .base import CYLINDERS, Effect, Parameter
 
-#: rise of the pilot sum, above the setting, over which the valve opens fully; typical of cartridge valves (no source)
-OPENING_RANGE = 20e5
-
 
 class CounterbalanceValve(Effect):
     """A load-holding valve: the loaded chamber drains only as far as p_load + ratio * p_pilot opens the valve beyond
     its setting.
 
-    Opening = (p_load + ratio * p_pilot - setting) / 20 bar, limited to 0 ... 1. It multiplies the flow of that
+    Opening = (p_load + ratio * p_pilot - setting) / range, limited to 0 ... 1. It multiplies the flow of that
     chamber's edge to tank; flow into the chamber is free, through a check valve. The crane file says which chamber is
     loaded (p1 and p4 of the log crane). The pilot is the opposite chamber.
 
@@ -32,6 +29,8 @@ class CounterbalanceValve(Effect):
             threshold=True,
         ),
         Parameter("ratio", "", 3.0, 0.0, 12.0, 3.0, "pilot ratio", shape=True),
+        # 20 bar: typical of cartridge valves (no source)
+        Parameter("range", "Pa", 20e5, 2e5, 200e5, 20e5, "rise of that sum over which it opens fully", shape=True),
     )
     # from a valve that holds too much a search finds back; one that is open all the time has no slope
     probes = (
@@ -44,8 +43,8 @@ class CounterbalanceValve(Effect):
     )
 
     @staticmethod
-    def return_gain(setting, ratio, p_own, p_other, load_side, drop):
+    def return_gain(setting, ratio, range, p_own, p_other, load_side, drop):
         if setting <= 0.0 or load_side == 0.0 or drop < 0.0:
             return 1.0
-        opening = (p_own + ratio * p_other - setting) / OPENING_RANGE
+        opening = (p_own + ratio * p_other - setting) / range
         return min(max(opening, 0.0), 1.0)
