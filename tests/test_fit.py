@@ -41,6 +41,7 @@ from validation.selection.levels import levels_of
 from validation.selection.model import Model, fitted, moved_to
 from validation.selection.screen import likely, screened
 from validation.selection.search import Problem
+from validation.selection.white import WHITE, taken_otherwise
 from validation.semi_recursive import kernel, sensitivity
 from validation.semi_recursive.engine import SemiRecursiveEngine
 
@@ -660,6 +661,11 @@ def test_a_search_finds_out_when_commands_stepped_between_two_samples():
     moments = sorted((shown - s, valve) for (shown, valve), s in early.items())
     true = sorted((t, valve) for valve, own in enumerate(corners) for t, _ in own)
     assert moments == [(pytest.approx(t, abs=3e-3), valve) for t, valve in true]
+    # the models of a search are fitted again with them
+    path = WHITE.begun(problem)
+    again = taken_otherwise(path, found.problem)
+    assert again.given.level < path.given.level and again.parameters.level < path.parameters.level
+    assert again.given.level == pytest.approx(found.found.level, rel=1e-3)
     # those of another recording are fitted to it with the crane that was found
     check = alike(found.problem, found.found, recording)
     moments = sorted((shown - s, valve) for (shown, valve), s in check.early.items())

@@ -40,7 +40,7 @@ from .selection.model import (
 )
 from .selection.search import Problem, Progress, search, silent
 from .selection.verdict import Kind, Verdict, verdict_of
-from .selection.white import WHITE, WhitePath
+from .selection.white import WHITE, WhitePath, taken_otherwise
 
 ERRORS = ("error_before", "error_after", "check_error_before", "check_error_after")
 
@@ -264,7 +264,8 @@ def searched(
 
     Between samples commands are taken as lines first, steps as coming with the sample that shows them, and noise as
     white. Where a model shows that one of these is wrong, the search is made with what is right: the machine without
-    effects before the search, what the search has found after it.
+    effects before the search, what the search has found after it. Where that leaves hardly more than noise, its models
+    are fitted again, but not looked for again.
     """
     problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
     path = WHITE.begun(problem)
@@ -273,10 +274,10 @@ def searched(
         progress(first.text, 0.1)
     path = search(WHITE, path if first is None else first.problem, most, progress)
     found = path.best or path.parameters
-    then = None if found.near else otherwise(path.problem, found)
+    then = otherwise(path.problem, found)
     if then is not None:
         progress(then.text, 0.3)
-        path = search(WHITE, then.problem, most, progress)
+        path = taken_otherwise(path, then.problem) if found.near else search(WHITE, then.problem, most, progress)
     other = [o for o in (first, then) if o is not None]
     if other:  # notes with the noise that it has now
         notes = check_all(path.problem.recordings, check, path.problem.crane)

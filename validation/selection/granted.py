@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import cycle
 from typing import NamedTuple
 
 import numpy as np
@@ -65,13 +66,15 @@ def before_search(problem: Problem, found: Fitted) -> Otherwise | None:
 
 
 def _as_shown(problem: Problem, found: Fitted, kinds: Sequence[_Kind]) -> Otherwise | None:
-    now, seen = Otherwise(problem, found), True
-    while seen:  # noise shows where steps are explained, and steps where noise is
-        seen = False
-        for taken, words, note in kinds:
-            if (again := taken(now.problem, now.found)) is not None:
-                seen, told = True, words not in now.words
-                now = Otherwise(*again, now.words + (words,) * told, now.notes + (note,) * told)
+    now, settled = Otherwise(problem, found), 0
+    for taken, words, note in cycle(kinds):  # noise shows where steps are explained, and steps where noise is
+        if settled == len(kinds):
+            break
+        again = taken(now.problem, now.found)
+        settled = settled + 1 if again is None else 1
+        if again is not None:
+            told = words not in now.words
+            now = Otherwise(*again, now.words + (words,) * told, now.notes + (note,) * told)
     return now if now.words else None
 
 

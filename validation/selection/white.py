@@ -17,6 +17,7 @@ from crane_exudyn.effects import registry
 
 from ..criteria import CRITERIA
 from ..fit.staged import LOOSE, STIFF, TIGHT, WHOLE, timings
+from ..workers import in_parallel
 from .ending import still_to_do, taken_on
 from .lean import leaner
 from .levels import noise_level
@@ -114,12 +115,13 @@ def _begun(problem: Problem) -> WhitePath:
     parameters = fitted(crane, data, Model(problem.shared), problem.base, (TIGHT, STIFF))
     if parameters.plausible and parameters.level < CRITERIA.left_level and (ways := still_to_do(parameters)):
         parameters = taken_on(problem, parameters, ways)
+    parameters = replace(parameters, loose=problem.base)
     return _with_parameters(WhitePath(problem, parameters, given=given, fewest=parameters), parameters)
 
 
 def _with_parameters(path: WhitePath, parameters: Fitted) -> WhitePath:
     """Return the path with another fit of the machine without effects."""
-    parameters = replace(parameters, loose=path.problem.base)
+    parameters = replace(parameters, loose=path.parameters.loose)
     path, problem = replace(path, parameters=parameters, fewest=parameters), path.problem
     if parameters.good and not path.adequate:
         path = replace(path, fewest=leaner(problem.crane, problem.data, parameters))
@@ -365,6 +367,19 @@ def _after(path: WhitePath, found: Round[Fitted]) -> WhitePath:
     if found.bare is not None and found.bare.evidence > path.parameters.evidence:
         path = _with_parameters(path, found.bare)
     return replace(path, rounds=(*path.rounds, found))
+
+
+def taken_otherwise(path: WhitePath, problem: Problem) -> WhitePath:
+    """Return a path with its models fitted to a problem whose recordings are taken otherwise (commands between samples,
+    noise).
+    """
+    problem = replace(problem, told=path.problem.shared)
+    moves = [Move(w.model, w.fit) for w in (path.given, path.parameters, *path.done)]
+    given, parameters, *others = in_parallel(problem.jobs, problem.tasks(moves, (STIFF,)))
+    parameters = replace(parameters, loose=path.parameters.loose)
+    path = _with_parameters(WhitePath(problem, parameters, given=given, fewest=parameters), parameters)
+    done = tuple(best_of_each([w for w in others if math.isfinite(w.evidence)]))
+    return replace(path, rounds=(Round(done, done, _deciding(path, done)),)) if done else path
 
 
 def _gained(path: WhitePath) -> bool:
