@@ -532,6 +532,8 @@ def test_slow_noise_at_rest_is_told_and_a_ring_that_dies_out_is_not() -> None:
     assert waver(0.0) == []
     assert len(waver(0.03)) == 1 and "p1 by" in waver(0.03)[0] and "z1" not in waver(0.03)[0]
     recording = at_rest(0.03)
+    explained = check_recording(recording, CRANE, explained=True)  # a model that leaves only noise swings as it does
+    assert explained == [n for n in check_recording(recording, CRANE) if n not in waver(0.03)]
     time, commands = recording.commands(CRANE)
     # parabolas through a quarter of a second take some of it away; the white estimate sees a fifth
     assert 1.5e4 < noise_at_rest(recording["p1"], time, commands) < 3.3e4

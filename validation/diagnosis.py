@@ -21,6 +21,7 @@ from crane_exudyn.effects import registry
 from crane_exudyn.errors import CraneError, counted, names_of
 from crane_exudyn.parameters import unit_of
 from crane_exudyn.recording import Recording, given_recording
+from crane_exudyn.vetting import vetted
 
 from .criteria import CRITERIA
 from .fit.solve import Fit
@@ -279,8 +280,10 @@ def searched(
         progress(then.text, 0.3)
         path = taken_otherwise(path, then.problem) if found.near else search(WHITE, then.problem, most, progress)
     other = [o for o in (first, then) if o is not None]
-    if other:  # notes with the noise that it has now
-        notes = check_all(path.problem.recordings, check, path.problem.crane)
+    found = path.best or path.parameters
+    if other or found.near:  # notes with what is known now of its noise
+        known = None if check is None else _vouched(check, crane)
+        notes = check_all(path.problem.recordings, known, path.problem.crane, found.near)
     return path, [*notes, *dict.fromkeys(note for o in other for note in o.notes)]
 
 
@@ -297,8 +300,14 @@ def looked_at(
     recordings = (recording,) if isinstance(recording, Recording) else tuple(recording)
     notes = check_all(recordings, check, crane)
     progress("fitting the nominal parameters", 0.05)
-    vouched = [replace(r, vouched=True) for r in recordings]  # with the crane as given: a fitted one may not fit them
-    return Problem.of(crane, vouched, per_recording, jobs), notes
+    return Problem.of(crane, [_vouched(r, crane) for r in recordings], per_recording, jobs), notes
+
+
+def _vouched(recording: Recording, crane: Crane) -> Recording:
+    """Return a recording with notes on its contents, not to be judged again: they need not fit a crane that was fitted
+    to them.
+    """
+    return replace(vetted(recording, crane), vouched=True)
 
 
 def diagnosis_of(path: WhitePath, check: Recording | None, notes: Sequence[str] = ()) -> Diagnosis:

@@ -77,10 +77,15 @@ def unfit(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> l
     return found
 
 
-def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "compare") -> list[str]:
+def check_recording(
+    recording: Recording, crane: Crane, purpose: Purpose = "compare", explained: bool = False
+) -> list[str]:
     """Return notes on a recording (one sentence each); what cannot be used at all is refused with the reason.
 
     Refused are contents that cannot be true (`crane_exudyn.vetting`), and what is `unfit` for the purpose.
+
+    Args:
+        explained: whether a model is known that leaves only noise of it: what wavers at rest is then the machine.
 
     Raises:
         CraneError: what is wrong with the recording, and how to mend it.
@@ -92,19 +97,21 @@ def check_recording(recording: Recording, crane: Crane, purpose: Purpose = "comp
     time, commands = recording.commands(crane)
     constant = constant_sensors(recording, crane.sensors)
     notes = _notes(recording, crane, time, commands, constant, _moves(recording, crane, commands))
-    return notes + _wavering(recording, crane, time, commands, constant)
+    return notes if explained else notes + _wavering(recording, crane, time, commands, constant)
 
 
-def check_all(recordings: Sequence[Recording], check: Recording | None, crane: Crane) -> list[str]:
+def check_all(
+    recordings: Sequence[Recording], check: Recording | None, crane: Crane, explained: bool = False
+) -> list[str]:
     """Return notes on recordings to be diagnosed and the one that is only predicted, each with its recording's name
-    where there are several.
+    where there are several; `explained`: whether a model is known that leaves only noise.
 
     Raises:
         CraneError: one of them cannot be used.
     """
     if not recordings:
         raise CraneError("There is no recording. Give at least one.")
-    each = [check_recording(r, crane, purpose="diagnose") for r in recordings]
+    each = [check_recording(r, crane, "diagnose", explained) for r in recordings]
     notes = [f"{r.name}: {n}" if len(each) > 1 else n for r, own in zip(recordings, each, strict=True) for n in own]
     where = [r.source or r.name for r in recordings]
     notes += [
@@ -112,16 +119,16 @@ def check_all(recordings: Sequence[Recording], check: Recording | None, crane: C
         for i, j in combinations(range(len(recordings)), 2)
         if same(recordings[i], recordings[j])
     ]
-    return notes if check is None else check_check(check, recordings, crane) + notes
+    return notes if check is None else check_check(check, recordings, crane, explained) + notes
 
 
-def check_check(check: Recording, learned: Sequence[Recording], crane: Crane) -> list[str]:
+def check_check(check: Recording, learned: Sequence[Recording], crane: Crane, explained: bool = False) -> list[str]:
     """Return notes on a recording that is only predicted, beside those that are learned from.
 
     Raises:
         CraneError: it cannot be compared with the crane, or has no sensor of the others.
     """
-    notes = check_recording(check, crane)
+    notes = check_recording(check, crane, explained=explained)
     where = check.source or check.name
     sensors = list(dict.fromkeys(c for r in learned for c in r.sensors))
     if not set(check.sensors) & set(sensors):
