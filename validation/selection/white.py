@@ -373,12 +373,11 @@ def taken_otherwise(path: WhitePath, problem: Problem) -> WhitePath:
     """Return a path with its models fitted to a problem whose recordings are taken otherwise (commands between samples,
     noise).
     """
-    problem = replace(problem, told=path.problem.shared)
-    moves = [Move(w.model, w.fit) for w in (path.given, path.parameters, *path.done)]
-    given, parameters, *others = in_parallel(problem.jobs, problem.tasks(moves, (STIFF,)))
-    parameters = replace(parameters, loose=path.parameters.loose)
-    path = _with_parameters(WhitePath(problem, parameters, given=given, fewest=parameters), parameters)
-    done = tuple(best_of_each([w for w in others if math.isfinite(w.evidence)]))
+    problem, before = replace(problem, told=path.problem.shared), path.done
+    moves = [Move(w.model, w.fit) for w in (path.given, path.parameters)]
+    given, parameters = in_parallel(problem.jobs, problem.tasks(moves, (STIFF,)))
+    path = _with_parameters(replace(path, problem=problem, given=given, rounds=(), left_out={}), parameters)
+    done = tuple(best_of_each(problem.further(before, (STIFF,))))
     return replace(path, rounds=(Round(done, done, _deciding(path, done)),)) if done else path
 
 
