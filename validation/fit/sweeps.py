@@ -26,6 +26,9 @@ from .windows import Group, Window, jump_of, pieces_of
 _LARGE = 6_000_000
 #: error that a window counts with whose run fails, in noise units: it explains nothing, whatever the model
 _LOST = 1e3
+#: how many times further from the truth than usual the steps of a run may be along which derivatives are taken: these
+#: show where to go, and what is left there is told by runs as accurate as the model asks for
+ROUGHLY = 10.0
 #: hooks by which sensors lag
 _LAGS = frozenset({"lag"})
 #: by the unit of a sensor: what it shows at the start of a window where it lags is known to its lag times this rate
@@ -183,16 +186,24 @@ class _Begun(NamedTuple):
     shown: tuple[np.ndarray, np.ndarray] | None = None
     shown_on: np.ndarray | None = None
 
+    def along(self, x: np.ndarray, seen: np.ndarray) -> _Begun:
+        """Return the same with the derivatives along another run, which ends at x (1, nx), where sensors show `seen`
+        (channels,).
+        """
+        assert self.shown is not None and self.shown_on is not None
+        before, by_all = self.shown
+        return self._replace(x=x, shown=(seen, by_all), shown_on=self.shown_on + (seen - before)[:, None])
+
 
 def _sweep_piece(group: Group, begun: _Begun, base: Model, columns: Columns) -> tuple[list[Swept], _Begun]:
     """Return residuals of windows, their derivative, and how the next piece of a single one begins."""
     nx, grid = begun.x.shape[1], _Grid.of(group, columns.W)
-    X, S, status = _states(grid, begun, base, columns)
+    roughly = replace(base, accuracy=ROUGHLY * max(base.accuracy, ACCURACY))
+    X, S, status = _states(grid, begun, roughly, columns)
     measurement = base.measurement(group.windows[0].data.channels)
     Z, dZ, end = _seen(grid, begun, X, S, measurement, base, columns)
-    if not grid.fine:
-        X, ended = ran(group, begun.x, base)
-        status, Z = np.maximum(status, ended), _shown(measurement, group, X, begun.shown and begun.shown[0])
+    X, ended = ran(group, begun.x, base)
+    status, Z = np.maximum(status, ended), _shown(measurement, group, X, begun.shown and begun.shown[0])
     residuals, jacobians, volume = [], [], np.zeros(len(group.windows))
     lags, others = dict(measurement.lags), _other_lags(measurement, base, columns)
     for j, (sample, owner) in enumerate(zip(group.samples, group.owner, strict=True)):
@@ -216,7 +227,7 @@ def _sweep_piece(group: Group, begun: _Begun, base: Model, columns: Columns) -> 
             squares, [len(part) for part in own_r], J.T @ J, Jr, X[at].copy(), S[grid.last[k]].copy(), volume[k],
             bool(failed), J,
         ))  # fmt: skip
-    return found, end._replace(x=X[-1:].copy())
+    return found, end.along(X[-1:].copy(), Z[-1].copy())
 
 
 def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -229,7 +240,7 @@ def _states(grid: _Grid, begun: _Begun, base: Model, columns: Columns) -> tuple[
     swept = sensitivity.sweep(
         begun.x, grid.first, grid.W, grid.steps, grid.time[grid.first], base.P, own_E, here.P[sloped],
         here.E[sloped], here.size[sloped], here.W_index[sloped], topology=base.topology,
-        allowed=base.accuracy if grid.fine else max(base.accuracy, ACCURACY),
+        allowed=base.accuracy,
     )  # fmt: skip
     if begun.by_all is None and len(sloped) == m:
         return swept.X, swept.S, swept.status
