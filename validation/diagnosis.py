@@ -270,12 +270,13 @@ def searched(
     """
     problem, notes = looked_at(crane, recording, check, per_recording, jobs, progress)
     path = WHITE.begun(problem)
-    first = before_search(problem, path.parameters)
+    bare = path.parameters
+    first = before_search(problem, bare)
     if first is not None:
         progress(first.text, 0.1)
     path = search(WHITE, path if first is None else first.problem, most, progress)
     found = path.best or path.parameters
-    then = otherwise(path.problem, found)
+    then = None if found is bare else otherwise(path.problem, found)
     if then is not None:
         progress(then.text, 0.3)
         path = taken_otherwise(path, then.problem) if found.near else search(WHITE, then.problem, most, progress)
