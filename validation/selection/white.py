@@ -196,7 +196,7 @@ def _unseen(path: WhitePath, parent: Fitted, led: Sequence[Fitted]) -> list[Fitt
     left = CRITERIA.left_of_rest * excess(parent.level)
     if any(w.good and w.move_cost < CRITERIA.helped and excess(w.level) < left for w in led):
         return []
-    moved = parent.move_cost >= CRITERIA.helped if parent.keys else not path.given.good
+    moved = parent.move_cost >= CRITERIA.helped if parent.keys else not path.adequate
     little = parent.level < (noise_level(parent.fit.data) if parent.keys else CRITERIA.left_level)
     hidden = [*(unseen(parent.fit) if moved and little else []), *stopping(parent.loose)]
     if not hidden:
