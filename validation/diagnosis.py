@@ -276,7 +276,7 @@ def searched(
         progress(first.text, 0.1)
     path = search(WHITE, path if first is None else first.problem, most, progress)
     found = path.best or path.parameters
-    then = None if found is bare else otherwise(path.problem, found)
+    then = None if found is bare else otherwise(path.problem, found)  # the same model shows the same
     if then is not None:
         progress(then.text, 0.3)
         path = taken_otherwise(path, then.problem) if found.near else search(WHITE, then.problem, most, progress)

@@ -155,28 +155,33 @@ def _driven_by(recordings: Sequence[Recording], problem: Problem, w: Fitted) -> 
     """Return the problem with recordings whose commands are other ones between samples; None where a fitted model is
     not clearly likelier so, or promises not to be.
     """
-    if _promise(w.fit, recordings) < CRITERIA.tie:
-        return None
     other = Problem.of(problem.crane, recordings, problem.data.own, problem.jobs)
+    same = all(_same_commands(a, b) for a, b in zip(other.data.parts, problem.data.parts, strict=True))
+    if same or _promise(w.fit, other.data.parts) < CRITERIA.tie:
+        return None
     again = fitted(problem.crane, other.data, w.model, w.fit, (STIFF,))
     return (other, again) if again.evidence > w.evidence + CRITERIA.proof else None
 
 
-def _promise(fit: Fit, recordings: Sequence[Recording]) -> float:
-    """Return by how much the cost is to fall where a fit is driven by the commands of these recordings, with all that
-    it moves free to follow; nothing where the model fails.
+def _same_commands(a: FitData, b: FitData) -> bool:
+    return np.array_equal(a.command_time, b.command_time) and np.array_equal(a.commands, b.commands)
+
+
+def _promise(fit: Fit, others: Sequence[FitData]) -> float:
+    """Return by how much the cost is to fall where a fit is driven by the commands of others, one for each recording,
+    with all that it moves free to follow; nothing where the model fails.
     """
 
     def probe(base: Inputs, data: FitData, recording: int) -> Columns:
-        return pack(base, [_driven(base, data, recordings[recording])], np.ones(1))
+        other = others[recording]
+        return pack(base, [_driven(base, data, other.command_time, other.commands)], np.ones(1))
 
     found = projected(fit, fit.knots, probe, STIFF.stiffness)
     return 0.0 if found is None else -float(found.g[0] + 0.5 * found.H[0, 0])
 
 
-def _driven(base: Inputs, data: FitData, recording: Recording) -> Inputs:
-    """Return a model driven by the commands of a recording."""
-    time, commands = recording.commands(base.crane)
+def _driven(base: Inputs, data: FitData, time: np.ndarray, commands: np.ndarray) -> Inputs:
+    """Return a model driven by other commands (n, valves) at times (n,) in s."""
     return model_of(base.crane, replace(data, command_time=time, commands=commands), base.late)
 
 
@@ -220,7 +225,8 @@ def _with_likeliest_steps(fit: Fit, recordings: Sequence[Recording]) -> list[Rec
         for (i, step, interval), share in zip(each, now + shifts, strict=True):
             if i == recording:
                 r = recordings[i]
-                moved.append(_driven(base, data, replace(r, early={**r.early, step: share * interval})))
+                stepping = replace(r, early={**r.early, step: share * interval})
+                moved.append(_driven(base, data, *stepping.commands(fit.crane)))
             else:
                 moved.append(base)
         return pack(base, moved, shifts)
